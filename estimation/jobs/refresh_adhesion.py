@@ -1,14 +1,14 @@
 """Job: creep forces of windows, friction of sections, and alerts of low adhesion.
 
-Each window is read once, after its wheelset has a geometry. A section whose windows were looked at is pooled over the
-hours before the newest of them; where its stretches of low friction have changed, the windows on them are estimated
-again without.
+Each window is read once, after its wheelset has a geometry. The windows of a section that were looked at are pooled
+with those of the hours before; where the stretches of low friction have changed, the windows on them are estimated
+again without. The newest hours decide on the alert.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.adhesion.friction import FrictionParameters, section_adhesion
@@ -30,6 +30,7 @@ from estimation.values.windows import WindowKey, WindowMark, WindowState
 STAGE = "refresh_adhesion"
 BATCH = 64  # windows committed together
 HOUR_NS = 3_600_000_000_000
+KEPT_NS = 31 * 24 * HOUR_NS  # for which the sums of windows are kept, beyond the longest span that is pooled
 
 
 def run(context: JobContext) -> Mapping[str, int]:
@@ -45,9 +46,9 @@ def run(context: JobContext) -> Mapping[str, int]:
         if isolation.waits(SubjectKind.SECTION, section):
             continue
         with isolation.alone(SubjectKind.SECTION, section):
-            newest = _windows(context, section, counts)
-            if newest is not None:
-                counts.update(_section(context, section, newest))
+            starts = _windows(context, section, counts)
+            for to_ns in pool_ends(starts, _pooled_ns(context)):
+                counts.update(_section(context, section, to_ns))
             with context.storage.read() as unit:
                 seen = not unit.adhesion.unlooked(section)
             if seen and section in news:
@@ -59,16 +60,37 @@ def run(context: JobContext) -> Mapping[str, int]:
     return counts
 
 
-def _windows(context: JobContext, section: str, counts: Counter[str]) -> int | None:
-    """Store the creep of the windows of a section that wait; return when the newest of them began."""
-    newest: int | None = None
+def _pooled_ns(context: JobContext) -> int:
+    return round(context.settings.rules.rule(LowAdhesionRule).pooled_hours * HOUR_NS)
+
+
+def pool_ends(starts: Collection[int], length_ns: int) -> Sequence[int]:
+    """Return the ends of as few spans as hold all times, oldest first; the last ends with the newest.
+
+    Parameters
+    ----------
+    starts
+        Times, ns.
+    length_ns
+        Of a span, both ends included.
+    """
+    ends: list[int] = []
+    for start in sorted(set(starts), reverse=True):
+        if not ends or ends[-1] - start > length_ns:
+            ends.append(start)
+    return ends[::-1]
+
+
+def _windows(context: JobContext, section: str, counts: Counter[str]) -> set[int]:
+    """Store the creep of the windows of a section that wait; return when they began."""
+    starts: set[int] = set()
     last: WindowKey | None = None
     while True:
         with context.storage.read() as unit:
             keys = unit.adhesion.waiting(section, last, BATCH)
             found = creep_of_windows(unit, keys, context.settings.estimation) if keys else []
         if not keys:
-            return newest
+            return starts
         last = keys[-1]
         with context.storage.write() as unit:
             now = {one.key: one.content_digest for one in unit.windows.several([one.key for one in found])}
@@ -77,7 +99,7 @@ def _windows(context: JobContext, section: str, counts: Counter[str]) -> int | N
                     unit.adhesion.put(one)
         counts["windows"] += len(found)
         counts["refused"] += sum(one.reason is not None for one in found)
-        newest = max([newest or 0, *(start_ns for _, start_ns in keys)])
+        starts.update(start_ns for _, start_ns in keys)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +117,7 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
     parameters = FrictionParameters(low=rule.raise_friction, likely=rule.raise_probability)
     with context.storage.read() as unit:
         last = unit.adhesion.section(section)
-        to_ns = max(to_ns, 0 if last is None else last.to_ns)
-        passes = unit.adhesion.of_section(section, to_ns - round(rule.pooled_hours * HOUR_NS), to_ns)
+        passes = unit.adhesion.of_section(section, to_ns - _pooled_ns(context), to_ns)
         fleets = sorted({unit.registry.vehicle(code).fleet for code in {one.vehicle for one in passes}})
     found = section_adhesion(section, passes, parameters)
     if found is None:
@@ -109,7 +130,9 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
         again = [one for one in passes if touched(one, before[one.key]) != touched(one, _on(unit, one))]
         marks = [WindowMark(*one.key, WindowState.PENDING) for one in _estimated(unit, again)]
         unit.windows.mark_all(marks)
-        _alert(unit, context, rule, pooled)
+        if last is None or found.to_ns >= last.to_ns:
+            _alert(unit, context, rule, pooled)
+            unit.adhesion.forget_sums(section, found.to_ns - KEPT_NS)
     return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
 
 

@@ -22,6 +22,7 @@ class WindowAdhesionRow(Base):
     content_digest: Mapped[Digest]
     status: Mapped[str] = mapped_column(String(16))
     reason_code: Mapped[ReasonCodeColumn | None]
+    with_sums: Mapped[bool]
     packed: Mapped[Packed]
 
 

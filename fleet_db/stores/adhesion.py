@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import Connection, Row, Select, and_, or_, select
@@ -21,6 +21,7 @@ from fleet_db.rows import table_of, upsert
 
 OF_WINDOWS, OF_SECTIONS = table_of(WindowAdhesionRow), table_of(SectionAdhesionRow)
 WINDOWS, GEOMETRIES = table_of(WindowRow), table_of(GeometryRow)
+FORGOTTEN = 1000  # windows at once: the next run goes on
 SAME = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns == WINDOWS.c.start_ns)
 
 
@@ -73,6 +74,7 @@ class AdhesionStore:
             "content_digest": found.content_digest,
             "status": found.status.value,
             "reason_code": None if found.reason is None else found.reason.code.value,
+            "with_sums": found.sums is not None,
             "packed": pack_window_adhesion(found),
         }
         upsert(self.connection, OF_WINDOWS, values)
@@ -90,6 +92,24 @@ class AdhesionStore:
             OF_WINDOWS.c.start_ns <= to_ns,
         )
         return self._windows(select(OF_WINDOWS).where(*chosen))
+
+    def forget_sums(self, section: str, before_ns: int) -> int:
+        """Remove the sums of friction of the windows of a section that begin before a time; return of how many.
+
+        They are a hundred times as long as the forces, and only what is pooled needs them.
+
+        Parameters
+        ----------
+        section
+            Code.
+        before_ns
+            Vehicle time.
+        """
+        old = (OF_WINDOWS.c.track_section == section, OF_WINDOWS.c.start_ns < before_ns, OF_WINDOWS.c.with_sums)
+        found = self._windows(select(OF_WINDOWS).where(*old).limit(FORGOTTEN))
+        for one in found:
+            self.put(replace(one, sums=None))
+        return len(found)
 
     def put_section(self, found: SectionAdhesion, code_version: str, recorded_ns: int) -> bool:
         """Store the friction of a section; return whether anything changed."""

@@ -27,6 +27,7 @@ def upgrade() -> None:
         sa.Column("content_digest", sa.String(64), nullable=False),
         sa.Column("status", sa.String(16), nullable=False),
         sa.Column("reason_code", sa.String(64), nullable=True),
+        sa.Column("with_sums", sa.Boolean(), nullable=False),
         sa.Column("packed", sa.LargeBinary(), nullable=False),
         sa.CheckConstraint(STATUSES, name=op.f("ck_window_adhesion_status_known")),
     )

@@ -137,8 +137,14 @@ def test_rest_answers_friction_and_the_alert_links_to_it(deployed: Deployed) -> 
     assert (missing.status_code, before.status_code) == (404, 404)
 
 
+def test_as_few_spans_as_hold_all_times_are_pooled() -> None:
+    assert refresh_adhesion.pool_ends([1, 5, 9, 30, 31], 8) == [9, 31]
+    assert refresh_adhesion.pool_ends([1, 5, 10, 30, 31], 8) == [1, 10, 31]
+    assert refresh_adhesion.pool_ends([], 8) == []
+
+
 def test_later_runs_leave_low_friction_out_and_then_rest(deployed: Deployed) -> None:
-    """The last of this module: it changes the store."""
+    """It changes the store: what is behind it sees that."""
     run_jobs(deployed.context, ALL_JOBS)
     with deployed.storage.read() as unit:
         windows = [record for one in unit.registry.wheelsets() for record in unit.windows.list(one.serial)]
@@ -153,3 +159,15 @@ def test_later_runs_leave_low_friction_out_and_then_rest(deployed: Deployed) -> 
     assert section_of(deployed) == before
     with deployed.storage.read() as unit:
         assert len(unit.alerts.feed(0, 100)) == events
+
+
+def test_sums_are_forgotten_and_forces_stay(deployed: Deployed) -> None:
+    section = deployed.scenario.section.code
+    with deployed.storage.write() as unit:
+        passes = unit.adhesion.of_section(section, 0, 2**62)
+        first = min(one.start_ns for one in passes)
+        assert unit.adhesion.forget_sums(section, first) == 0
+        assert unit.adhesion.forget_sums(section, first + 1) == sum(one.start_ns == first for one in passes)
+        after = unit.adhesion.of_section(section, 0, 2**62)
+    assert [one.yaw_creep for one in after] == [one.yaw_creep for one in passes]
+    assert {one.start_ns for one in after if one.sums is None} == {first}
