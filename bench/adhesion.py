@@ -16,7 +16,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench.adhesion_table import FRICTION_COLUMNS, friction_rows, summary
+from bench.adhesion_table import CHOICE_COLUMNS, FRICTION_COLUMNS, choice_rows, friction_rows, summary
 from bench.report import BenchRow
 from bench.results_page import markdown_table, write_page
 from bench.world import seed_range
@@ -37,13 +37,18 @@ def main(arguments: Sequence[str]) -> int:
     if not options.print_only:
         _run(options, cases, console)
     rows = summary(cases)
-    for header, cells in ((COLUMNS, _cells(rows)), (FRICTION_COLUMNS, friction_rows(cases))):
+    tables: tuple[tuple[Sequence[str], Sequence[tuple[str, ...]]], ...] = (
+        (COLUMNS, _cells(rows)),
+        (FRICTION_COLUMNS, friction_rows(cases)),
+        (CHOICE_COLUMNS, choice_rows(cases)),
+    )
+    for header, cells in tables:
         table = Table(*header, show_lines=True)
         for row in cells:
             table.add_row(*row)
         console.print(table)
     if options.write_docs:
-        body = [markdown_table(COLUMNS, _cells(rows)), markdown_table(FRICTION_COLUMNS, friction_rows(cases))]
+        body = [markdown_table(header, cells) for header, cells in tables]
         console.print(f"wrote {write_page('adhesion', TITLE, 'python -m bench adhesion --write-docs', body)}")
     return 0 if all(row.met for row in rows) else 1
 

@@ -10,7 +10,8 @@ import numpy as np
 from bench.report import BenchRow
 
 LOW = 0.15
-LEAST_LENGTH = 50.0  # m, of a place: what is shorter is not told apart
+WITHIN = 200.0  # m from the start of a stretch within which it is to be found
+LEAST_LENGTH = 50.0  # m, of a place: what is shorter is not separated
 FRICTION_COLUMNS = (
     "row",
     "seeds",
@@ -25,6 +26,7 @@ FRICTION_COLUMNS = (
     "conicity error, all samples",
     "without low friction",
 )
+CHOICE_COLUMNS = ("probability from which a place is low", "stretches of 50 m or more found", "alarms without")
 JUDGED = "low"  # the row of the wanted numbers
 
 
@@ -141,3 +143,29 @@ def _percent(share: float | np.floating[Any]) -> str:
 
 def _error(errors: np.ndarray) -> str:
     return f"{errors.mean():+.4f}, {np.abs(errors).mean():.4f}" if len(errors) else ""
+
+
+def choice_rows(cases: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Return what another limit of the probability would find and raise, in the judged row."""
+    judged = [case for case in cases if case["row"] == JUDGED]
+    return [(f"{limit:g}", *_chosen(judged, limit)) for limit in (0.4, 0.5, 0.6, 0.7, 0.8)] if judged else []
+
+
+def _chosen(cases: Sequence[dict[str, Any]], limit: float) -> tuple[str, str]:
+    found, alarms = [], 0
+    for case in cases:
+        low = [cell for cell in case["cells"] if cell["value"] is not None and cell["probability"] >= limit]
+        for begin, end in case["stretches"]:
+            if end - begin >= LEAST_LENGTH:
+                reach = min(begin + WITHIN, end)
+                found.append(any(cell["from"] <= reach and cell["from"] + LEAST_LENGTH >= begin for cell in low))
+        for place, cell in enumerate(low):
+            if place and cell["from"] - low[place - 1]["from"] <= 2 * LEAST_LENGTH:
+                continue
+            run = [cell]
+            for other in low[place + 1 :]:
+                if other["from"] - run[-1]["from"] > 2 * LEAST_LENGTH:
+                    break
+                run.append(other)
+            alarms += min(one["least"] for one in run) >= LOW
+    return f"{sum(found)} of {len(found)}", str(alarms)

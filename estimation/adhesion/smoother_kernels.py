@@ -9,7 +9,7 @@ from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 
 @compiled(nogil=True)
-def filter_forward(  # noqa: C901 - loops over states, without a branch but for gaps
+def filter_forward(
     transition: FloatArray,
     measured: FloatArray,
     gain: FloatArray,
@@ -39,30 +39,40 @@ def filter_forward(  # noqa: C901 - loops over states, without a branch but for 
         Written: (s, n), (s, n) and (s, m).
     """
     samples, n = predicted.shape
-    m = measurements.shape[1]
-    state = np.zeros(n)
+    first = measurements.shape[1] - len(varying)
+    state, correction = np.zeros(n), np.zeros(n)
     for i in range(samples):
-        for k in range(n):
-            predicted[i, k] = state[k]
-            filtered[i, k] = state[k]
-        for j in range(m):
-            innovations[i, j] = 0.0
+        predicted[i] = state
+        filtered[i] = state
+        innovations[i] = 0.0
         if known[i]:
-            for j in range(m):
-                left = measurements[i, j]
-                for k in range(n):
-                    left -= measured[j, k] * state[k]
-                innovations[i, j] = left
+            multiply(measured, state, innovations[i])
+            for j in range(measurements.shape[1]):
+                innovations[i, j] = measurements[i, j] - innovations[i, j]
             for a in range(len(varying)):
-                innovations[i, m - len(varying) + a] -= excess[i] * state[varying[a]]
-            for j in range(m):
-                for k in range(n):
-                    filtered[i, k] += gain[k, j] * innovations[i, j]
-        for k in range(n):
-            total = 0.0
-            for j in range(n):
-                total += transition[k, j] * filtered[i, j]
-            state[k] = total
+                innovations[i, first + a] -= excess[i] * state[varying[a]]
+            multiply(gain, innovations[i], correction)
+            for k in range(n):
+                filtered[i, k] += correction[k]
+        multiply(transition, filtered[i], state)
+
+
+@compiled(nogil=True)
+def multiply(matrix: FloatArray, vector: FloatArray, product: FloatArray) -> None:
+    """Write the product (n,) of a matrix (n, m) and a vector (m,); every sum goes in the order of its terms.
+
+    Parameters
+    ----------
+    matrix, vector
+        (n, m) and (m,).
+    product
+        (n,) written.
+    """
+    for k in range(len(matrix)):
+        total = 0.0
+        for j in range(len(vector)):
+            total += matrix[k, j] * vector[j]
+        product[k] = total
 
 
 @compiled(nogil=True)

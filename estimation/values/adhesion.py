@@ -11,7 +11,7 @@ from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
 from estimation.values.windows import WindowKey
 
-CELL_LENGTH = 50.0  # m, of the places at which friction is told apart
+CELL_LENGTH = 50.0  # m, of the places whose friction is separated
 FRICTIONS = (4.0, 1.5, 0.8, 0.6, 0.45, 0.35, 0.28, 0.22, 0.18, 0.15, 0.125, 0.1, 0.08, 0.065, 0.05, 0.035)
 """Coefficients of friction at which sums are kept; between them the sums are interpolated over the inverse."""
 
@@ -56,7 +56,7 @@ class WindowAdhesion:
     used_adhesion
         Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at least that.
     sums
-        None where friction cannot be told.
+        None where nothing can be said of friction.
     reason
         Why there are no forces, or no sums.
     """

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, or_, select
+from sqlalchemy import Connection, Row, Select, and_, delete, func, or_, select
 
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.windows import WindowKey, WindowState
@@ -112,7 +112,10 @@ class AdhesionStore:
         return len(found)
 
     def put_section(self, found: SectionAdhesion, code_version: str, recorded_ns: int) -> bool:
-        """Store the friction of a section; return whether anything changed."""
+        """Store the friction of a section; return whether anything changed.
+
+        Of the hours that end within these, those that reach back furthest are kept: so every time stays in some.
+        """
         values = {
             "track_section": found.track_section,
             "to_ns": found.to_ns,
@@ -125,6 +128,13 @@ class AdhesionStore:
         before = self.connection.execute(select(OF_SECTIONS).where(*key)).mappings().first()
         if before is not None and all(before[name] == value for name, value in values.items()):
             return False
+        within = (
+            OF_SECTIONS.c.track_section == found.track_section,
+            OF_SECTIONS.c.to_ns >= found.from_ns,
+            OF_SECTIONS.c.to_ns < found.to_ns,
+        )
+        first = select(func.min(OF_SECTIONS.c.to_ns)).where(*within).scalar_subquery()
+        self.connection.execute(delete(OF_SECTIONS).where(*within, OF_SECTIONS.c.to_ns > first))
         return upsert(self.connection, OF_SECTIONS, values | {"recorded_ns": recorded_ns})
 
     def section(self, section: str, at_ns: int | None = None) -> SectionAdhesion | None:
@@ -143,6 +153,24 @@ class AdhesionStore:
         row = self.connection.execute(statement.order_by(OF_SECTIONS.c.to_ns.desc()).limit(1)).first()
         where = f"friction of section {section}"
         return None if row is None else unpack_section_adhesion(row.packed, where=where)
+
+    def during(self, section: str, from_ns: int, to_ns: int) -> Sequence[SectionAdhesion]:
+        """Return the friction of a section of all hours that hold a time of a span, newest first.
+
+        Parameters
+        ----------
+        section
+            Code.
+        from_ns, to_ns
+            Vehicle time, both included.
+        """
+        chosen = (
+            OF_SECTIONS.c.track_section == section,
+            OF_SECTIONS.c.from_ns <= to_ns,
+            OF_SECTIONS.c.to_ns >= from_ns,
+        )
+        rows = self.connection.execute(select(OF_SECTIONS).where(*chosen).order_by(OF_SECTIONS.c.to_ns.desc()))
+        return [unpack_section_adhesion(row.packed, where=f"friction of section {section}") for row in rows]
 
     def _windows(self, statement: Select[Any]) -> Sequence[WindowAdhesion]:
         ordered = statement.order_by(OF_WINDOWS.c.start_ns, OF_WINDOWS.c.wheelset)

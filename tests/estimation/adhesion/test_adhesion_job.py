@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +159,23 @@ def test_later_runs_leave_low_friction_out_and_then_rest(deployed: Deployed) -> 
     assert section_of(deployed) == before
     with deployed.storage.read() as unit:
         assert len(unit.alerts.feed(0, 100)) == events
+
+
+def test_every_time_stays_in_some_hours_and_few_are_kept(deployed: Deployed) -> None:
+    found = section_of(deployed)
+    with deployed.storage.write() as unit:
+        for minute in range(1, 40):
+            later = replace(found, from_ns=found.to_ns + (minute - 10) * 60, to_ns=found.to_ns + minute * 60)
+            unit.adhesion.put_section(later, "test", minute)
+        first, last = found.from_ns, found.to_ns + 39 * 60
+        for at_ns in range(found.to_ns, last, 30):
+            one = unit.adhesion.section(found.track_section, at_ns)
+            assert one is not None
+            assert one.from_ns <= at_ns <= one.to_ns
+        assert len(unit.adhesion.during(found.track_section, first, last)) < 12
+        newest = unit.adhesion.section(found.track_section)
+    assert newest is not None
+    assert newest.to_ns == last
 
 
 def test_sums_are_forgotten_and_forces_stay(deployed: Deployed) -> None:

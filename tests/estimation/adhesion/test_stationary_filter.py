@@ -36,8 +36,8 @@ def model(vehicle_class: VehicleClass) -> tuple[FloatArray, FloatArray, FloatArr
     return expm(rates * DT), process, module._measured(gear, len(rates), SPEED) * scale, np.diag(variances)
 
 
-def settled(transition: FloatArray, process: FloatArray, rows: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the covariance before a sample that a filter settles to, by recursion."""
+def limit_of(transition: FloatArray, process: FloatArray, rows: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the covariance before a sample that a filter ends at, by recursion."""
     predicted = np.eye(len(transition))
     for _ in range(60_000):
         gain = np.linalg.solve(rows @ predicted @ rows.T + noise, rows @ predicted).T
@@ -53,10 +53,10 @@ def settled(transition: FloatArray, process: FloatArray, rows: FloatArray, noise
 @pytest.fixture(scope="module")
 def single() -> tuple[FloatArray, ...]:
     found = model(PAPER_CLASS)
-    return (*found, settled(*found))
+    return (*found, limit_of(*found))
 
 
-def test_the_stationary_gain_is_what_a_filter_settles_to(single: tuple[FloatArray, ...]) -> None:
+def test_the_stationary_gain_is_what_a_filter_ends_at(single: tuple[FloatArray, ...]) -> None:
     transition, _, rows, noise, predicted = single
     made = stationary_filter(PAPER_CLASS, DT, SPEED, KNOWN)
     np.testing.assert_allclose(made.transition, transition, rtol=1e-9, atol=1e-12)
@@ -67,7 +67,7 @@ def test_the_stationary_gain_is_what_a_filter_settles_to(single: tuple[FloatArra
 
 
 def test_filter_and_smoother_give_the_posterior_mean_of_all_samples(single: tuple[FloatArray, ...]) -> None:
-    """A path that begins with the settled covariance, every state of every sample in one least squares problem."""
+    """A path that begins with that covariance, every state of every sample in one least squares problem."""
     transition, process, rows, noise, predicted = single
     made = stationary_filter(PAPER_CLASS, DT, SPEED, KNOWN)
     n, m = made.gain.shape
