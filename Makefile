@@ -6,7 +6,7 @@ ARGS ?=
 # what one process has compiled serves the others: the tests start many
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rivals mutants chaos house clean
+.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rivals mutants chaos house clean bench-adhesion
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -53,6 +53,9 @@ bench-fleet: $(VENV)/.dev
 
 bench-rivals: $(VENV)/.dev
 	$(BIN)/python -m bench rivals $(ARGS)
+
+bench-adhesion: $(VENV)/.dev
+	$(BIN)/python -m bench adhesion $(ARGS)
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m bench $(ARGS)

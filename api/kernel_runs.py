@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from api import estimator_kernel_runs, ingest_kernel_runs
+from estimation.adhesion.smoother_kernels import filter_forward, smooth_back
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
@@ -125,6 +126,33 @@ def _bin_tables() -> Iterator[FloatArray]:
         equations = regression(motion, parameters.vehicle)
         yield from (equations.lateral_targets, equations.yaw_targets)
     yield group_of(block, 16).astype(float)
+
+
+def _creep_filter() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(12)
+    samples, n, m = 6, 5, 4
+    transition, measured = 0.3 * rng.standard_normal((n, n)), rng.standard_normal((m, n))
+    gain, back = 0.1 * rng.standard_normal((n, m)), 0.2 * rng.standard_normal((n, n))
+    fixed = {name: frozen_array(value, value.shape, name=name) for name, value in
+             (("transition", transition), ("measured", measured), ("gain", gain), ("back", back))}  # fmt: skip
+    measurements = frozen_array(rng.standard_normal((samples, m)), (samples, m), name="measurements")
+    excess = frozen_array(0.1 * rng.standard_normal(samples), (samples,), name="excess")
+    known = frozen_array(np.arange(samples) % 4 > 0, (samples,), np.bool_, name="known")
+    predicted, filtered, innovations = np.empty((samples, n)), np.empty((samples, n)), np.empty((samples, m))
+    filter_forward(
+        fixed["transition"],
+        fixed["measured"],
+        fixed["gain"],
+        measurements,
+        known,
+        np.array([1, 3]),
+        excess,
+        predicted,
+        filtered,
+        innovations,
+    )
+    smooth_back(fixed["back"], predicted, filtered)
+    yield from (predicted, filtered, innovations)
 
 
 def _rolling_radius() -> Iterator[FloatArray]:
@@ -315,6 +343,7 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _stretches,
     _moments,
     _bin_tables,
+    _creep_filter,
     _rolling_radius,
     _smoothing_spline,
     _exact_sums,

@@ -39,6 +39,7 @@ WITH_OPTIONS = (
     "rivals",
     "section_runs",
     "fleet",
+    "adhesion",
 )
 LONG = (
     "signals",

@@ -18,6 +18,7 @@ from fleet_db.changes import Changes
 from fleet_db.leases import Lease, prolonged
 from fleet_db.locks import file_scheduler_lock, lock_scheduler, postgresql_session, serialise_vehicle, single_writer
 from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
+from fleet_db.stores.adhesion import AdhesionStore
 from fleet_db.stores.alerts import AlertStore
 from fleet_db.stores.api_keys import ApiKeyStore
 from fleet_db.stores.assembled import AssembledWindowStore
@@ -89,6 +90,7 @@ class SqlUnitOfWork:
     geometries: GeometryStore = field(init=False)
     trends: TrendStore = field(init=False)
     suspensions: SuspensionStore = field(init=False)
+    adhesion: AdhesionStore = field(init=False)
     alerts: AlertStore = field(init=False)
     feed_branches: FeedBranchStore = field(init=False)
     jobs: JobRunStore = field(init=False)
@@ -128,6 +130,7 @@ class SqlUnitOfWork:
         self.geometries = GeometryStore(connection, self.changes)
         self.trends = TrendStore(connection, self.changes)
         self.suspensions = SuspensionStore(connection)
+        self.adhesion = AdhesionStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.plausibility = PlausibilityStore(connection, self.windows)
         self.recorded_times = RecordedTimeStore(connection)

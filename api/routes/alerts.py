@@ -33,7 +33,7 @@ from fleet_db.stores.alerts import AlertStore
 router = APIRouter(prefix="/v1/alerts", tags=["alerts"])
 Kind = Annotated[alerts.KnownKind | None, Query(description="Only of this kind.")]
 InCondition = Annotated[Condition | None, Query(description="Only in this condition.")]
-Scope = Annotated[AlertScope | None, Query(description="Only alerts of wheelsets, or only fleet alerts.")]
+Scope = Annotated[AlertScope | None, Query(description="Only alerts of wheelsets, of the fleet, or of track sections.")]
 MemberOf = Annotated[
     int | None, Query(ge=1, le=2**63 - 1, description="Only members of the fleet alert with this `id`.", examples=[1])
 ]

@@ -11,9 +11,10 @@ from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
 from api.parameters import Code
 from api.problems import described
-from api.schemas import tracks
+from api.schemas import adhesion, tracks
 from api.schemas.common import Page
 from api.services import ServicesDep
+from api.times import Moment
 from estimation.errors import NotFoundError
 from estimation.values.json_value import JsonValue
 from estimation.values.track import TrackReport
@@ -94,3 +95,20 @@ def get_alignment_report(request: Request, services: ServicesDep, code: Code, _h
     if found is None:
         raise NotFoundError("alignment report yet of track section", code)
     return answer(request, tracks.report(found))
+
+
+@router.get("/{code}/adhesion", response_model=adhesion.SectionAdhesion, responses=described(404))
+def get_adhesion(
+    request: Request,
+    services: ServicesDep,
+    code: Code,
+    at: Annotated[Moment | None, Query(description="Of the hours that hold this time; left out, of the last.")] = None,
+    _held: IfNoneMatch = None,
+) -> Response:
+    """Return the friction along the section, pooled over the fleets, and where it is low."""
+    with services.storage.read() as unit:
+        unit.tracks.section(code)
+        found = unit.adhesion.section(code, at)
+    if found is None:
+        raise NotFoundError("adhesion yet of track section", code)
+    return answer(request, adhesion.section_adhesion(found))

@@ -49,8 +49,9 @@ class Alert(Representation):
 
     id: int = Field(examples=[17])
     fleet: str = Field(examples=["demo"])
-    wheelset: str | None = Field(examples=["WS-0001"], description="Null for a fleet alert.")
-    scope: AlertScope = Field(description="Whether it is about a wheelset or the fleet.")
+    wheelset: str | None = Field(examples=["WS-0001"], description="Null for an alert of a fleet or a section.")
+    scope: AlertScope = Field(description="Whether it is about a wheelset, the fleet or a track section.")
+    track_section: str | None = Field(description="Code of the section that it is about; null for all others.")
     fleet_alert_id: int | None = Field(description="The fleet alert that this one is a member of.")
     kind: AlertKind
     severity: Severity
@@ -168,6 +169,8 @@ def _time(t_ns: int | None) -> str | None:
 def _links(record: AlertValue) -> dict[str, str]:
     own = f"/v1/alerts/{record.alert_id}"
     links = {"self": own, "events": f"{own}/events"}
+    if record.track_section is not None:
+        return links | {"adhesion": f"/v1/track-sections/{segment(record.track_section)}/adhesion"}
     if record.wheelset is None:
         return links | {"members": f"/v1/alerts?fleet_alert={record.alert_id}"}
     wheelset = f"/v1/wheelsets/{segment(record.wheelset)}"
@@ -184,6 +187,7 @@ def alert(record: AlertValue, now_ns: int) -> Alert:
         fleet=record.fleet,
         wheelset=record.wheelset,
         scope=record.scope,
+        track_section=record.track_section,
         fleet_alert_id=record.fleet_alert_id,
         kind=record.kind,
         severity=record.severity,
@@ -199,7 +203,7 @@ def alert(record: AlertValue, now_ns: int) -> Alert:
         probability_1=finite(record.probability),
         raise_limit=finite(record.raise_limit),
         clear_limit=finite(record.clear_limit),
-        limit_unit=None if record.wheelset is None else LIMIT_UNITS.get(record.kind),
+        limit_unit=None if record.scope is AlertScope.FLEET else LIMIT_UNITS.get(record.kind),
         evidence=evidence_of(record),
         action=record.action,
         acknowledged_by=record.acknowledged_by,

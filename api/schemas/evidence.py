@@ -159,6 +159,28 @@ class DataQualityEvidence(_OfRule):
     rejected_reasons: dict[str, int] = Field(description="Rejected recordings by reason code.")
 
 
+class Stretch(Representation):
+    """A stretch of a track section."""
+
+    from_m: float
+    to_m: float
+
+
+class LowAdhesionEvidence(Representation):
+    """Evidence of `low_adhesion`: rails of little friction along a track section."""
+
+    kind: Literal["low_adhesion"]
+    track_section: str | None = Field(description="Code of the section.")
+    stretches: list[Stretch] = Field(description="Where friction is below the limit.")
+    friction_1: Uncertain | None = Field(description="Coefficient of friction at the surest place of them.")
+    passes: int | None = Field(description="Passes of wheelsets behind it.")
+    windows: int | None = Field(description="Windows that are pooled along the section.")
+    measured_from: Timestamp | None = Field(description="Start of the first of them.")
+    measured_to: Timestamp | None = Field(description="Start of the last of them.")
+    limit_1: float | None = Field(description="Friction below which the alert is raised.")
+    delays: Delays | None = Field(description="The delays that it was raised with.")
+
+
 class FleetAlertEvidence(Representation):
     """Evidence of a fleet alert of any kind: how many alerts it stands for. They themselves are under `members`."""
 
@@ -196,6 +218,7 @@ Evidence = Annotated[
     | HuntingEvidence
     | SuspensionChangeEvidence
     | DataQualityEvidence
+    | LowAdhesionEvidence
     | FleetAlertEvidence
     | OtherEvidence,
     Field(discriminator="kind"),

@@ -10,7 +10,7 @@ from api.schemas.stored_values import Stored, code, count, counted, date, distan
 from estimation.alerts.fleet_alerts import MEMBER_COUNT, OPEN_MEMBER_COUNT, WHEELSETS, as_counted
 from estimation.alerts.life_cycle import DELAYS
 from estimation.alerts.rules.identity import MOUNTED
-from estimation.values.alerts import Alert
+from estimation.values.alerts import Alert, AlertScope
 from estimation.values.identity import AFTER, BEFORE
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode
@@ -28,7 +28,7 @@ def evidence_of(alert: Alert) -> kinds.Evidence:
     alert
         Of today or of an earlier release.
     """
-    if alert.wheelset is None:
+    if alert.scope is AlertScope.FLEET:
         return _fleet_alert(alert)
     read = _READERS.get(alert.kind, _other)
     return read(alert.evidence)
@@ -188,6 +188,24 @@ def _data_quality(stored: Stored) -> kinds.DataQualityEvidence:
     )
 
 
+def _low_adhesion(stored: Stored) -> kinds.LowAdhesionEvidence:
+    listed = stored.get("stretches")
+    stretches = [part(one) for one in listed] if isinstance(listed, list) else []
+    ends = [(number(one.get("from_m")), number(one.get("to_m"))) for one in stretches]
+    return kinds.LowAdhesionEvidence(
+        kind="low_adhesion",
+        track_section=text(stored.get("track_section")),
+        stretches=[kinds.Stretch(from_m=a, to_m=b) for a, b in ends if a is not None and b is not None],
+        friction_1=estimate(stored.get("friction")),
+        passes=count(stored.get("passes")),
+        windows=count(stored.get("windows")),
+        measured_from=moment(stored.get("from_ns")),
+        measured_to=moment(stored.get("to_ns")),
+        limit_1=number(stored.get("limit")),
+        delays=_delays(stored),
+    )
+
+
 def _fleet_alert(alert: Alert) -> kinds.FleetAlertEvidence:
     stored = as_counted(alert.evidence)
     listed = stored.get(WHEELSETS)
@@ -242,4 +260,5 @@ _READERS: Mapping[str, Callable[[Stored], kinds.Evidence]] = {
     "hunting": _hunting,
     "suspension_change": _suspension_change,
     "data_quality": _data_quality,
+    "low_adhesion": _low_adhesion,
 }

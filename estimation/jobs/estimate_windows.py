@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from estimation.adhesion.left_out import away_from_low_adhesion, refused_for_low_adhesion
 from estimation.errors import DamagedError, PassingFaultError, TreadwatchError
 from estimation.jobs.hand_out import Unit, hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone
@@ -33,6 +34,7 @@ from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.steps.window_inputs import BatchInputs, WindowInputs, inputs_of_batch
 from estimation.jobs.steps.window_tracks import tracks_of_batch
 from estimation.motion.hunting import in_place_of_quality
+from estimation.motion.parameters import WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
@@ -41,7 +43,7 @@ from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.rolling_sums import RollingSums, WindowRollingSums
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import WindowKey, WindowMark, WindowPosition, WindowRecord, WindowState
+from estimation.values.windows import Window, WindowKey, WindowMark, WindowPosition, WindowRecord, WindowState
 
 
 def run(context: JobContext) -> Mapping[str, int]:
@@ -247,8 +249,22 @@ def _outcome(loader: WindowLoader, work: _Work, *, rolls: bool) -> _Estimated | 
     correction, misplaced = None, None
     if position is not None and _placed(record, position):
         correction, misplaced = Correction(position.offset_m, position.scale, position.middle_m), position.reason
-    cells = cells_of_window(
-        window,
+    cells = _cells(window, work, parameters, correction, misplaced)
+    if isinstance(cells, Reason):
+        return cells
+    rolling = rolling_sums(loader.stored(record), parameters.vehicle_class, parameters.signals) if rolls else None
+    return _Estimated(cells, rolling)
+
+
+def _cells(
+    window: Window, work: _Work, parameters: WindowParameters, correction: Correction | None, misplaced: Reason | None
+) -> FilledCells | Reason:
+    """Return the cells of a window's bin table without its samples on rails of low friction."""
+    kept = away_from_low_adhesion(window, work.inputs.low_adhesion, correction)
+    if isinstance(kept, Reason):
+        return kept
+    found = cells_of_window(
+        kept,
         work.track,
         parameters,
         correction,
@@ -256,7 +272,4 @@ def _outcome(loader: WindowLoader, work: _Work, *, rolls: bool) -> _Estimated | 
         mounted_reversed=work.mounted_reversed,
         layout=work.layout,
     )
-    if isinstance(cells, Reason):
-        return cells
-    rolling = rolling_sums(loader.stored(record), parameters.vehicle_class, parameters.signals) if rolls else None
-    return _Estimated(cells, rolling)
+    return refused_for_low_adhesion(found, window, kept) if isinstance(found, Reason) else found

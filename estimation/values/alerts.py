@@ -1,7 +1,8 @@
 """Alerts as values: what a rule finds, what an alert is, what happens to it.
 
 Identity of an open alert is (fleet, wheelset serial, kind); that of a fleet alert, which stands for many of them, is
-(fleet, kind). Facts are kept apart instead of one status word.
+(fleet, kind), that of one about a track section (fleet, section, kind). Facts are kept apart instead of one status
+word.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ class AlertScope(StrEnum):
 
     WHEELSET = "wheelset"
     FLEET = "fleet"
+    TRACK_SECTION = "track_section"
 
 
 class Severity(StrEnum):
@@ -102,8 +104,9 @@ class Finding:
 class Alert:
     """One alert; ``alert_id`` 0 until stored. ``version`` counts changes (its ETag).
 
-    ``wheelset`` is None for a fleet alert. ``fleet_alert_id`` names the fleet alert that this one is a member of, which
-    it stays for good. ``rules_version`` names the rules that it was raised with; None where none was kept.
+    ``wheelset`` is None for an alert of a fleet or a section. ``fleet_alert_id`` names the fleet alert that this one is
+    a member of, which it stays for good. ``rules_version`` names the rules that it was raised with; None where none was
+    kept.
     """
 
     alert_id: int
@@ -131,10 +134,13 @@ class Alert:
     fleet_alert_id: int | None = None
     rules_version: str | None = None
     version: int = 1
+    track_section: str | None = None  # code of the section that it is about
 
     @property
     def scope(self) -> AlertScope:
-        """Whether it is about a wheelset or the fleet."""
+        """Whether it is about a wheelset, a track section or the fleet."""
+        if self.track_section is not None:
+            return AlertScope.TRACK_SECTION
         return AlertScope.FLEET if self.wheelset is None else AlertScope.WHEELSET
 
 

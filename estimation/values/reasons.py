@@ -115,6 +115,24 @@ class ReasonCode(StrEnum):
         "The gauge on file is not that of the section. Check which section and date it is of.",
     )
     SURVEY_GAUGE_UNIT = "survey_gauge_unit", "The gauge on file has another scale. Register it again in the right unit."
+    # creep forces and adhesion
+    DIVERGED = (
+        "diverged",
+        "The filter of the creep forces does not follow the accelerations. Check the vehicle's class and its sensors.",
+    )
+    LOW_ADHESION = (
+        "low_adhesion",
+        "The window is on rails of so little friction that creep is not linear. It is left out of the geometry.",
+    )
+    CREEP_TOO_SMALL = (
+        "creep_too_small",
+        "The creep forces are too small to show the friction: there is only a lower bound.",
+    )
+    PROFILES_UNKNOWN = (
+        "profiles_unknown",
+        "The profiles on file do not have the rolling radius difference that was measured. Check wheel and rail.",
+    )
+    NO_CREEP_CURVE = "no_creep_curve", "The rolling radius difference of the wheelset is not known well enough yet."
     # geometry
     TOO_FEW_BLOCKS = "too_few_blocks", "Too few blocks of running time for an interval."
     TOO_FEW_BINS = "too_few_bins", "Too few bins around the centre have samples."

@@ -1,6 +1,7 @@
 """Tables, one file a subject."""
 
 from fleet_db.models.access import ApiKeyRow, AuditRow
+from fleet_db.models.adhesion import SectionAdhesionRow, WindowAdhesionRow
 from fleet_db.models.alerts import AlertEventRow, AlertRow
 from fleet_db.models.base import Base
 from fleet_db.models.bin_tables import WheelsetBinRow, WindowBinTableRow
@@ -68,6 +69,7 @@ __all__ = [
     "RollUpRow",
     "RollUpStateRow",
     "RollingSumsRow",
+    "SectionAdhesionRow",
     "SectionChangeRow",
     "SectionLookRow",
     "SensorChangeRow",
@@ -93,6 +95,7 @@ __all__ = [
     "WheelsetBinRow",
     "WheelsetChangeRow",
     "WheelsetRow",
+    "WindowAdhesionRow",
     "WindowBinTableRow",
     "WindowPositionRow",
     "WindowRow",

@@ -9,11 +9,12 @@ from estimation.values.alerts import AlertEventKind, Condition, Severity
 from fleet_db.models.base import Base, Count, Json, Name, Nanoseconds, Real, ReasonCodeColumn, Serial, one_of
 
 OPEN = text("closed_ns IS NULL")
-OPEN_OF_FLEET = text("wheelset IS NULL AND closed_ns IS NULL")
+OPEN_OF_FLEET = text("wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL")
+OPEN_OF_SECTION = text("track_section IS NOT NULL AND closed_ns IS NULL")
 
 
 class AlertRow(Base):
-    """One alert, of a wheelset or (without one) of a fleet.
+    """One alert, of a wheelset, of a track section, or (without both) of a fleet.
 
     The partial unique indexes are what keeps a second open one of its kind out.
     """
@@ -41,6 +42,15 @@ class AlertRow(Base):
             unique=True,
             sqlite_where=OPEN_OF_FLEET,
             postgresql_where=OPEN_OF_FLEET,
+        ),
+        Index(
+            "uq_alerts_one_open_of_section",
+            "fleet",
+            "track_section",
+            "kind",
+            unique=True,
+            sqlite_where=OPEN_OF_SECTION,
+            postgresql_where=OPEN_OF_SECTION,
         ),
         CheckConstraint("wheelset IS NOT NULL OR fleet_alert_id IS NULL", name="members_have_wheelset"),
         Index(None, "wheelset"),
@@ -74,6 +84,7 @@ class AlertRow(Base):
     external_refs: Mapped[Json]
     fleet_alert_id: Mapped[Count | None] = mapped_column(ForeignKey("alerts.alert_id"))
     rules_version: Mapped[Name | None]
+    track_section: Mapped[str | None] = mapped_column(String(64))
     version: Mapped[int]
 
 

@@ -7,13 +7,20 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
-from sqlalchemy import Select, or_, select
+from sqlalchemy import Select, and_, or_, select
 
 from estimation.values.alerts import AlertScope, Condition, Severity
 from fleet_db.models import AlertEventRow, AlertRow, MountingRow
 from fleet_db.rows import table_of
 
 ALERTS, EVENTS, MOUNTINGS = table_of(AlertRow), table_of(AlertEventRow), table_of(MountingRow)
+
+
+_OF_SCOPE = {
+    AlertScope.WHEELSET: ALERTS.c.wheelset.is_not(None),
+    AlertScope.TRACK_SECTION: ALERTS.c.track_section.is_not(None),
+    AlertScope.FLEET: and_(ALERTS.c.wheelset.is_(None), ALERTS.c.track_section.is_(None)),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +119,7 @@ def page_of(
     if choice.fleet_alert_id is not None:
         statement = statement.where(ALERTS.c.fleet_alert_id == choice.fleet_alert_id)
     if choice.scope is not None:
-        of_fleet = ALERTS.c.wheelset.is_(None)
-        statement = statement.where(of_fleet if choice.scope is AlertScope.FLEET else ~of_fleet)
+        statement = statement.where(_OF_SCOPE[choice.scope])
     if after_id is not None:
         statement = statement.where(number < after_id if newest_first else number > after_id)
     return statement.order_by(number.desc() if newest_first else number).limit(limit)

@@ -53,7 +53,13 @@ class AlertStore:
 
     def open_of_fleets(self) -> Sequence[Alert]:
         """Return the open alerts that stand for several of a fleet, by number."""
-        return self._alerts(_open().where(ALERTS.c.wheelset.is_(None)).order_by(ALERTS.c.alert_id))
+        of_fleet = (ALERTS.c.wheelset.is_(None), ALERTS.c.track_section.is_(None))
+        return self._alerts(_open().where(*of_fleet).order_by(ALERTS.c.alert_id))
+
+    def open_of_section(self, section: str, kind: str) -> Sequence[Alert]:
+        """Return the open alerts of a kind about a track section, of every fleet one at most, by number."""
+        of_section = (ALERTS.c.track_section == section, ALERTS.c.kind == kind)
+        return self._alerts(_open().where(*of_section).order_by(ALERTS.c.alert_id))
 
     def members(self, fleet_alert_id: int) -> Sequence[Alert]:
         """Return the alerts that a fleet alert stands for, open and closed, by number."""
@@ -255,6 +261,7 @@ class AlertStore:
             ALERTS.c.closed_ns.is_(None),
             ALERTS.c.fleet == alert.fleet,
             ALERTS.c.wheelset == alert.wheelset,
+            ALERTS.c.track_section == alert.track_section,
             ALERTS.c.kind == alert.kind,
             ALERTS.c.alert_id != alert.alert_id,
         )
@@ -284,6 +291,8 @@ def _open() -> Select[Any]:
 
 
 def _subject(alert: Alert) -> str:
+    if alert.track_section is not None:
+        return f"track section {alert.track_section!r}"
     return f"fleet {alert.fleet!r}" if alert.wheelset is None else f"wheelset {alert.wheelset!r}"
 
 

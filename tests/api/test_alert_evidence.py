@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from running_service import Service
 
 from api.schemas.stored_evidence import evidence_of
+from api.times import to_rfc3339
 from estimation.alerts.fleet_alerts import MOST_NAMED
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.life_cycle import transition
@@ -24,10 +25,12 @@ from estimation.alerts.rules.data_quality import DataQualityRule, data_quality_f
 from estimation.alerts.rules.hunting import HuntingRule, hunting_finding
 from estimation.alerts.rules.identity import identity_finding
 from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
 from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
 from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
 from estimation.alerts.rules.wheel_asymmetry import Asymmetry, WheelAsymmetryRule, wheel_asymmetry_finding
+from estimation.values.adhesion import CellFriction, SectionAdhesion
 from estimation.values.alerts import AlertEventKind, Finding
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import Mounting
@@ -197,6 +200,36 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
             "rejected_recordings": 0,
             "rejected_reasons": {},
             **NO_WINDOWS,
+        },
+    ),
+    (
+        section_finding(
+            LowAdhesionRule(),
+            SectionAdhesion(
+                "S",
+                AT - 10**9,
+                AT,
+                8,
+                (CellFriction(2, Estimate(0.1, 0.01, 0.08, 0.12, 5.0, Status.ESTIMATED), 0.08, 0.97, 5),),
+                ((100.0, 150.0),),
+            ),
+        ),
+        {
+            "track_section": "S",
+            "stretches": [{"from_m": 100.0, "to_m": 150.0}],
+            "friction_1": {
+                **ESTIMATE,
+                **UNEXPLAINED,
+                "value": 0.1,
+                "std": 0.01,
+                "interval_95": [0.08, 0.12],
+                "n_windows": 5.0,
+            },
+            "passes": 5,
+            "windows": 8,
+            "measured_from": to_rfc3339(AT - 10**9),
+            "measured_to": to_rfc3339(AT),
+            "limit_1": 0.15,
         },
     ),
 ]

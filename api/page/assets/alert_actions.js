@@ -65,7 +65,7 @@ export async function act(name, alert, done) {
   const refused = el("p", { class: "refused", role: "alert" });
   const form = el(
     "form", {},
-    el("p", {}, `${alert.wheelset ?? alert.fleet}: ${alert.kind.replaceAll("_", " ")}. ${action.explain}`),
+    el("p", {}, `${alert.wheelset ?? alert.track_section ?? alert.fleet}: ${alert.kind.replaceAll("_", " ")}. ${action.explain}`),
     Object.values(own).map(([input, label]) => field(input.id, label, input)),
     by === null ? null : field("act-by", "Your name", by), refused,
     el("div", { class: "actions" },

@@ -1,10 +1,10 @@
 // What an alert says, in words: its evidence by kind, with the numbers, intervals and limits that led to it.
 import { date, number, roundKm, words } from "./format.js";
 
-/** Kinds of alerts of wheelsets; a test compares them with the rules. */
+/** Kinds of alerts of wheelsets and track sections; a test compares them with the rules. */
 export const KINDS = [
   "conicity_limit", "limit_forecast", "wheel_asymmetry", "no_data", "sensor_fault", "identity", "hunting",
-  "suspension_change", "data_quality",
+  "suspension_change", "data_quality", "low_adhesion",
 ];
 
 const ACTIONS = { reprofile: "Turn the wheelset, or measure its profiles." };
@@ -65,6 +65,12 @@ const OF_KIND = {
   data_quality: (e) => [
     ...part(e.implausible_windows > 0, () => `${e.implausible_windows} of the latest ${e.windows} windows are implausible: ${counted(e.reasons)}`),
     ...part(e.rejected_recordings > 0, () => `${e.rejected_recordings} recordings rejected: ${counted(e.rejected_reasons)}`),
+  ],
+  low_adhesion: (e) => [
+    ...part(estimated(e.friction_1), () => `friction ${uncertain(e.friction_1, 2)}`),
+    ...part(e.stretches?.length, () => e.stretches.map((one) => `${number(one.from_m)} to ${number(one.to_m)} m`).join(", ")),
+    ...part(have(e.limit_1), () => `limit ${number(e.limit_1, 2)}`),
+    ...part(have(e.passes), () => `${e.passes} passes of wheelsets`),
   ],
   fleet_alert: (e) => [
     ...part(have(e.member_count), () => `stands for ${e.member_count} alerts, ${e.open_member_count} of them open`),

@@ -136,6 +136,7 @@ const columns = (perform) => [
 ];
 
 function where(alert) {
+  if (alert.track_section) return [el("span", {}, `section ${alert.track_section}`), second("fleet ", alert.fleet)];
   if (alert.wheelset === null) return el("span", { class: "quiet" }, "whole fleet");
   return [
     el("a", { href: `#/wheelsets/${segment(alert.wheelset)}`, tabindex: -1 }, alert.wheelset),
@@ -173,7 +174,7 @@ function whole({ alert, events }, changed) {
   const wheelset = alert.wheelset && el("a", { href: `#/wheelsets/${segment(alert.wheelset)}` }, alert.wheelset);
   return [
     el("div", { class: "view-head" },
-      el("h1", {}, `${words(alert.kind)}: ${alert.wheelset ?? alert.fleet}`), el("span", { class: `badge ${alert.severity}` }, alert.severity),
+      el("h1", {}, `${words(alert.kind)}: ${alert.wheelset ?? alert.track_section ?? alert.fleet}`), el("span", { class: `badge ${alert.severity}` }, alert.severity),
       el("span", { class: "quiet" }, stateOf(alert)),
       el("span", { class: "actions" }, buttons(alert, (name, one) => act(name, one, changed)))),
     el("section", { class: "panel" }, el("h2", {}, "Why"), el("p", {}, evidenceOf(alert)), el("p", {}, el("b", {}, actionOf(alert))),

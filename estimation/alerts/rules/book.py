@@ -18,6 +18,7 @@ from estimation.alerts.rules.data_quality import DataQualityRule
 from estimation.alerts.rules.hunting import HuntingRule
 from estimation.alerts.rules.identity import IdentityRule
 from estimation.alerts.rules.limit_forecast import LimitForecastRule
+from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
@@ -38,6 +39,7 @@ ALERT_RULES: tuple[type[AlertRule], ...] = (
     HuntingRule,
     SuspensionChangeRule,
     DataQualityRule,
+    LowAdhesionRule,
 )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from estimation.alerts.fleet_alerts import in_flood, opened, refreshed
 from estimation.alerts.rules.book import RuleBook
 from estimation.storage import UnitOfWork
-from estimation.values.alerts import Alert, AlertEventKind, Condition, Transition
+from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition, Transition
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,8 @@ def _standing(unit: UnitOfWork, fleet: str) -> _Standing:
         for alert in stored
         if alert.wheelset is not None and alert.fleet_alert_id is None and alert.condition is not Condition.PENDING
     ]
-    return _Standing({alert.kind: alert for alert in stored if alert.wheelset is None}, alone)
+    of_fleet = {alert.kind: alert for alert in stored if alert.scope is AlertScope.FLEET}
+    return _Standing(of_fleet, alone)
 
 
 def _joining(unit: UnitOfWork, standing: _Standing, found: Sequence[Alert], book: RuleBook) -> dict[str, list[Alert]]:

@@ -26,6 +26,7 @@ class WindowInputs:
     assumed: Assumed | Reason  # of its vehicle
     mounting: Mounting | None  # at its begin
     partner: str | None  # digest of the window on the other axle of the bogie
+    low_adhesion: tuple[tuple[float, float], ...] = ()  # m, stretches of its section that had little friction then
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +80,7 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
     positions = unit.tracks.positions([record.key for record in records])
     sections = {record.track_section for record in records} - {None}
     layouts = {section: unit.tracks.layout_version(section) for section in sorted(filter(None, sections))}
+    low = _low_adhesion(unit, records)
     classes.look_up([record.wheelset for record in records])
     assumed = {record.key: _assumed(classes, record) for record in records}
     partners = {record.key: _partner(vehicles, record, assumed[record.key]) for record in records}
@@ -97,8 +99,25 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
             of_vehicle,
             vehicles.mounting_at(record.vehicle, record.axle, record.start_ns),
             known[partner].content_digest if partner in known else None,
+            low.get(key, ()),
         )
     return BatchInputs(vehicles, known, found)
+
+
+def _low_adhesion(
+    unit: UnitOfWork, records: Sequence[WindowRecord]
+) -> Mapping[WindowKey, tuple[tuple[float, float], ...]]:
+    """Return where the sections of windows had little friction at their times, m: one statement for each section."""
+    found: dict[WindowKey, tuple[tuple[float, float], ...]] = {}
+    for section in sorted({record.track_section for record in records} - {None}, key=str):
+        own = [record for record in records if record.track_section == section]
+        starts = [record.start_ns for record in own]
+        known = unit.adhesion.during(str(section), min(starts), max(starts))
+        for record in own:
+            hours = (one for one in known if one.from_ns <= record.start_ns <= one.to_ns)
+            newest = next(hours, None)
+            found[record.key] = () if newest is None else newest.low_stretches
+    return found
 
 
 def _assumed(classes: ClassLookup, record: WindowRecord) -> Assumed | Reason | Exception:

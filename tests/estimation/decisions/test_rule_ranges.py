@@ -126,6 +126,12 @@ RANGES: dict[str, dict[str, Range]] = {
         "raise_windows": WINDOWS,
         "minimum_windows": WINDOWS,
     },
+    "low_adhesion": {
+        **DELAYS,
+        "raise_friction": Range(0.02, 0.6),
+        "raise_probability": PROBABILITY,
+        "pooled_hours": Range(0.1, 720.0),
+    },
     "alarm_flood": {"more_than": WINDOWS, "within_hours": Range(0.01, 87_600.0)},
 }  # fmt: skip
 

@@ -1,0 +1,99 @@
+"""Creep forces and friction: ``python -m bench adhesion [--seeds 0-2] [--rows low,...] [--out FILE] [--write-docs]``.
+
+Every row is a scenario file in ``bench/adhesion_scenarios``; every seed of it is simulated and estimated by the pure
+functions that the jobs use (``adhesion_case``). Results are appended to ``--out`` after every case, a line of JSON
+each, and what is there is not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from bench.adhesion_table import CHOICE_COLUMNS, FRICTION_COLUMNS, choice_rows, friction_rows, summary
+from bench.report import BenchRow
+from bench.results_page import markdown_table, write_page
+from bench.world import seed_range
+from ingest.simulator.drawn_fleet import with_seed
+from ingest.simulator.scenario_file import load_scenario
+
+SCENARIOS = Path(__file__).parent / "adhesion_scenarios"
+ROWS = tuple(sorted(path.stem for path in SCENARIOS.glob("*.toml")))
+TITLE = "Creep forces and friction"
+COLUMNS = ("what", "measured", "reach", "met")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run what was asked for; return 1 when a row falls short."""
+    options = _options(arguments)
+    console = Console(width=None if Console().is_terminal else 200)
+    cases = _stored(options.out)
+    if not options.print_only:
+        _run(options, cases, console)
+    rows = summary(cases)
+    tables: tuple[tuple[Sequence[str], Sequence[tuple[str, ...]]], ...] = (
+        (COLUMNS, _cells(rows)),
+        (FRICTION_COLUMNS, friction_rows(cases)),
+        (CHOICE_COLUMNS, choice_rows(cases)),
+    )
+    for header, cells in tables:
+        table = Table(*header, show_lines=True)
+        for row in cells:
+            table.add_row(*row)
+        console.print(table)
+    if options.write_docs:
+        body = [markdown_table(header, cells) for header, cells in tables]
+        console.print(f"wrote {write_page('adhesion', TITLE, 'python -m bench adhesion --write-docs', body)}")
+    return 0 if all(row.met for row in rows) else 1
+
+
+def _cells(rows: Sequence[BenchRow]) -> list[tuple[str, ...]]:
+    return [(row.what, row.measured, row.reach, "yes" if row.met else "NO") for row in rows]
+
+
+def _stored(path: Path) -> list[dict[str, Any]]:
+    if not path.exists():
+        return []
+    found = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return list({(case["row"], case["seed"]): case for case in found}.values())
+
+
+def _run(options: argparse.Namespace, cases: list[dict[str, Any]], console: Console) -> None:
+    from bench.adhesion_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
+
+    have = {(case["row"], case["seed"]) for case in cases}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    for seed in options.seeds:
+        for row in options.rows:
+            if (row, seed) in have:
+                continue
+            case = json.loads(json.dumps(score(with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed)).as_json()))
+            cases.append(case)
+            with options.out.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(case) + "\n")
+            found = f"{sum(case['found'])} of {len(case['found'])} stretches, {len(case['alarms'])} alarms"
+            console.print(f"{row} seed {seed}: {found}", highlight=False)
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench adhesion", description=__doc__)
+    parser.add_argument("--seeds", type=seed_range, default=[0], help="as in 0-19 or 3 (default: 0)")
+    parser.add_argument("--rows", type=_rows, default=list(ROWS), help="names, with commas between (default: all)")
+    parser.add_argument("--out", type=Path, default=Path("bench-results/adhesion.jsonl"), help="lines of JSON")
+    parser.add_argument("--print-only", action="store_true", help="print the tables of what --out holds")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/results/adhesion.md")
+    return parser.parse_args(arguments)
+
+
+def _rows(text: str) -> list[str]:
+    names = text.split(",")
+    unknown = [name for name in names if name not in ROWS]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"no row {', '.join(unknown)}; there are {', '.join(ROWS)}")
+    return names

@@ -1,0 +1,247 @@
+"""One row of the adhesion bench for one seed: creep forces, friction and the geometry beside low friction."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from bench.adhesion_fleet import Fleet, SensedWindow, simulate
+from estimation.adhesion.creep_forces import ContactForces, ForceParameters, contact_forces
+from estimation.adhesion.friction import FrictionParameters, section_adhesion
+from estimation.adhesion.friction_sums import creep_signals
+from estimation.adhesion.gravity import contact_angles
+from estimation.adhesion.left_out import away_from_low_adhesion
+from estimation.adhesion.window_adhesion import AdhesionInputs, window_adhesion
+from estimation.filters.smoothing_spline import remove_wander
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.motion.window_motion import window_motion
+from estimation.tables.bin_table import bin_parameters, fill_cells, merge_all
+from estimation.values.adhesion import WindowAdhesion
+from estimation.values.arrays import FloatArray, runs
+from estimation.values.geometry import FilledCells, WheelsetGeometry
+from estimation.values.motion import Motion
+from estimation.values.reasons import Reason
+from estimation.values.track import TrackSectionRecord
+from ingest.simulator.axle_motion import contact_of, true_geometry
+from ingest.simulator.scenario import Scenario
+
+LOW = 0.15
+WITHIN = 200.0  # m from the start of a stretch within which it is to be found
+STEP = 1.0  # m
+AMPLITUDES = np.arange(4, 13) * 0.25e-3  # m
+TRIMMED_S = 1.0
+
+
+@dataclass(slots=True)
+class Squares:
+    """Sums of squares of the errors of a force and of the force."""
+
+    error: float = 0.0
+    force: float = 0.0
+
+    def add(self, found: FloatArray, true: FloatArray) -> None:
+        """Add samples (n,)."""
+        self.error += float(((found - true) ** 2).sum())
+        self.force += float((true**2).sum())
+
+
+@dataclass(slots=True)
+class AdhesionScore:
+    """One row, one seed; plain numbers."""
+
+    row: str
+    seed: int
+    lateral: Squares = field(default_factory=Squares)
+    moment: Squares = field(default_factory=Squares)
+    contact: Squares = field(default_factory=Squares)
+    newton_contact: Squares = field(default_factory=Squares)  # integrals put into Newton's equations, without a filter
+    newton_moment: Squares = field(default_factory=Squares)
+    innovations: list[float] = field(default_factory=list)
+    refused: dict[str, int] = field(default_factory=dict)
+    cells: list[dict[str, float | None]] = field(default_factory=list)
+    stretches: list[tuple[float, float]] = field(default_factory=list)  # true ones that were passed
+    found: list[bool] = field(default_factory=list)
+    alarms: list[tuple[float, float, float]] = field(default_factory=list)  # begin, end, least friction in it
+    vehicle_km: float = 0.0
+    conicity_all: list[float] = field(default_factory=list)  # errors, with every sample
+    conicity_left_out: list[float] = field(default_factory=list)  # without samples on low friction
+    force_seconds: float = 0.0
+    wheelset_seconds: float = 0.0
+
+    def as_json(self) -> dict[str, object]:
+        """Return everything as JSON values."""
+        return asdict(self)
+
+
+def score(scenario: Scenario) -> AdhesionScore:
+    """Simulate a scenario and compare what is estimated with the truth."""
+    fleet = simulate(scenario)
+    done = AdhesionScore(scenario.name, scenario.seed)
+    parameters = _parameters(fleet)
+    motions = [window_motion(one.window, fleet.alignment, parameters[one.window.wheelset]) for one in fleet.windows]
+    geometries = _geometries(fleet.windows, motions, parameters)
+    done.conicity_all = _conicity_errors(scenario, fleet, geometries)
+    passes = list(_passes(fleet, motions, parameters, geometries, done))
+    found = section_adhesion(scenario.section.code, passes, FrictionParameters())
+    if found is None or scenario.running.friction is None:
+        return done
+    for cell in found.cells:
+        along = fleet.friction(0, np.arange(cell.from_m, cell.to_m + STEP, STEP))
+        done.cells.append(
+            {
+                "from": cell.from_m,
+                "mean": float(along.mean()),
+                "least": float(along.min()),
+                "value": cell.friction.value,
+                "low": cell.friction.low,
+                "high": cell.friction.high,
+                "at_least": cell.at_least,
+                "probability": cell.low_probability,
+                "passes": cell.passes,
+            }
+        )
+    _score_stretches(fleet, done, found.low_stretches)
+    left_out = [away_from_low_adhesion(one.window, found.low_stretches) for one in fleet.windows]
+    again = [
+        one if isinstance(one, Reason) else window_motion(one, fleet.alignment, parameters[one.wheelset])
+        for one in left_out
+    ]
+    done.conicity_left_out = _conicity_errors(scenario, fleet, _geometries(fleet.windows, again, parameters))
+    return done
+
+
+def _parameters(fleet: Fleet) -> dict[str, WindowParameters]:
+    plans = [plan for vehicle in fleet.scenario.vehicles for plan in vehicle.wheelsets]
+    signals, gates = SignalParameters(), Gates()
+    return {
+        plan.serial: WindowParameters.of(fleet.vehicle_class, plan.nominal_radius, signals, gates) for plan in plans
+    }
+
+
+def _geometries(
+    windows: Sequence[SensedWindow], motions: Sequence[Motion | Reason], parameters: Mapping[str, WindowParameters]
+) -> dict[str, WheelsetGeometry]:
+    tables: dict[str, list[FilledCells]] = defaultdict(list)
+    for one, motion in zip(windows, motions, strict=True):
+        if isinstance(motion, Motion):
+            serial = one.window.wheelset
+            tables[serial].append(fill_cells(motion, bin_parameters(parameters[serial])))
+    bins = {serial: bin_parameters(parameters[serial]) for serial in tables}
+    return {
+        serial: estimate_geometry(merge_all(found, bins[serial]), bins[serial], GeometryParameters())
+        for serial, found in tables.items()
+    }
+
+
+def _conicity_errors(scenario: Scenario, fleet: Fleet, geometries: Mapping[str, WheelsetGeometry]) -> list[float]:
+    """Return the errors of every conicity that is published at 1 to 3 mm."""
+    errors = []
+    for vehicle in scenario.vehicles:
+        for plan in vehicle.wheelsets:
+            if plan.serial not in geometries:
+                continue
+            truth = true_geometry(scenario, plan, contact_of(scenario, fleet.track, plan, scenario.odometer(0)))
+            geometry = geometries[plan.serial]
+            for amplitude, estimate in zip(geometry.amplitude, geometry.conicity, strict=True):
+                at = np.flatnonzero(np.isclose(truth.amplitude, amplitude))
+                wanted = np.isclose(AMPLITUDES, amplitude).any() and len(at)
+                if wanted and estimate.value is not None:
+                    errors.append(float(estimate.value - truth.equivalent_conicity[at[0]]))
+    return errors
+
+
+def _passes(
+    fleet: Fleet,
+    motions: Sequence[Motion | Reason],
+    parameters: Mapping[str, WindowParameters],
+    geometries: Mapping[str, WheelsetGeometry],
+    done: AdhesionScore,
+) -> list[WindowAdhesion]:
+    plan = fleet.scenario.section
+    section = TrackSectionRecord(
+        plan.code, plan.number, plan.name, plan.rail_profile, plan.inclination, plan.nominal_gauge, fleet.track.length
+    )
+    profiles = {one.serial: one.wheel_profile for vehicle in fleet.scenario.vehicles for one in vehicle.wheelsets}
+    found = []
+    for gear in _gears(fleet.windows):
+        windows = [fleet.windows[i].window for i in gear]
+        done.vehicle_km += _length_km(windows[0].speed, windows[0].sample_interval_s) if windows[0].axle == 1 else 0.0
+        first = parameters[windows[0].wheelset]
+        began = time.process_time()
+        forces = contact_forces(windows, fleet.vehicle_class, first.signals, ForceParameters())
+        done.force_seconds += time.process_time() - began
+        done.wheelset_seconds += sum(1e-9 * window.length_ns for window in windows)
+        for place, i in enumerate(gear):
+            one, motion, serial = fleet.windows[i], motions[i], windows[place].wheelset
+            force = forces if isinstance(forces, Reason) else forces[place]
+            if isinstance(force, Reason) or isinstance(motion, Reason):
+                reason = force if isinstance(force, Reason) else motion
+                code = str(reason.code) if isinstance(reason, Reason) else ""
+                done.refused[code] = done.refused.get(code, 0) + 1
+                continue
+            inputs = AdhesionInputs(parameters[serial], geometries[serial], profiles[serial], section)
+            found.append(window_adhesion(one.window, "", force, motion, inputs))
+            _score_forces(one, force, motion, inputs, done)
+    return found
+
+
+def _gears(windows: Sequence[SensedWindow]) -> list[list[int]]:
+    """Return the indices of the windows of one running gear and time, front axle first."""
+    gears: dict[tuple[str, int, int], list[int]] = defaultdict(list)
+    for i, one in enumerate(windows):
+        bogie = (one.window.axle - 1) // 2 if one.window.frame_yaw_acceleration is not None else one.window.axle
+        gears[one.window.vehicle, bogie, one.window.start_ns].append(i)
+    return list(gears.values())
+
+
+def _length_km(speed: FloatArray, dt: float) -> float:
+    return float(1e-3 * dt * speed.sum())
+
+
+def _score_forces(
+    one: SensedWindow, force: ContactForces, motion: Motion, inputs: AdhesionInputs, done: AdhesionScore
+) -> None:
+    """Compare forces with the truth in the band of the motion."""
+    window, p = one.window, inputs.parameters.vehicle
+    geometry = inputs.geometry
+    curve = (geometry.bin_centres, geometry.rolling_radius_difference.value)
+    angles = contact_angles(*curve, inputs.wheel_profile, inputs.section, p.nominal_radius)
+    cutoff, dt = inputs.parameters.signals.cutoff_wavelength, window.sample_interval_s
+    known = None if isinstance(angles, Reason) else angles
+    signals = creep_signals(force, motion, p, dt, cutoff, known)
+    run = np.concatenate([[0.0], np.cumsum(0.5 * dt * (window.speed[1:] + window.speed[:-1]))])
+    true = np.stack([one.truth.lateral_creep, one.truth.yaw_creep, one.truth.contact])
+    lateral, moment, contact = remove_wander(true, run, window.valid, cutoff)
+    good = signals.valid
+    if known is not None:
+        done.lateral.add(signals.lateral[good], lateral[good])
+    done.moment.add(signals.moment[good], moment[good])
+    done.contact.add(signals.contact[good], contact[good])
+    newton = p.wheelset_mass * motion.lateral_acceleration - p.lateral_stiffness * motion.suspension_deflection
+    newton = newton - p.lateral_damping * motion.suspension_deflection_rate
+    turning = p.yaw_inertia * motion.yaw_acceleration + p.yaw_stiffness * motion.yaw_deflection
+    turning = turning + p.yaw_damping * motion.yaw_deflection_rate
+    turning = turning + p.pitch_inertia * motion.speed / p.nominal_radius * motion.roll_rate
+    done.newton_contact.add(newton[good], contact[good])
+    done.newton_moment.add(turning[good], moment[good])
+    done.innovations.append(force.innovation)
+
+
+def _score_stretches(fleet: Fleet, done: AdhesionScore, flagged: Sequence[tuple[float, float]]) -> None:
+    """Compare the stretches of low friction that are found with the true ones, where the fleet passed."""
+    passed = [float(cell["from"] or 0.0) for cell in done.cells if cell["value"] is not None or cell["at_least"]]
+    length = fleet.scenario.section.recipe.length if fleet.scenario.section.recipe is not None else max(passed)
+    s = np.arange(max(min(passed), 0.0), min(max(passed), length), STEP)
+    friction = fleet.friction(0, s)
+    for first, behind in runs(friction < LOW):
+        begin, end = float(s[first]), float(s[behind - 1])
+        done.stretches.append((begin, end))
+        reach = (begin, min(begin + WITHIN, max(end, begin + STEP)))
+        done.found.append(any(a <= reach[1] and b >= reach[0] for a, b in flagged))
+    for a, b in flagged:
+        done.alarms.append((a, b, float(fleet.friction(0, np.arange(a, b + STEP, STEP)).min())))

@@ -1,0 +1,171 @@
+"""The tables of the adhesion bench from its cases."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.report import BenchRow
+
+LOW = 0.15
+WITHIN = 200.0  # m from the start of a stretch within which it is to be found
+LEAST_LENGTH = 50.0  # m, of a place: what is shorter is not separated
+FRICTION_COLUMNS = (
+    "row",
+    "seeds",
+    "lateral creep",
+    "yaw moment",
+    "stretches below 0.15, of 50 m or more, found",
+    "alarms without",
+    "vehicle-km",
+    "places with an interval",
+    "of those covered",
+    "lower bounds that hold",
+    "conicity error, all samples",
+    "without low friction",
+)
+CHOICE_COLUMNS = ("probability from which a place is low", "stretches of 50 m or more found", "alarms without")
+JUDGED = "low"  # the row of the wanted numbers
+
+
+def summary(cases: Sequence[dict[str, Any]]) -> list[BenchRow]:
+    """Return what was measured beside what is to be reached."""
+    judged = [case for case in cases if case["row"] == JUDGED]
+    if not judged:
+        return []
+    seeds = f"{len(judged)} seeds"
+    lateral, moment = _share(judged, "lateral"), _share(judged, "moment")
+    found, every, alarms = _found(judged, LEAST_LENGTH), _found(judged), _false(cases)
+    far = _false(cases, 1.2 * LOW)
+    km = sum(case["vehicle_km"] for case in cases if case["cells"])
+    speed = sum(case["wheelset_seconds"] for case in judged) / sum(case["force_seconds"] for case in judged)
+    rows = [
+        BenchRow(f"lateral creep force, rms error over rms, {seeds}", _percent(lateral), "10 %", lateral <= 0.10),
+        BenchRow(f"yaw moment of creep, rms error over rms, {seeds}", _percent(moment), "10 %", moment <= 0.10),
+        BenchRow(
+            f"the same by integrals in Newton's equations, contact force and yaw moment, {seeds}",
+            f"{_percent(_share(judged, 'newton_contact'))}, {_percent(_share(judged, 'newton_moment'))}"
+            f" (filter: {_percent(_share(judged, 'contact'))}, {_percent(moment)})",
+            "the filter is better",
+            _share(judged, "contact") < _share(judged, "newton_contact"),
+        ),
+        BenchRow(
+            f"stretches of friction < 0.15, of 50 m or more, found within 200 m of their start, {seeds}",
+            f"{_percent(np.mean(found))} of {len(found)}; with shorter ones {_percent(np.mean(every))} of {len(every)}",
+            ">= 95 %",
+            bool(np.mean(found) >= 0.95),
+        ),
+        BenchRow(
+            "alarms without friction < 0.15 in them, all rows with friction",
+            f"{alarms} in {km:.0f} vehicle-km: {1e3 * alarms / max(km, 1.0):.1f} per 1,000 km;"
+            f" without friction < 0.18: {far}",
+            "< 1 per 1,000 km",
+            alarms < 1e-3 * km,
+        ),
+        BenchRow(
+            "speed of the filter, per wheelset and core",
+            f"{speed:.0f} times real time",
+            ">= 1,000",
+            speed >= 1000.0,
+        ),
+    ]
+    left, kept = (_errors(judged, name) for name in ("conicity_left_out", "conicity_all"))
+    if len(left):
+        better = float(np.mean(np.abs(left))) < float(np.mean(np.abs(kept)))
+        rows.append(
+            BenchRow(
+                f"conicity beside low friction, mean and mean absolute error, {seeds}",
+                f"{_error(kept)} with every sample, {_error(left)} without those on low friction",
+                "less",
+                better,
+            )
+        )
+    return rows
+
+
+def friction_rows(cases: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Return a row of cells for every row of the bench."""
+    rows: list[tuple[str, ...]] = []
+    for name in sorted({case["row"] for case in cases}):
+        of = [case for case in cases if case["row"] == name]
+        cells = [cell for case in of for cell in case["cells"]]
+        valued = [cell for cell in cells if cell["value"] is not None]
+        covered = [cell["low"] <= cell["mean"] <= cell["high"] for cell in valued]
+        bounded = [cell["at_least"] <= cell["mean"] for cell in cells if cell["at_least"]]
+        found = _found(of, LEAST_LENGTH)
+        rows.append(
+            (
+                name,
+                str(len(of)),
+                _percent(_share(of, "lateral")),
+                _percent(_share(of, "moment")),
+                f"{sum(found)} of {len(found)}" if cells else "",
+                str(_false(of)) if cells else "",
+                f"{sum(case['vehicle_km'] for case in of):.0f}",
+                f"{len(valued)} of {len(cells)}" if cells else "",
+                _percent(np.mean(covered)) if covered else "",
+                _percent(np.mean(bounded)) if bounded else "",
+                _error(_errors(of, "conicity_all")),
+                _error(_errors(of, "conicity_left_out")),
+            )
+        )
+    return rows
+
+
+def _share(cases: Iterable[dict[str, Any]], name: str) -> float:
+    squares = [case[name] for case in cases]
+    force = sum(one["force"] for one in squares)
+    return float(np.sqrt(sum(one["error"] for one in squares) / force)) if force else float("nan")
+
+
+def _found(cases: Iterable[dict[str, Any]], least_length: float = 0.0) -> list[bool]:
+    return [
+        one
+        for case in cases
+        for one, (begin, end) in zip(case["found"], case["stretches"], strict=True)
+        if end - begin >= least_length
+    ]
+
+
+def _false(cases: Iterable[dict[str, Any]], limit: float = LOW) -> int:
+    return sum(least >= limit for case in cases for _, _, least in case["alarms"])
+
+
+def _errors(cases: Iterable[dict[str, Any]], name: str) -> np.ndarray:
+    return np.array([error for case in cases for error in case[name]])
+
+
+def _percent(share: float | np.floating[Any]) -> str:
+    return f"{100.0 * share:.1f} %"
+
+
+def _error(errors: np.ndarray) -> str:
+    return f"{errors.mean():+.4f}, {np.abs(errors).mean():.4f}" if len(errors) else ""
+
+
+def choice_rows(cases: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Return what another limit of the probability would find and raise, in the judged row."""
+    judged = [case for case in cases if case["row"] == JUDGED]
+    return [(f"{limit:g}", *_chosen(judged, limit)) for limit in (0.4, 0.5, 0.6, 0.7, 0.8)] if judged else []
+
+
+def _chosen(cases: Sequence[dict[str, Any]], limit: float) -> tuple[str, str]:
+    found, alarms = [], 0
+    for case in cases:
+        low = [cell for cell in case["cells"] if cell["value"] is not None and cell["probability"] >= limit]
+        for begin, end in case["stretches"]:
+            if end - begin >= LEAST_LENGTH:
+                reach = min(begin + WITHIN, end)
+                found.append(any(cell["from"] <= reach and cell["from"] + LEAST_LENGTH >= begin for cell in low))
+        for place, cell in enumerate(low):
+            if place and cell["from"] - low[place - 1]["from"] <= 2 * LEAST_LENGTH:
+                continue
+            run = [cell]
+            for other in low[place + 1 :]:
+                if other["from"] - run[-1]["from"] > 2 * LEAST_LENGTH:
+                    break
+                run.append(other)
+            alarms += min(one["least"] for one in run) >= LOW
+    return f"{sum(found)} of {len(found)}", str(alarms)

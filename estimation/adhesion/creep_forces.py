@@ -1,0 +1,204 @@
+"""What the rails do to the wheelsets of a running gear, from its accelerations by Newton's equations.
+
+The filter knows no creep law, no track and no contact geometry: a force is what the motion needs. Of each wheelset it
+gives the lateral force at the contacts (creep and gravitational stiffness together; ``gravity`` parts them) and the
+moment of the creep forces about the vertical,
+
+    M_creep = I psi'' + k_psi (psi - psi_f) + f_psi (psi' - psi_f') + (Iwy V/r0) phi'
+
+whose gravitational part (l W/2) A psi is below a hundredth of it. A filter whose innovations are far larger than it
+expects does not follow the vehicle: ``diverged``, and nothing is published.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimation.adhesion import smoother_kernels as kernels
+from estimation.adhesion.gear_equations import AXLE
+from estimation.adhesion.stationary_filter import FilterParameters, StationaryFilter, stationary_filter
+from estimation.filters.smoothing_spline import remove_wander
+from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
+from estimation.motion.parameters import SignalParameters
+from estimation.motion.usable_samples import moving_samples
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import ACCELERATIONS, Window
+from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleClass
+
+MOST_INNOVATION = 10.0  # mean square of a channel's innovations over what the filter expects; see docs/adhesion.md
+ROLL, LATERAL, YAW, MASS = (
+    ACCELERATIONS.index(f"{name}_acceleration") for name in ("roll", "lateral", "yaw", "mass_lateral")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ForceParameters:
+    """How the forces of a window are found, and when they are not believed."""
+
+    filter: FilterParameters = field(default_factory=FilterParameters)
+    most_innovation: float = MOST_INNOVATION
+
+
+@dataclass(frozen=True, slots=True)
+class ContactForces:
+    """What acts on one wheelset at the samples of a window, in the axes of its sensors; NaN where not known."""
+
+    contact: FloatArray  # (n,) N, lateral, creep and gravitational stiffness
+    moment: FloatArray  # (n,) N m, of the creep forces
+    yaw_rate: FloatArray  # (n,) rad/s
+    roll: FloatArray  # (n,) rad
+    known: BoolArray  # (n,) samples that were measured
+    innovation: float  # largest mean square of a channel's innovations over what was expected
+
+    def __post_init__(self) -> None:
+        n = len(self.known)
+        for name in ("contact", "moment", "yaw_rate", "roll"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        object.__setattr__(self, "known", frozen_array(self.known, (n,), np.bool_, name="known"))
+
+
+def contact_forces(
+    windows: Sequence[Window], vehicle_class: VehicleClass, signals: SignalParameters, parameters: ForceParameters
+) -> tuple[ContactForces, ...] | Reason:
+    """Return the forces on each wheelset of a running gear, or why they cannot be had.
+
+    Parameters
+    ----------
+    windows
+        Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
+    vehicle_class
+        Of the vehicle.
+    signals
+        Gates on gaps, lengths and speed.
+    parameters
+        Of the filter.
+
+    Raises
+    ------
+    ValueError
+        The windows are not those of a running gear of the class.
+    """
+    axles = 1 if vehicle_class.bogie is None else 2
+    if len(windows) != axles or len({(one.start_ns, len(one.valid)) for one in windows}) != 1:
+        raise ValueError(f"{len(windows)} windows for a running gear of {axles} wheelsets, or not of one time")
+    usable = np.logical_and.reduce([moving_samples(window, signals) for window in windows])
+    if not usable.any():
+        return Reason(ReasonCode.NO_USABLE_SAMPLE, "no sample of the running gear can be used")
+    found = [integrate(window, usable, signals).segments for window in windows]
+    if not found[0]:
+        return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
+    values = np.full((axles, len(_NAMED), len(usable)), np.nan)
+    worst = 0.0
+    for parts in zip(*found, strict=True):
+        smoothed, innovation = _smoothed(windows, parts, vehicle_class, parameters.filter)
+        values[:, :, parts[0].part] = smoothed
+        worst = max(worst, innovation)
+    if not (np.isfinite(worst) and worst <= parameters.most_innovation):
+        return Reason(
+            ReasonCode.DIVERGED,
+            f"the innovations of the filter are {np.sqrt(worst):.1f} times what the vehicle's class lets expect, at"
+            f" most {np.sqrt(parameters.most_innovation):.1f} times are believed; check class and sensors",
+        )
+    return tuple(
+        ContactForces(contact, moment, yaw_rate, roll, usable, worst) for contact, moment, yaw_rate, roll in values
+    )
+
+
+_NAMED = ("contact", "moment", "yaw_rate", "roll")
+
+
+def _smoothed(
+    windows: Sequence[Window], parts: Sequence[IntegratedSegment], vehicle_class: VehicleClass, known: FilterParameters
+) -> tuple[FloatArray, float]:
+    """Return the named signals (a, 4, m) of a segment, and the largest mean square of its innovations."""
+    p, first = vehicle_class.parameters, parts[0]
+    speed = float(first.speed.mean())
+    made = stationary_filter(vehicle_class, windows[0].sample_interval_s, speed, known)
+    rolls = [remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts]
+    roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts]
+    measurements = np.zeros((len(first.speed), len(made.measured)))
+    measurements[:, : made.accelerations] = _accelerations(windows, parts, rolls).T
+    measurements[:, -made.axles :] = p.nominal_radius * np.stack(roll_rates, axis=1) / first.speed[:, None]
+    states, innovations = smoothed_states(made, measurements, first.known, first.speed)
+    squares = (innovations[first.known, : made.accelerations] / made.innovation_std[: made.accelerations]) ** 2
+    named = [_named(made, states, axle, one, rolls[axle], roll_rates[axle], p) for axle, one in enumerate(parts)]
+    return np.stack(named), float(squares.mean(axis=0).max())
+
+
+def smoothed_states(
+    made: StationaryFilter, measurements: FloatArray, known: BoolArray, speed: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the smoothed states (s, n), in SI, and the innovations (s, m) of the filter.
+
+    Parameters
+    ----------
+    made
+        The filter.
+    measurements
+        (s, m).
+    known
+        (s,) samples that were measured.
+    speed
+        (s,) m/s.
+    """
+    samples, (n, m) = len(known), made.gain.shape
+    predicted, filtered, innovations = np.empty((samples, n)), np.empty((samples, n)), np.empty((samples, m))
+    varying = AXLE * np.arange(made.axles) + 1
+    per_speed = -made.measured[-1, varying[-1]] / made.scale[varying[-1]]
+    excess = (per_speed - 1.0 / speed) * made.scale[varying[-1]]
+    kernels.filter_forward(
+        made.transition,
+        made.measured,
+        made.gain,
+        frozen_array(measurements, (samples, m), name="measurements"),
+        frozen_array(known, (samples,), np.bool_, name="known"),
+        varying,
+        frozen_array(excess, (samples,), name="excess"),
+        predicted,
+        filtered,
+        innovations,
+    )
+    kernels.smooth_back(made.back, predicted, filtered)
+    return filtered * made.scale, innovations
+
+
+def _accelerations(
+    windows: Sequence[Window], parts: Sequence[IntegratedSegment], rolls: Sequence[FloatArray]
+) -> FloatArray:
+    """Return the accelerations (3 a, m) without gravity and means: lateral and yaw of each axle, then those above.
+
+    The sensors above are on one frame, which rests on both axles and rolls with their mean.
+    """
+    part, known = parts[0].part, parts[0].known
+    mean_roll = np.mean(rolls, axis=0)
+    rows = []
+    for window, roll in zip(windows, rolls, strict=True):
+        rows += [_level(window, LATERAL, part, roll), getattr(window, ACCELERATIONS[YAW])[part]]
+    rows += [_level(window, MASS, part, mean_roll) for window in windows]
+    values = np.stack(rows)
+    return np.where(known, values - values[:, known].mean(axis=1)[:, None], 0.0)
+
+
+def _level(window: Window, channel: int, part: slice, roll: FloatArray) -> FloatArray:
+    values = getattr(window, ACCELERATIONS[channel])[part]
+    return np.asarray(values - GRAVITY * roll if window.measures_gravity else values)
+
+
+def _named(
+    made: StationaryFilter,
+    states: FloatArray,
+    axle: int,
+    segment: IntegratedSegment,
+    roll: FloatArray,
+    roll_rate: FloatArray,
+    p: VehicleParameters,
+) -> FloatArray:
+    """Return contact force, moment of creep, yaw rate and roll (4, m) of an axle."""
+    force = made.states + 2 * axle
+    gyroscopic = p.pitch_inertia * segment.speed / p.nominal_radius * roll_rate
+    return np.stack([states[:, force], states[:, force + 1] + gyroscopic, states[:, AXLE * axle + 3], roll])

@@ -1,0 +1,113 @@
+"""Creep forces of windows, what they say of the friction of the track by place, and the friction of a section."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason
+from estimation.values.windows import WindowKey
+
+CELL_LENGTH = 50.0  # m, of the places whose friction is separated
+FRICTIONS = (4.0, 1.5, 0.8, 0.6, 0.45, 0.35, 0.28, 0.22, 0.18, 0.15, 0.125, 0.1, 0.08, 0.065, 0.05, 0.035)
+"""Coefficients of friction at which sums are kept; between them the sums are interpolated over the inverse."""
+
+INVERSE = frozen_array(1.0 / np.array(FRICTIONS), (len(FRICTIONS),), name="INVERSE")
+"""(k,) 1/mu, increasing."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionSums:
+    """Sums over the samples of c places of a section, mergeable: the regression of e = h(y - d) - R on saturation.
+
+    e is by how much the rolling radius difference of linear creep falls short of the wheelset's curve, q the part of
+    R that its creep moment makes, x the displacement, g_k = q (1/share - 1) what e would be at 1/``INVERSE``[k].
+    """
+
+    cells: IntArray  # (c,) place: distance along the section over ``CELL_LENGTH``, rounded down
+    samples: FloatArray  # (c,)
+    squares: FloatArray  # (c, 6) sums of e e, e q, q q, e x, q x and x x, m2
+    saturated: FloatArray  # (c, 4, k) sums of g_k e, g_k g_k, g_k q and g_k x, m2
+
+    def __post_init__(self) -> None:
+        c, k = len(self.cells), len(INVERSE)
+        object.__setattr__(self, "cells", frozen_array(self.cells, (c,), np.int64, name="cells"))
+        object.__setattr__(self, "samples", frozen_array(self.samples, (c,), name="samples"))
+        object.__setattr__(self, "squares", frozen_array(self.squares, (c, 6), name="squares"))
+        object.__setattr__(self, "saturated", frozen_array(self.saturated, (c, 4, k), name="saturated"))
+
+
+@dataclass(frozen=True, slots=True)
+class WindowAdhesion:
+    """Creep forces of one wheelset over one window, and what they say of the friction along its way.
+
+    Attributes
+    ----------
+    wheelset, start_ns, vehicle, track_section
+        Of the window.
+    content_digest
+        Of the samples it was made from.
+    contact_force, lateral_creep, yaw_creep
+        Rms over the window, N and N m, in the band of wavelengths up to the cut-off; the std of each is that of the
+        filter and of the load.
+    used_adhesion
+        Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at least that.
+    sums
+        None where nothing can be said of friction.
+    reason
+        Why there are no forces, or no sums.
+    """
+
+    wheelset: str
+    start_ns: int
+    vehicle: str
+    track_section: str | None
+    content_digest: str
+    status: Status
+    contact_force: Estimate
+    lateral_creep: Estimate
+    yaw_creep: Estimate
+    used_adhesion: Estimate
+    sums: FrictionSums | None = None
+    reason: Reason | None = None
+
+    @property
+    def key(self) -> WindowKey:
+        """Wheelset and start."""
+        return self.wheelset, self.start_ns
+
+
+@dataclass(frozen=True, slots=True)
+class CellFriction:
+    """The friction of a place, pooled over passes."""
+
+    cell: int
+    friction: Estimate  # unestimated where creep was too small; then ``at_least`` is what there is
+    at_least: float  # lower end of the 95 % interval, 0 where nothing is known
+    low_probability: float  # of a friction below the limit, 0 to 1
+    passes: int  # of wheelsets
+
+    @property
+    def from_m(self) -> float:
+        """Where the place begins along the section, m."""
+        return self.cell * CELL_LENGTH
+
+    @property
+    def to_m(self) -> float:
+        """Where it ends, m."""
+        return (self.cell + 1) * CELL_LENGTH
+
+
+@dataclass(frozen=True, slots=True)
+class SectionAdhesion:
+    """The friction along a section over some hours, pooled over the fleet."""
+
+    track_section: str
+    from_ns: int  # vehicle time, start of the first window
+    to_ns: int  # start of the last
+    windows: int  # behind it
+    cells: tuple[CellFriction, ...]  # places that were passed, in order of distance
+    low_stretches: tuple[tuple[float, float], ...]  # m, begin and end of where friction is low

@@ -1,0 +1,192 @@
+"""Creep forces of windows and the friction of sections."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, and_, delete, func, or_, select
+
+from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
+from estimation.values.windows import WindowKey, WindowState
+from fleet_db.models import GeometryRow, SectionAdhesionRow, WindowAdhesionRow, WindowRow
+from fleet_db.packed_adhesion import (
+    pack_section_adhesion,
+    pack_window_adhesion,
+    unpack_section_adhesion,
+    unpack_window_adhesion,
+)
+from fleet_db.rows import table_of, upsert
+
+OF_WINDOWS, OF_SECTIONS = table_of(WindowAdhesionRow), table_of(SectionAdhesionRow)
+WINDOWS, GEOMETRIES = table_of(WindowRow), table_of(GeometryRow)
+FORGOTTEN = 1000  # windows at once: the next run goes on
+SAME = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns == WINDOWS.c.start_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class AdhesionStore:
+    """Implements ``estimation.storage.Adhesion``."""
+
+    connection: Connection
+
+    def waiting(self, section: str, after: WindowKey | None, limit: int) -> Sequence[WindowKey]:
+        """Return windows of a section that are estimated and whose creep has not been looked at, by time and wheelset.
+
+        Their wheelsets have a geometry, and their samples are there. Each window is returned until what was found of
+        its content is stored.
+
+        Parameters
+        ----------
+        section
+            Code.
+        after
+            Wheelset and start of the one behind which to go on; None from the beginning.
+        limit
+            How many at most.
+        """
+        wheelset, start_ns = WINDOWS.c.wheelset, WINDOWS.c.start_ns
+        known = select(GEOMETRIES.c.wheelset).where(GEOMETRIES.c.wheelset == wheelset).correlate(WINDOWS).exists()
+        statement = _not_looked_at(section).where(known)
+        if after is not None:
+            statement = statement.where(or_(start_ns > after[1], and_(start_ns == after[1], wheelset > after[0])))
+        rows = self.connection.execute(statement.order_by(start_ns, wheelset).limit(limit))
+        return [(row.wheelset, row.start_ns) for row in rows]
+
+    def unlooked(self, section: str) -> bool:
+        """Return whether there are windows of a section that are estimated and not looked at, geometry or not.
+
+        Parameters
+        ----------
+        section
+            Code.
+        """
+        return self.connection.execute(_not_looked_at(section).limit(1)).first() is not None
+
+    def put(self, found: WindowAdhesion) -> None:
+        """Store the creep of a window; an earlier one is replaced."""
+        values = {
+            "wheelset": found.wheelset,
+            "start_ns": found.start_ns,
+            "vehicle": found.vehicle,
+            "track_section": found.track_section,
+            "content_digest": found.content_digest,
+            "status": found.status.value,
+            "reason_code": None if found.reason is None else found.reason.code.value,
+            "with_sums": found.sums is not None,
+            "packed": pack_window_adhesion(found),
+        }
+        upsert(self.connection, OF_WINDOWS, values)
+
+    def window(self, wheelset: str, start_ns: int) -> WindowAdhesion | None:
+        """Return the creep of a window; None where it has not been looked at."""
+        same = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.start_ns == start_ns)
+        return next(iter(self._windows(select(OF_WINDOWS).where(*same))), None)
+
+    def of_section(self, section: str, from_ns: int, to_ns: int) -> Sequence[WindowAdhesion]:
+        """Return the creep of the windows of a section that begin within ``[from_ns, to_ns]``, by time and wheelset."""
+        chosen = (
+            OF_WINDOWS.c.track_section == section,
+            OF_WINDOWS.c.start_ns >= from_ns,
+            OF_WINDOWS.c.start_ns <= to_ns,
+        )
+        return self._windows(select(OF_WINDOWS).where(*chosen))
+
+    def forget_sums(self, section: str, before_ns: int) -> int:
+        """Remove the sums of friction of the windows of a section that begin before a time; return of how many.
+
+        They are a hundred times as long as the forces, and only what is pooled needs them.
+
+        Parameters
+        ----------
+        section
+            Code.
+        before_ns
+            Vehicle time.
+        """
+        old = (OF_WINDOWS.c.track_section == section, OF_WINDOWS.c.start_ns < before_ns, OF_WINDOWS.c.with_sums)
+        found = self._windows(select(OF_WINDOWS).where(*old).limit(FORGOTTEN))
+        for one in found:
+            self.put(replace(one, sums=None))
+        return len(found)
+
+    def put_section(self, found: SectionAdhesion, code_version: str, recorded_ns: int) -> bool:
+        """Store the friction of a section; return whether anything changed.
+
+        Of the hours that end within these, those that reach back furthest are kept: so every time stays in some.
+        """
+        values = {
+            "track_section": found.track_section,
+            "to_ns": found.to_ns,
+            "from_ns": found.from_ns,
+            "windows": found.windows,
+            "code_version": code_version,
+            "packed": pack_section_adhesion(found),
+        }
+        key = (OF_SECTIONS.c.track_section == found.track_section, OF_SECTIONS.c.to_ns == found.to_ns)
+        before = self.connection.execute(select(OF_SECTIONS).where(*key)).mappings().first()
+        if before is not None and all(before[name] == value for name, value in values.items()):
+            return False
+        within = (
+            OF_SECTIONS.c.track_section == found.track_section,
+            OF_SECTIONS.c.to_ns >= found.from_ns,
+            OF_SECTIONS.c.to_ns < found.to_ns,
+        )
+        first = select(func.min(OF_SECTIONS.c.to_ns)).where(*within).scalar_subquery()
+        self.connection.execute(delete(OF_SECTIONS).where(*within, OF_SECTIONS.c.to_ns > first))
+        return upsert(self.connection, OF_SECTIONS, values | {"recorded_ns": recorded_ns})
+
+    def section(self, section: str, at_ns: int | None = None) -> SectionAdhesion | None:
+        """Return the newest friction of a section; None where there is none.
+
+        Parameters
+        ----------
+        section
+            Code.
+        at_ns
+            Of hours that hold this vehicle time; None for the last hours.
+        """
+        statement = select(OF_SECTIONS).where(OF_SECTIONS.c.track_section == section)
+        if at_ns is not None:
+            statement = statement.where(OF_SECTIONS.c.from_ns <= at_ns, OF_SECTIONS.c.to_ns >= at_ns)
+        row = self.connection.execute(statement.order_by(OF_SECTIONS.c.to_ns.desc()).limit(1)).first()
+        where = f"friction of section {section}"
+        return None if row is None else unpack_section_adhesion(row.packed, where=where)
+
+    def during(self, section: str, from_ns: int, to_ns: int) -> Sequence[SectionAdhesion]:
+        """Return the friction of a section of all hours that hold a time of a span, newest first.
+
+        Parameters
+        ----------
+        section
+            Code.
+        from_ns, to_ns
+            Vehicle time, both included.
+        """
+        chosen = (
+            OF_SECTIONS.c.track_section == section,
+            OF_SECTIONS.c.from_ns <= to_ns,
+            OF_SECTIONS.c.to_ns >= from_ns,
+        )
+        rows = self.connection.execute(select(OF_SECTIONS).where(*chosen).order_by(OF_SECTIONS.c.to_ns.desc()))
+        return [unpack_section_adhesion(row.packed, where=f"friction of section {section}") for row in rows]
+
+    def _windows(self, statement: Select[Any]) -> Sequence[WindowAdhesion]:
+        ordered = statement.order_by(OF_WINDOWS.c.start_ns, OF_WINDOWS.c.wheelset)
+        return [_window(row) for row in self.connection.execute(ordered)]
+
+
+def _window(row: Row[Any]) -> WindowAdhesion:
+    return unpack_window_adhesion(row.packed, where=f"creep of window {row.wheelset}@{row.start_ns}")
+
+
+def _not_looked_at(section: str) -> Select[Any]:
+    """Return a statement for the keys of windows of a section whose content has not been looked at."""
+    looked_at = OF_WINDOWS.c.content_digest
+    return (
+        select(WINDOWS.c.wheelset, WINDOWS.c.start_ns)
+        .select_from(WINDOWS.outerjoin(OF_WINDOWS, SAME))
+        .where(WINDOWS.c.track_section == section, WINDOWS.c.state == WindowState.ESTIMATED.value)
+        .where(WINDOWS.c.samples_purged_ns.is_(None), or_(looked_at.is_(None), looked_at != WINDOWS.c.content_digest))
+    )

@@ -1,0 +1,190 @@
+"""A fleet on rails of changing friction through the product: forces, friction, alert, REST, and the second run."""
+
+from __future__ import annotations
+
+import asyncio
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+
+from api.comparison.trial import deploy, opened, receive, record, run_jobs
+from api.factory import create_app
+from api.settings import Settings
+from bench.adhesion_fleet import true_friction
+from estimation.adhesion.friction import FrictionParameters
+from estimation.jobs import evaluate_alerts, refresh_adhesion
+from estimation.jobs.catalogue import ALL_JOBS
+from estimation.jobs.job import JobContext, run_job
+from estimation.values.adhesion import SectionAdhesion
+from estimation.values.alerts import AlertEventKind, AlertScope
+from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode
+from estimation.values.runs import JobTrigger
+from estimation.values.windows import WindowState
+from fleet_db.storage import SqlStorage
+from ingest.simulator.campaign import scenario_track
+from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario_file import load_scenario
+
+SCENARIO = Path(__file__).parents[3] / "bench" / "adhesion_scenarios" / "low.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class Deployed:
+    """A store after one run of all jobs."""
+
+    scenario: Scenario
+    settings: Settings
+    storage: SqlStorage
+    context: JobContext
+
+
+@pytest.fixture(scope="module")
+def deployed() -> Iterator[Deployed]:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        text = SCENARIO.read_text(encoding="utf-8").replace("length_m = 10000.0", "length_m = 2000.0")
+        (folder / "s.toml").write_text(text.replace("vehicles = 4", "vehicles = 2"), encoding="utf-8")
+        scenario = load_scenario(folder / "s.toml")
+        settings = deploy(scenario, folder / "deployed")
+        receive(record(scenario, folder / "cache", workers=1), settings)
+        with opened(settings) as (storage, context):
+            run_jobs(context, ALL_JOBS)
+            yield Deployed(scenario, settings, storage, context)
+
+
+def section_of(deployed: Deployed) -> SectionAdhesion:
+    with deployed.storage.read() as unit:
+        found = unit.adhesion.section(deployed.scenario.section.code)
+    assert found is not None
+    return found
+
+
+def test_low_friction_is_found_where_it_is(deployed: Deployed) -> None:
+    track, limit = scenario_track(deployed.scenario), FrictionParameters().low
+    found = section_of(deployed)
+    assert found.low_stretches
+    for begin, end in found.low_stretches:
+        friction = true_friction(deployed.scenario, track, 0, np.arange(begin, end))
+        assert friction.min() < 1.2 * limit
+    for cell in found.cells:
+        if cell.friction.low is not None and cell.friction.high is not None:
+            true = true_friction(deployed.scenario, track, 0, np.array([0.5 * (cell.from_m + cell.to_m)]))[0]
+            assert 0.7 * cell.friction.low < true < 1.4 * cell.friction.high
+
+
+def test_the_alert_is_in_the_feed_after_one_run(deployed: Deployed) -> None:
+    with deployed.storage.read() as unit:
+        events = [event for event in unit.alerts.feed(0, 100) if event.alert.kind == "low_adhesion"]
+    assert [event.kind for event in events] == [AlertEventKind.RAISED]
+    alert = events[0].alert
+    assert (alert.scope, alert.track_section) == (AlertScope.TRACK_SECTION, deployed.scenario.section.code)
+    assert alert.wheelset is None
+    assert alert.fleet == deployed.scenario.fleet_code
+
+
+def test_every_window_has_forces_and_is_estimated_again_without_low_friction(deployed: Deployed) -> None:
+    with deployed.storage.read() as unit:
+        windows = [record for one in unit.registry.wheelsets() for record in unit.windows.list(one.serial)]
+        for record in windows:
+            if record.reason is not None:  # it had no geometry to be compared with
+                continue
+            found = unit.adhesion.window(record.wheelset, record.start_ns)
+            assert found is not None
+            assert found.status is Status.ESTIMATED
+            assert found.yaw_creep.value is not None
+            assert 300.0 < found.yaw_creep.value < 8000.0
+            assert found.sums is not None
+    assert {record.state for record in windows} >= {WindowState.PENDING}
+
+
+def asked(settings: Settings, paths: tuple[str, ...]) -> list[Any]:
+    app = create_app(settings)
+
+    async def get() -> list[httpx.Response]:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://treadwatch") as client:
+            return [await client.get(path) for path in paths]
+
+    return asyncio.run(get())
+
+
+def test_rest_answers_friction_and_the_alert_links_to_it(deployed: Deployed) -> None:
+    code = deployed.scenario.section.code
+    own = f"/v1/track-sections/{code}/adhesion"
+    paths = (
+        own,
+        "/v1/alerts?scope=track_section",
+        "/v1/alerts?scope=fleet&kind=low_adhesion",
+        "/v1/track-sections/nowhere/adhesion",
+        f"{own}?at=2001-01-01T00:00:00Z",
+    )
+    (answer, listed, of_fleet, missing, before) = asked(deployed.settings, paths)
+    alerts, fleet = listed.json()["items"], of_fleet.json()["items"]
+    answer = answer.json()
+    found = section_of(deployed)
+    assert [(one["from_m"], one["to_m"]) for one in answer["low_stretches"]] == list(found.low_stretches)
+    assert len(answer["places"]) == len(found.cells)
+    assert alerts[0]["links"]["adhesion"] == f"/v1/track-sections/{code}/adhesion"
+    assert alerts[0]["evidence"]["kind"] == "low_adhesion"
+    assert alerts[0]["evidence"]["stretches"] == answer["low_stretches"]
+    assert fleet == []
+    assert (missing.status_code, before.status_code) == (404, 404)
+
+
+def test_as_few_spans_as_hold_all_times_are_pooled() -> None:
+    assert refresh_adhesion.pool_ends([1, 5, 9, 30, 31], 8) == [9, 31]
+    assert refresh_adhesion.pool_ends([1, 5, 10, 30, 31], 8) == [1, 10, 31]
+    assert refresh_adhesion.pool_ends([], 8) == []
+
+
+def test_later_runs_leave_low_friction_out_and_then_rest(deployed: Deployed) -> None:
+    """It changes the store: what is behind it sees that."""
+    run_jobs(deployed.context, ALL_JOBS)
+    with deployed.storage.read() as unit:
+        windows = [record for one in unit.registry.wheelsets() for record in unit.windows.list(one.serial)]
+        events = len(unit.alerts.feed(0, 100))
+    assert not [record for record in windows if record.state is WindowState.PENDING]
+    refused = [record.reason.code for record in windows if record.reason is not None]
+    assert set(refused) <= {ReasonCode.LOW_ADHESION, ReasonCode.TOO_FEW_SAMPLES}
+    before = section_of(deployed)
+    run = run_job(refresh_adhesion.JOB, deployed.context, JobTrigger.CLI)
+    assert (run.error, run.counts["windows"], run.counts["sections"]) == (None, 0, 0)
+    run_jobs(deployed.context, [evaluate_alerts.JOB])
+    assert section_of(deployed) == before
+    with deployed.storage.read() as unit:
+        assert len(unit.alerts.feed(0, 100)) == events
+
+
+def test_every_time_stays_in_some_hours_and_few_are_kept(deployed: Deployed) -> None:
+    found = section_of(deployed)
+    with deployed.storage.write() as unit:
+        for minute in range(1, 40):
+            later = replace(found, from_ns=found.to_ns + (minute - 10) * 60, to_ns=found.to_ns + minute * 60)
+            unit.adhesion.put_section(later, "test", minute)
+        first, last = found.from_ns, found.to_ns + 39 * 60
+        for at_ns in range(found.to_ns, last, 30):
+            one = unit.adhesion.section(found.track_section, at_ns)
+            assert one is not None
+            assert one.from_ns <= at_ns <= one.to_ns
+        assert len(unit.adhesion.during(found.track_section, first, last)) < 12
+        newest = unit.adhesion.section(found.track_section)
+    assert newest is not None
+    assert newest.to_ns == last
+
+
+def test_sums_are_forgotten_and_forces_stay(deployed: Deployed) -> None:
+    section = deployed.scenario.section.code
+    with deployed.storage.write() as unit:
+        passes = unit.adhesion.of_section(section, 0, 2**62)
+        first = min(one.start_ns for one in passes)
+        assert unit.adhesion.forget_sums(section, first) == 0
+        assert unit.adhesion.forget_sums(section, first + 1) == sum(one.start_ns == first for one in passes)
+        after = unit.adhesion.of_section(section, 0, 2**62)
+    assert [one.yaw_creep for one in after] == [one.yaw_creep for one in passes]
+    assert {one.start_ns for one in after if one.sums is None} == {first}

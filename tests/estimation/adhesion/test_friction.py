@@ -1,0 +1,143 @@
+"""Friction from the sums of passes: against the law itself, in any order, with intervals, and where nothing shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.adhesion.friction import FrictionParameters, low_stretches, section_adhesion, section_friction
+from estimation.adhesion.saturation import creep_excess
+from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode
+from ingest.simulator.creep_laws import Creep, CreepLaw, share_of_linear
+
+KNOWN = FrictionParameters()
+NONE = Estimate.unknown(Reason(ReasonCode.OTHER, ""))
+SAMPLES, NOISE = 600, 3e-5  # of a place and pass; m
+
+
+def a_pass(
+    number: int,
+    frictions: Sequence[float],
+    used: float = 0.05,
+    creep_error: float = 0.0,
+    slope_error: float = 0.0,
+    first: int = 0,
+) -> WindowAdhesion:
+    """Return a pass over places of given friction: e by the law, with noise, and errors of class and curve."""
+    rng = np.random.default_rng([number, 17])
+    squares, saturated = np.zeros((len(frictions), 6)), np.zeros((len(frictions), 4, len(INVERSE)))
+    for place, friction in enumerate(frictions):
+        q, x = 1.5e-4 * rng.standard_normal(SAMPLES), 2e-3 * rng.standard_normal(SAMPLES)
+        adhesion = used * np.abs(rng.standard_normal(SAMPLES))
+        coloured = NOISE * np.repeat(rng.standard_normal(SAMPLES // 10), 10)
+        e = q * creep_excess(adhesion / friction) + creep_error * q + slope_error * x + coloured
+        squares[place] = [values.sum() for values in (e * e, e * q, q * q, e * x, q * x, x * x)]
+        for k, inverse in enumerate(INVERSE):
+            g = q * creep_excess(adhesion * inverse)
+            saturated[place, :, k] = [values.sum() for values in (g * e, g * g, g * q, g * x)]
+    cells = first + np.arange(len(frictions))
+    sums = FrictionSums(cells, np.full(len(frictions), float(SAMPLES)), squares, saturated)
+    return WindowAdhesion(
+        f"W{number}", number, f"V{number // 4}", "S", "", Status.ESTIMATED, NONE, NONE, NONE, NONE, sums
+    )
+
+
+TRUE = (0.35, 0.3, 0.28, 0.3, 0.12, 0.08, 0.08, 0.12, 0.3, 0.35, 0.3, 0.28)
+
+
+def test_the_excess_is_the_law_of_the_simulator_solved_for_the_linear_force() -> None:
+    law = Creep(CreepLaw.VERMEULEN_JOHNSON, 0.3).constants()
+    linear = np.linspace(1.0, 2000.0, 50)
+    share = np.array([share_of_linear(law, one, 1000.0, 0.0) for one in linear])
+    np.testing.assert_allclose(1.0 / share - 1.0, creep_excess(share * linear / 1000.0), rtol=1e-6, atol=1e-9)
+    assert creep_excess(np.array([0.0, 5.0])) == pytest.approx([0.0, creep_excess(np.array([0.98]))[0]], abs=1e-5)
+
+
+def test_friction_is_found_where_creep_shows_it_and_low_stretches_with_it() -> None:
+    passes = [a_pass(number, TRUE, creep_error=0.03, slope_error=0.02) for number in range(12)]
+    found = section_adhesion("S", passes, KNOWN)
+    assert found is not None
+    assert (found.windows, found.from_ns, found.to_ns) == (12, 0, 11)
+    low = [cell for cell, true in zip(found.cells, TRUE, strict=True) if true < 0.1]
+    for cell in low:
+        assert cell.friction.value == pytest.approx(0.08, rel=0.2)
+        assert cell.friction.low is not None
+        assert cell.friction.high is not None
+        assert cell.friction.low < 0.08 < cell.friction.high
+    ((begin, end),) = found.low_stretches
+    assert begin in {4 * CELL_LENGTH, 3 * CELL_LENGTH}
+    assert end in {8 * CELL_LENGTH, 9 * CELL_LENGTH}
+
+
+def test_any_order_gives_the_same() -> None:
+    passes = [a_pass(number, TRUE) for number in range(6)]
+    assert section_friction(passes, KNOWN) == section_friction(passes[::-1], KNOWN)
+
+
+def test_a_pass_that_is_cut_into_two_windows_says_the_same() -> None:
+    passes = [a_pass(number, TRUE) for number in range(5)]
+    halves = []
+    for one in passes:
+        assert one.sums is not None
+        for part in (slice(0, 6), slice(6, 12)):
+            sums = FrictionSums(
+                one.sums.cells[part], one.sums.samples[part], one.sums.squares[part], one.sums.saturated[part]
+            )
+            halves.append(replace(one, start_ns=one.start_ns * 10 + int(part.start), sums=sums))
+    whole, cut = section_friction(passes, KNOWN), section_friction(halves, KNOWN)
+    for one, other in zip(whole, cut, strict=True):
+        assert one.passes == other.passes
+        if one.cell in {5, 6}:
+            continue  # next to the cut a pass is two
+        assert one.low_probability == pytest.approx(other.low_probability, abs=1e-6)
+
+
+@pytest.mark.parametrize(("used", "least"), [(0.004, 0.0), (0.03, 0.08)])
+def test_small_creep_gives_a_lower_bound_alone(used: float, least: float) -> None:
+    for cell in section_friction([a_pass(number, [0.4] * 8, used) for number in range(8)], KNOWN):
+        assert cell.friction.value is None
+        assert cell.friction.reason is not None
+        assert cell.friction.reason.code is ReasonCode.CREEP_TOO_SMALL
+        assert least <= cell.at_least < 0.4
+        assert cell.low_probability < KNOWN.likely
+
+
+def test_intervals_and_lower_bounds_cover() -> None:
+    covered, bounded = [], []
+    for seed in range(12):
+        frictions = np.random.default_rng([seed, 5]).uniform(0.06, 0.45, 14)
+        passes = [a_pass(100 * seed + number, tuple(frictions)) for number in range(8)]
+        apart = replace(KNOWN, neighbours=0.0)  # neighbours here have nothing in common
+        for cell, true in zip(section_friction(passes, apart), frictions, strict=True):
+            bounded.append(cell.at_least <= true)
+            if cell.friction.low is not None and cell.friction.high is not None:
+                covered.append(cell.friction.low <= true <= cell.friction.high)
+    assert np.mean(covered) > 0.93
+    assert np.mean(bounded) > 0.95
+    assert len(covered) > 60
+
+
+def test_too_few_passes_say_nothing() -> None:
+    (cell,) = section_friction([a_pass(number, [0.08]) for number in range(KNOWN.fewest_passes - 1)], KNOWN)
+    assert cell.friction.reason is not None
+    assert cell.friction.reason.code is ReasonCode.TOO_FEW_PASSES
+    assert (cell.at_least, cell.low_probability) == (0.0, 0.0)
+    assert section_friction([], KNOWN) == ()
+    assert section_adhesion("S", [replace(a_pass(0, [0.1]), sums=None)], KNOWN) is None
+
+
+def test_what_decides_on_low_adhesion_is_pinned() -> None:
+    assert (KNOWN.low, KNOWN.likely, KNOWN.fewest_passes, KNOWN.least_upper) == (0.15, 0.5, 3, 0.6)
+    assert CELL_LENGTH == 50.0
+
+    def cell(number: int, probability: float, value: float | None = 0.1) -> CellFriction:
+        estimate = NONE if value is None else Estimate(value, 0.01, 0.08, 0.12, 4.0, Status.ESTIMATED)
+        return CellFriction(number, estimate, 0.08, probability, 4)
+
+    cells = [cell(1, 0.49), cell(2, 0.51), cell(3, 0.9), cell(4, 0.2), cell(5, 0.9), cell(9, 0.9), cell(10, 0.9, None)]
+    assert low_stretches(cells, KNOWN) == ((100.0, 300.0), (450.0, 500.0))
