@@ -1,1 +1,1 @@
-"""Conicities of wheelsets by section in; what belongs to the rails of each section and to each wheelset's wheels out."""
+"""Conicities of wheelsets by section in; what belongs to rails and what to wheels out."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.rails import KnownWheel
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +52,7 @@ class ReferenceWheel:
 
     profile: str  # name
     on_reference: FloatArray  # (k,) on the rails that all are compared with
-    on_file: dict[str, FloatArray] = field(default_factory=dict)  # (k,) by section, on its rails as on file
+    on_file: Mapping[str, FloatArray] = field(default_factory=dict)  # (k,) by section, on its rails as on file
 
     def __post_init__(self) -> None:
         on_reference = frozen_array(self.on_reference, (len(self.on_reference),), name="on_reference")
@@ -65,3 +67,12 @@ class ReferenceWheel:
             Code.
         """
         return self.on_file.get(section, np.full(len(self.on_reference), np.nan))
+
+
+@dataclass(frozen=True, slots=True)
+class Anchors:
+    """What holds the level, and what the wheel as designed is."""
+
+    wheel: ReferenceWheel
+    known_rails: frozenset[str] = frozenset()  # sections whose rails are as on file, and alike
+    known_wheels: tuple[KnownWheel, ...] = ()

@@ -4,13 +4,13 @@ For wheel ``w`` on rails ``s``, at one amplitude,
 
     y_ws = theta_w + rho_s + beta_s (theta_w - m) + e_ws,    beta_s ~ N(0, slope_std^2),    e_ws ~ N(0, v_ws + tau^2)
 
-``theta`` is the conicity on the reference rails, where rho and beta are nought; ``m`` is a fixed number, the mean of all
-``y``. How much a worn rail adds depends on the wheel: contact geometry of worn heads gives slopes within some 0.3. It is
-a regression with errors in both: the thetas are parameters, eliminated wheel by wheel, so that what is solved has two
-numbers a section. ``tau``, what is left, follows from the residuals, with what is known of it beforehand.
+``theta`` is the conicity on the reference rails, where rho and beta are nought; ``m`` is a fixed number, the mean of
+all ``y``. How much a worn rail adds depends on the wheel: contact geometry of worn heads gives slopes within some 0.3.
+It is a regression with errors in both: the thetas are parameters, eliminated wheel by wheel, so that what is solved has
+two numbers a section. ``tau``, what is left, follows from the residuals, with what is known of it beforehand.
 
-A constant can be moved between all wheels and all rails. It is held by rails that are known (no rho, no beta), by wheels
-that are known (observations of theta), or else by the mean of the sections; then the level is open.
+A constant can be moved between all wheels and all rails. It is held by rails that are known (no rho, no beta), by
+wheels that are known (observations of theta), or else by the mean of the sections; then the level is open.
 """
 
 from __future__ import annotations
@@ -90,8 +90,10 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
         What is known beforehand.
     """
     found = _Search(cells, parameters)
-    decades = float(brentq(found.surplus, LOWEST_TAU, HIGHEST_TAU, xtol=TAU_TOLERANCE))
-    found.surplus(decades)
+    if found.surplus(LOWEST_TAU) > 0.0 > found.surplus(HIGHEST_TAU):
+        found.surplus(float(brentq(found.surplus, LOWEST_TAU, HIGHEST_TAU, xtol=TAU_TOLERANCE)))
+    elif found.surplus(LOWEST_TAU) > 0.0:
+        found.surplus(HIGHEST_TAU)
     assert found.parted is not None
     return found.parted
 
@@ -106,11 +108,11 @@ class _Search:
     parted: Parted | None = None
 
     def surplus(self, decades: float) -> float:
-        """Return by how much residuals are larger than they should be with a tau of 10^``decades``; it falls with it."""
+        """Return by how much residuals are too large for a tau of 10^``decades``; it falls with that."""
         tau, known = 10.0**decades, self.parameters
         self.parted, self.point, squares = _solved(self.cells, known, tau, self.point)
         before = known.interaction_weight * ((known.interaction / tau) ** 2 - 1.0)
-        return squares - (self.parted.freedom - known.interaction_weight) + before
+        return float(squares - (self.parted.freedom - known.interaction_weight) + before)
 
 
 @dataclass(frozen=True, slots=True)

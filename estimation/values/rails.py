@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -41,6 +41,7 @@ class SectionConicity:
     conicity: FloatArray  # (k,)
     sampled: FloatArray  # (k,) std from the spread of the data, widened to that of a normal distribution
     systematic: FloatArray  # (k,) std that more data of the same kind do not lessen
+    scale_std: float  # relative, of a scale of y - d that the alignment of the section leaves open
     windows: int
     from_ns: int
     to_ns: int
@@ -140,7 +141,6 @@ class StoredCell:
     digest: str  # of windows, tables, class and settings
     cell: SectionConicity | None
     reason: Reason | None
-    windows: Sequence[int] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -185,6 +185,17 @@ class ReasonCode(StrEnum):
         "no_estimate_near",
         "There is no estimate of the same profile within an interval of mileage of the measurement.",
     )
+    # rails
+    RAILS_NOT_CONNECTED = (
+        "rails_not_connected",
+        "No wheelset runs on this section and on another, so that wheels and rails cannot be parted.",
+    )
+    RAILS_LEVEL_OPEN = (
+        "rails_level_open",
+        "Only differences of sections are known. Name a section whose rails are as on file, or measure profiles.",
+    )
+    TOO_FEW_WHEELSETS = "too_few_wheelsets", "Too few wheelsets connect the section to its reference."
+    PROFILE_UNKNOWN = "profile_unknown", "The profile on file is none that is built in. Nothing follows from its name."
     # recording
     LOG_DAMAGED = "log_damaged", "The recording is truncated, damaged or no log. Send it again."
     CLOCK_IMPLAUSIBLE = (
