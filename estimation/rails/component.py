@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from estimation.geometry.conicity import LARGEST_STD
 from estimation.rails.parameters import RailsParameters, ReferenceWheel
 from estimation.rails.two_way import Parted, TwoWay, part
 from estimation.values.arrays import FloatArray
@@ -124,10 +125,15 @@ def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
         Of the model.
     """
     solution = part(component.two_way(), parameters)
-    if not solution.converged:
+    refused = None if solution.converged else NOT_CONVERGED
+    if refused is None and solution.interaction > parameters.most_interaction:
+        text = f"neither wheel nor rail explains {solution.interaction:.3f} of the conicities at this amplitude"
+        refused = Reason(ReasonCode.RAILS_INTERACT, text)
+    if refused is not None:
         return Answer(
-            {key: RailAt.unknown(NOT_CONVERGED) for key in component.rails},
-            {key: WheelAt.unknown(NOT_CONVERGED) for key in component.wheels},
+            {key: RailAt.unknown(refused) for key in component.rails},
+            {key: WheelAt.unknown(refused) for key in component.wheels},
+            interaction=solution.interaction,
         )
     publisher = _Publisher(component, solution, wheel, parameters)
     return Answer(publisher.rails(), publisher.wheels(), publisher.trends(), solution.interaction)
@@ -169,7 +175,7 @@ class _Publisher:
         systematic, found = self._systematic_of_wheels(), {}
         for place, key in enumerate(self.component.wheels):
             theta, std = float(self.solution.wheel[place]), float(np.sqrt(self.solution.wheel_variance[place]))
-            estimate = with_interval(theta, std, float(systematic[place]), self._groups, float(windows[key]))
+            estimate = self._published(theta, std, float(systematic[place]), windows[key])
             found[key] = WheelAt(reference, estimate)
         return found
 
@@ -195,24 +201,46 @@ class _Publisher:
     def _of_rail(self, place: int, key: RailKey, wheelsets: int, windows: int) -> RailAt:
         reference, rho = self.component.reference, float(self.solution.rail[place])
         std = float(np.sqrt(self.solution.covariance[place, place]))
-        part = with_interval(rho, std, self._systematic(place, abs(rho)), self._groups, float(windows))
+        part = self._published(rho, std, self._systematic(place, abs(rho)), windows)
         if reference is RailsReference.MEAN:
             nothing = Estimate.unknown(LEVEL_OPEN, float(windows))
             return RailAt(reference, part, nothing, nothing, wheelsets)
         if not np.isfinite(self._design):
             nothing = Estimate.unknown(NO_REFERENCE_WHEEL, float(windows))
             return RailAt(reference, part, nothing, nothing, wheelsets)
+        refused = self._no_conclusion(place)
+        if refused is not None:
+            nothing = Estimate.unknown(refused, float(windows))
+            return RailAt(reference, part, nothing, nothing, wheelsets)
         values, covariance = self.solution.reference_wheel(self._design)
         value = float(values[place])
         std = float(np.sqrt(covariance[place, place] + self.solution.interaction**2))
         change = abs(value - self._design) + abs(float(self.solution.slope[place])) * self._mean
         systematic = self._systematic(place, change)
-        whole = with_interval(value, std, systematic, self._groups, float(windows))
+        whole = self._published(value, std, systematic, windows)
         on_file = float(self.wheel.of(key.section)[self.component.k])
         if not np.isfinite(on_file):
             return RailAt(reference, part, whole, Estimate.unknown(NO_REFERENCE_WHEEL, float(windows)), wheelsets)
-        excess = with_interval(value - on_file, std, systematic, self._groups, float(windows))
+        excess = self._published(value - on_file, std, systematic, windows)
         return RailAt(reference, part, whole, excess, wheelsets)
+
+    def _published(self, value: float, sampled: float, systematic: float, windows: int) -> Estimate:
+        """Return an estimate with its interval; unknown where that says nothing of a wheel or a rail."""
+        found = with_interval(value, sampled, systematic, self._groups, float(windows))
+        if found.std is not None and found.std <= LARGEST_STD:
+            return found
+        text = f"the data leave the conicity open by {found.std:.2f}"
+        return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), float(windows))
+
+    def _no_conclusion(self, place: int) -> Reason | None:
+        """Return why nothing follows from the wheels on some rails for the wheel as designed; None where it does."""
+        cells = self.component.two_way()
+        theta = self.solution.wheel[cells.wheel[cells.rail == place]]
+        apart = max(float(theta.min()) - self._design, self._design - float(theta.max()))
+        if apart <= self.parameters.farthest:
+            return None
+        text = f"the conicity of the wheel as designed is outside that of the wheels that run there by {apart:.3f}"
+        return Reason(ReasonCode.REFERENCE_WHEEL_APART, text)
 
     def _of_known(self, key: RailKey, wheelsets: int, windows: int) -> RailAt:
         """Return what is said of rails that are as on file: nothing has been measured of them."""

@@ -24,6 +24,11 @@ class RailsParameters:
         What neither wheel nor rail explains of a conicity, known beforehand as a standard deviation.
     interaction_weight
         How many degrees of freedom that knowledge counts.
+    farthest
+        By how much the conicity of the wheel as designed may be outside the range of the wheels that run on a section:
+        next to contact jumps a conicity does not go on as it does between those that are known.
+    most_interaction
+        Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is published.
     least_wheelsets
         Different wheelsets that must connect a section to its reference.
     period_days
@@ -39,6 +44,8 @@ class RailsParameters:
     slope_std: float = 0.3
     interaction: float = 0.008
     interaction_weight: float = 4.0
+    farthest: float = 0.03
+    most_interaction: float = 0.01
     least_wheelsets: int = 2
     period_days: float = 180.0
     least_periods: int = 3

@@ -27,7 +27,8 @@ from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDS = 50
 TOLERANCE = 1e-8  # of conicity
-LOWEST_TAU, HIGHEST_TAU = -4.0, 0.0  # decades of conicity
+LOWEST_TAU, HIGHEST_TAU = -3.0, -0.3  # decades of conicity
+SLOPES = (-0.8, 2.0)  # what a section may add to a wheel whose conicity is higher by 1
 TAU_TOLERANCE = 0.01  # decades
 HELD = 1e8  # weight of the condition that the mean over sections is nought, of the heaviest cell
 ROWS_AT_ONCE = 20_000
@@ -110,7 +111,10 @@ class _Search:
     def surplus(self, decades: float) -> float:
         """Return by how much residuals are too large for a tau of 10^``decades``; it falls with that."""
         tau, known = 10.0**decades, self.parameters
-        self.parted, self.point, squares = _solved(self.cells, known, tau, self.point)
+        self.parted, point, squares = _solved(self.cells, known, tau, self.point)
+        self.point = point if self.parted.converged else None
+        if not self.parted.converged:
+            return np.inf
         before = known.interaction_weight * ((known.interaction / tau) ** 2 - 1.0)
         return float(squares - (self.parted.freedom - known.interaction_weight) + before)
 
@@ -177,7 +181,8 @@ def _solved(
         linear = _linearised(cells, weight, known, point, before)
         step = np.zeros(2 * s)
         if len(free):
-            step[free] = cho_solve(cho_factor(linear.matrix[np.ix_(free, free)]), linear.right[free])
+            step[free] = _solution(linear.matrix[np.ix_(free, free)], linear.right[free])
+            step[s:] = np.clip(point.phi[s:] + step[s:], *SLOPES) - point.phi[s:]
         of_theta = linear.right_wheel / linear.own - linear.shared @ step
         point = _Point(point.theta + of_theta, point.phi + step, centre)
         if max(float(np.abs(of_theta).max()), float(np.abs(step[:s]).max())) < TOLERANCE:
@@ -186,7 +191,7 @@ def _solved(
     linear = _linearised(cells, weight, known, point, before)
     covariance = np.zeros((2 * s, 2 * s))
     if len(free):
-        inverse = cho_solve(cho_factor(linear.matrix[np.ix_(free, free)]), np.eye(len(free)))
+        inverse = _solution(linear.matrix[np.ix_(free, free)], np.eye(len(free)))
         covariance[np.ix_(free, free)] = inverse
     fitted = 1.0 / linear.own[cells.wheel] * linear.of_wheel**2 + _quadratic(_apart(linear, cells), covariance)
     found = Parted(
@@ -198,9 +203,18 @@ def _solved(
         interaction=tau,
         freedom=parameters.interaction_weight + float(np.sum(1.0 - weight * fitted)),
         centre=centre,
-        converged=converged,
+        converged=converged and bool((np.diag(covariance) >= 0.0).all()),
     )
-    return found, point, float(np.sum(weight * linear.residual**2))
+    squares = float(np.sum(weight * linear.residual**2))
+    return found, point, squares if found.converged else np.inf
+
+
+def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return what solves a symmetric system; NaN where the matrix does not determine it."""
+    try:
+        return np.asarray(cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False))
+    except np.linalg.LinAlgError:
+        return np.full_like(right, np.nan)
 
 
 def _apart(linear: _Linear, cells: TwoWay) -> csr_array:

@@ -194,6 +194,14 @@ class ReasonCode(StrEnum):
         "rails_level_open",
         "Only differences of sections are known. Name a section whose rails are as on file, or measure profiles.",
     )
+    REFERENCE_WHEEL_APART = (
+        "reference_wheel_apart",
+        "The wheel as designed is too unlike the wheels that run on the section. Wait for wheels near the design there.",
+    )
+    RAILS_INTERACT = (
+        "rails_interact",
+        "What rails add differs from wheel to wheel there, as next to contact jumps: they cannot be parted.",
+    )
     TOO_FEW_WHEELSETS = "too_few_wheelsets", "Too few wheelsets connect the section to its reference."
     PROFILE_UNKNOWN = "profile_unknown", "The profile on file is none that is built in. Nothing follows from its name."
     # recording
