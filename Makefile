@@ -6,7 +6,7 @@ ARGS ?=
 # what one process has compiled serves the others: the tests start many
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet mutants chaos house clean
+.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rails mutants chaos house clean
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -50,6 +50,9 @@ bench-page: $(VENV)/.dev
 
 bench-fleet: $(VENV)/.dev
 	$(BIN)/python -m bench fleet $(ARGS)
+
+bench-rails: $(VENV)/.dev
+	$(BIN)/python -m bench rails $(ARGS)
 
 bench: $(VENV)/.dev
 	$(BIN)/python -m bench $(ARGS)

@@ -38,6 +38,7 @@ WITH_OPTIONS = (
     "fleet_sizes",
     "section_runs",
     "fleet",
+    "rails",
 )
 LONG = (
     "signals",

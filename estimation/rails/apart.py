@@ -157,3 +157,18 @@ def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> 
         (one, float(a)) for one, a in zip(part, amplitude, strict=True) if one.value is not None and a <= most + 1e-9
     ]
     return known[-1] if known else None
+
+
+def exceeds(excess: Estimate, limit: float) -> bool:
+    """Return whether an excess is beyond a limit, to either side, and its interval leaves no doubt of the side.
+
+    Parameters
+    ----------
+    excess
+        With a value.
+    limit
+        Positive.
+    """
+    if excess.value is None or excess.low is None or excess.high is None:
+        return False
+    return abs(excess.value) > limit and not excess.low <= 0.0 <= excess.high

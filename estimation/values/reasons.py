@@ -196,7 +196,7 @@ class ReasonCode(StrEnum):
     )
     REFERENCE_WHEEL_APART = (
         "reference_wheel_apart",
-        "The wheel as designed is too unlike the wheels that run on the section. Wait for wheels near the design there.",
+        "The wheel as designed is too unlike the wheels that run on the section. Wait for wheels near it there.",
     )
     RAILS_INTERACT = (
         "rails_interact",

@@ -16,6 +16,7 @@ from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
 from fleet_db.models.purges import PurgeRow
 from fleet_db.models.quarantine import QuarantineRow, RawMarkRow, RecordingChangeRow
+from fleet_db.models.rails import RailCellRow, SectionRailsRow, WheelsetRailsRow
 from fleet_db.models.raw_scrubs import RawScrubRow
 from fleet_db.models.registry_history import RegistryEventRow
 from fleet_db.models.roll_ups import RollingSumsRow, RollUpRow, RollUpStateRow, TakenTableRow
@@ -60,6 +61,7 @@ __all__ = [
     "MountingRow",
     "PurgeRow",
     "QuarantineRow",
+    "RailCellRow",
     "RawMarkRow",
     "RawScrubRow",
     "RecordingChangeRow",
@@ -70,6 +72,7 @@ __all__ = [
     "RollingSumsRow",
     "SectionChangeRow",
     "SectionLookRow",
+    "SectionRailsRow",
     "SensorChangeRow",
     "StaleSpanRow",
     "StoredSettingRow",
@@ -92,6 +95,7 @@ __all__ = [
     "WebhookSecretRow",
     "WheelsetBinRow",
     "WheelsetChangeRow",
+    "WheelsetRailsRow",
     "WheelsetRow",
     "WindowBinTableRow",
     "WindowPositionRow",
