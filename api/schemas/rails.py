@@ -65,7 +65,7 @@ class SectionRails(Representation):
     reference_wheel_profile: str = Field(description="The wheel as designed, of most wheelsets.", examples=["P8"])
     limit_1: float = Field(description="On the excess.")
     limit_exceeded: bool | None = Field(
-        description="Whether the newest excess is beyond the limit, and its interval is on one side of nought; "
+        description="Whether the newest excess is beyond the limit, and its interval leaves no doubt of its sign; "
         "null where it is not known."
     )
     limit_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude below that is known.")

@@ -244,11 +244,11 @@ class _Publisher:
 
     def _of_known(self, key: RailKey, wheelsets: int, windows: int) -> RailAt:
         """Return what is said of rails that are as on file: nothing has been measured of them."""
-        nought, on_file = _exactly(0.0, windows), float(self.wheel.of(key.section)[self.component.k])
+        none, on_file = _exactly(0.0, windows), float(self.wheel.of(key.section)[self.component.k])
         if not np.isfinite(on_file):
             unknown = Estimate.unknown(NO_REFERENCE_WHEEL, float(windows))
-            return RailAt(self.component.reference, nought, unknown, unknown, wheelsets)
-        return RailAt(self.component.reference, nought, _exactly(on_file, windows), nought, wheelsets)
+            return RailAt(self.component.reference, none, unknown, unknown, wheelsets)
+        return RailAt(self.component.reference, none, _exactly(on_file, windows), none, wheelsets)
 
     def _systematic(self, place: int, change: float) -> float:
         """Return the systematic std of a difference of rails that is as large as ``change``."""

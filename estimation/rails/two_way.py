@@ -4,7 +4,7 @@ For wheel ``w`` on rails ``s``, at one amplitude,
 
     y_ws = theta_w + rho_s + beta_s (theta_w - m) + e_ws,    beta_s ~ N(0, slope_std^2),    e_ws ~ N(0, v_ws + tau^2)
 
-``theta`` is the conicity on the reference rails, where rho and beta are nought; ``m`` is a fixed number, the mean of
+``theta`` is the conicity on the reference rails, where rho and beta are 0; ``m`` is a fixed number, the mean of
 all ``y``. How much a worn rail adds depends on the wheel: contact geometry of worn heads gives slopes within some 0.3.
 It is a regression with errors in both: the thetas are parameters, eliminated wheel by wheel, so that what is solved has
 two numbers a section. ``tau``, what is left, follows from the residuals, with what is known of it beforehand.
@@ -30,7 +30,7 @@ TOLERANCE = 1e-8  # of conicity
 LOWEST_TAU, HIGHEST_TAU = -3.0, -0.3  # decades of conicity
 SLOPES = (-0.8, 2.0)  # what a section may add to a wheel whose conicity is higher by 1
 TAU_TOLERANCE = 0.01  # decades
-HELD = 1e8  # weight of the condition that the mean over sections is nought, of the heaviest cell
+HELD = 1e8  # weight of the condition that the mean over sections is 0, of the heaviest cell
 ROWS_AT_ONCE = 20_000
 
 

@@ -62,7 +62,7 @@ def test_the_solution_is_that_of_a_general_solver_for_the_same_tau(
     assert found.covariance[np.ix_(both, both)] == pytest.approx(covariance[w:, w:], rel=1e-2, abs=1e-7)
 
 
-def test_without_an_anchor_the_sections_have_the_mean_nought() -> None:
+def test_without_an_anchor_the_sections_have_the_mean_0() -> None:
     found = part(drawn(3, known_rail=False), PARAMETERS)
     assert found.rail.sum() == pytest.approx(0.0, abs=1e-6)
     assert found.slope.sum() == pytest.approx(0.0, abs=1e-6)
