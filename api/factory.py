@@ -24,8 +24,10 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.errors import ParameterError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.rails_settings import RailsSettings
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
+from estimation.rails.parameters import RailsParameters
 from estimation.storage import Clock
 from fleet_db.keeping.purge_job import purge_job
 from fleet_db.keeping.retention import Retention
@@ -144,7 +146,7 @@ def job_context(
         The rules file is wrong; names the file and the field.
     """
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
-    chosen = JobSettings(estimation=estimation_settings(settings), rules=rules)
+    chosen = JobSettings(estimation=estimation_settings(settings), rules=rules, rails=rails_settings(settings))
     return JobContext(
         storage,
         SystemClock(),
@@ -168,6 +170,13 @@ def estimation_settings(settings: Settings) -> EstimationSettings:
         return EstimationSettings(estimator=settings.estimator)
     except ParameterError as error:
         raise ParameterError(error.reason, field=f"{PREFIX}ESTIMATOR") from None
+
+
+def rails_settings(settings: Settings) -> RailsSettings:
+    """Return the settings of wheels and rails apart that this deployment asks for."""
+    named = (code.strip() for code in (settings.rails_known_sections or "").split(","))
+    model = replace(RailsParameters(), limit=settings.rails_limit)
+    return RailsSettings(frozenset(code for code in named if code), model)
 
 
 def retention_of(settings: Settings) -> Retention:

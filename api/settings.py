@@ -12,6 +12,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from api.store_urls import names_endpoint, names_store
 from estimation.errors import ParameterError
+from estimation.rails.parameters import RailsParameters
 
 PREFIX = "TREADWATCH_"
 MOST_WORKERS = 256
@@ -88,6 +89,10 @@ class Settings(BaseSettings):
         may write there.
     compiled_cpu
         ``host``: code for the CPU of this machine. ``portable``: code that other machines of its kind load too.
+    rails_known_sections
+        Codes of the track sections whose rails are as on file, with commas between; all others are compared with them.
+    rails_limit
+        On what rails add to the conicity of the wheel as designed, over those on file.
     estimator
         Which estimator of ``estimation.estimators.catalogue`` turns windows into geometries.
     spool_mb, spool_memory_mb
@@ -165,6 +170,8 @@ class Settings(BaseSettings):
     compiled_dir: Path | None = None
     compiled_cpu: Literal["host", "portable"] = "host"
     estimator: str = "bins"
+    rails_known_sections: str | None = None
+    rails_limit: float = Field(default=RailsParameters().limit, gt=0.0, lt=1.0)
     workers: int | Literal["auto"] = 1
     worker_memory_mb: int = Field(default=1024, ge=256, le=1 << 20)
     lease_s: float = Field(default=60.0, ge=1.0, le=3600.0)

@@ -40,6 +40,7 @@ WITH_OPTIONS = (
     "section_runs",
     "fleet",
     "adhesion",
+    "rails",
 )
 LONG = (
     "signals",

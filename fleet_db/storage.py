@@ -33,6 +33,7 @@ from fleet_db.stores.jobs import JobRunStore
 from fleet_db.stores.looks import LookStore
 from fleet_db.stores.plausibility import PlausibilityStore
 from fleet_db.stores.quarantine import QuarantineStore
+from fleet_db.stores.rails import RailsStore
 from fleet_db.stores.raw_marks import RawMarkStore
 from fleet_db.stores.raw_scrubs import RawScrubStore
 from fleet_db.stores.recorded_times import RecordedTimeStore
@@ -102,6 +103,7 @@ class SqlUnitOfWork:
     audit: AuditStore = field(init=False)
     looks: LookStore = field(init=False)
     section_looks: SectionLookStore = field(init=False)
+    rails: RailsStore = field(init=False)
     roll_ups: RollUpStore = field(init=False)
     webhooks: WebhookStore = field(init=False)
     work_claims: WorkClaimStore = field(init=False)
@@ -143,6 +145,7 @@ class SqlUnitOfWork:
         self.audit = AuditStore(connection)
         self.looks = LookStore(connection, self.changes)
         self.section_looks = SectionLookStore(connection)
+        self.rails = RailsStore(connection)
         self.roll_ups = RollUpStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)

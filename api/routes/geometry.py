@@ -8,11 +8,21 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 
 from api import cursors
-from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer_page, answer_payload, operation, table_payload
+from api.answers import (
+    DEFAULT_LIMIT,
+    Cursor,
+    IfNoneMatch,
+    Limit,
+    answer,
+    answer_page,
+    answer_payload,
+    operation,
+    table_payload,
+)
 from api.contract import CSV, Accepted
 from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged, require_order
 from api.problems import described
-from api.schemas import geometry, trend, windows
+from api.schemas import geometry, rails, trend, windows
 from api.schemas.common import Page
 from api.services import ServicesDep
 from estimation.errors import NotFoundError
@@ -90,6 +100,17 @@ def _answerable(unit: SqlUnitOfWork, serial: str, as_of_ns: int | None) -> None:
     if as_of_ns is not None:
         unit.registry.wheelset(serial)
         not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
+
+
+@router.get("/{serial}/rails", response_model=rails.WheelsetRails, responses=described(404))
+def get_wheelset_rails(request: Request, services: ServicesDep, serial: Serial, _held: IfNoneMatch = None) -> Response:
+    """Return the conicity of the wheels without the rails they ran on, beside that of the geometry."""
+    with services.storage.read() as unit:
+        unit.registry.wheelset(serial)
+        found, current = unit.rails.of_wheelset(serial), unit.geometries.current(serial)
+    if found is None:
+        raise NotFoundError("rails yet of wheelset", serial)
+    return answer(request, rails.wheelset_rails(found, current))
 
 
 @router.get("/{serial}/windows", response_model=Page[windows.Window], responses=described(400, 404))

@@ -11,7 +11,7 @@ from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
 from api.parameters import Code
 from api.problems import described
-from api.schemas import adhesion, tracks
+from api.schemas import adhesion, rails, tracks
 from api.schemas.common import Page
 from api.services import ServicesDep
 from api.times import Moment
@@ -112,3 +112,14 @@ def get_adhesion(
     if found is None:
         raise NotFoundError("adhesion yet of track section", code)
     return answer(request, adhesion.section_adhesion(found))
+
+
+@router.get("/{code}/rails", response_model=rails.SectionRails, responses=described(404))
+def get_section_rails(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
+    """Return what belongs to the rails of the section, in the conicities of the wheelsets that ran on it."""
+    with services.storage.read() as unit:
+        unit.tracks.section(code)
+        found = unit.rails.of_section(code)
+    if found is None:
+        raise NotFoundError("rails yet of track section", code)
+    return answer(request, rails.section_rails(found))

@@ -11,6 +11,7 @@ from estimation.jobs import (
     refresh_adhesion,
     refresh_alignment,
     refresh_geometry,
+    refresh_rails,
     refresh_trends,
 )
 from estimation.jobs.job import Job, JobContext, Stage, run_job
@@ -23,6 +24,7 @@ ALL_JOBS: tuple[Job, ...] = (
     refresh_adhesion.JOB,
     refresh_trends.JOB,
     evaluate_alerts.JOB,
+    refresh_rails.JOB,
 )
 
 STAGES = (refresh_alignment.STAGE, estimate_windows.STAGE, refresh_geometry.STAGE)

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, field
 from estimation.alerts.rules.book import RuleBook
 from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.geometry.estimate import GeometryParameters
+from estimation.jobs.rails_settings import RailsSettings
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
@@ -77,6 +78,8 @@ class JobSettings:
         Of ``estimate_windows`` and ``refresh_geometry``, and of the motion that ``refresh_alignment`` looks at.
     trend
         Of ``refresh_trends``.
+    rails
+        Of ``refresh_rails``.
     rules
         Of ``evaluate_alerts``; the conicity limit is that of the trends, too.
     """
@@ -84,6 +87,7 @@ class JobSettings:
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     estimation: EstimationSettings = field(default_factory=EstimationSettings)
     trend: TrendParameters = field(default_factory=TrendParameters)
+    rails: RailsSettings = field(default_factory=RailsSettings)
     rules: RuleBook = field(default_factory=RuleBook)
 
     def alignment_parameters(self) -> dict[str, JsonValue]:

@@ -86,5 +86,23 @@ def with_interval(
     return Estimate(float(value), std, float(value) - half, float(value) + half, count, Status.ESTIMATED)
 
 
+def parts_of(estimate: Estimate, groups: int) -> tuple[float, float]:
+    """Return what :func:`with_interval` made an interval from: the sampled and the systematic standard deviation.
+
+    Parameters
+    ----------
+    estimate
+        With an interval.
+    groups
+        Groups behind its sampled part, two or more.
+    """
+    if estimate.std is None or estimate.low is None or estimate.high is None:
+        return float("nan"), float("nan")
+    half, student = 0.5 * (estimate.high - estimate.low), _student_95(groups)
+    sampled = (half**2 - (NORMAL_95 * estimate.std) ** 2) / (student**2 - NORMAL_95**2)
+    within = min(max(sampled, 0.0), estimate.std**2)
+    return float(np.sqrt(within)), float(np.sqrt(estimate.std**2 - within))
+
+
 def _student_95(groups: int) -> float:
     return float(stdtrit(groups - 1, 0.975))

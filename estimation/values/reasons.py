@@ -207,6 +207,25 @@ class ReasonCode(StrEnum):
         "no_estimate_near",
         "There is no estimate of the same profile within an interval of mileage of the measurement.",
     )
+    # rails
+    RAILS_NOT_CONNECTED = (
+        "rails_not_connected",
+        "No wheelset runs on this section and on another, so that wheels and rails cannot be parted.",
+    )
+    RAILS_LEVEL_OPEN = (
+        "rails_level_open",
+        "Only differences of sections are known. Name a section whose rails are as on file, or measure profiles.",
+    )
+    REFERENCE_WHEEL_APART = (
+        "reference_wheel_apart",
+        "The wheel as designed is too unlike the wheels that run on the section. Wait for wheels near it there.",
+    )
+    RAILS_INTERACT = (
+        "rails_interact",
+        "What rails add differs from wheel to wheel there, as next to contact jumps: they cannot be parted.",
+    )
+    TOO_FEW_WHEELSETS = "too_few_wheelsets", "Too few wheelsets connect the section to its reference."
+    PROFILE_UNKNOWN = "profile_unknown", "The profile on file is none that is built in. Nothing follows from its name."
     # recording
     LOG_DAMAGED = "log_damaged", "The recording is truncated, damaged or no log. Send it again."
     CLOCK_IMPLAUSIBLE = (

@@ -17,6 +17,7 @@ from fleet_db.models.measured_profiles import MeasuredProfilesRow
 from fleet_db.models.mountings import MountingRow
 from fleet_db.models.purges import PurgeRow
 from fleet_db.models.quarantine import QuarantineRow, RawMarkRow, RecordingChangeRow
+from fleet_db.models.rails import RailCellRow, SectionRailsRow, WheelsetRailsRow
 from fleet_db.models.raw_scrubs import RawScrubRow
 from fleet_db.models.registry_history import RegistryEventRow
 from fleet_db.models.roll_ups import RollingSumsRow, RollUpRow, RollUpStateRow, TakenTableRow
@@ -61,6 +62,7 @@ __all__ = [
     "MountingRow",
     "PurgeRow",
     "QuarantineRow",
+    "RailCellRow",
     "RawMarkRow",
     "RawScrubRow",
     "RecordingChangeRow",
@@ -72,6 +74,7 @@ __all__ = [
     "SectionAdhesionRow",
     "SectionChangeRow",
     "SectionLookRow",
+    "SectionRailsRow",
     "SensorChangeRow",
     "StaleSpanRow",
     "StoredSettingRow",
@@ -94,6 +97,7 @@ __all__ = [
     "WebhookSecretRow",
     "WheelsetBinRow",
     "WheelsetChangeRow",
+    "WheelsetRailsRow",
     "WheelsetRow",
     "WindowAdhesionRow",
     "WindowBinTableRow",

@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.rail_wear import worn_rail
 from ingest.profiles.files import read_profile
 from ingest.profiles.wheel_profile import read_wheel_profile
 from ingest.simulator.scenario import SectionPlan, WheelsetPlan
@@ -49,7 +50,14 @@ def wheels_of(plan: WheelsetPlan) -> tuple[Profile, Profile]:
 
 
 def rails_of(section: SectionPlan) -> tuple[Profile, Profile, float]:
-    """Return left and right rail of a section, and the inclination (a tangent) that is to be given to them."""
+    """Return left and right rail of a section as worn, and the inclination (a tangent) that is to be given to them."""
+    left, right, inclination = _unworn_rails(section)
+    of_left, of_right = section.rail_wear
+    left = left if of_left is None else worn_rail(left, of_left)
+    return left, right if of_right is None else worn_rail(right, of_right), inclination
+
+
+def _unworn_rails(section: SectionPlan) -> tuple[Profile, Profile, float]:
     if section.rail_files == (None, None):
         rail = rail_profile(section.rail_profile)
         return rail, rail, section.inclination

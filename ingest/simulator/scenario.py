@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
+from estimation.contact.rail_wear import RailWear
 from estimation.errors import ScenarioError
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
@@ -133,6 +134,7 @@ class SectionPlan:
     rail_files: SideFiles = (None, None)
     rail_mirrors: SideMirrors = (None, None)
     file_inclination: float = 0.0  # tangent, given to rails of which one or both are from files
+    rail_wear: tuple[RailWear | None, RailWear | None] = (None, None)  # of left and right rail; not on file
 
     @property
     def stated_alignment_std(self) -> float:

@@ -12,6 +12,16 @@ from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Conditi
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
+from estimation.values.rails import (
+    RailKey,
+    RailPart,
+    RailsReference,
+    RailTrend,
+    SectionRailsRecord,
+    WheelKey,
+    WheelPart,
+    WheelsetRailsRecord,
+)
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobOutcome, JobTrigger
@@ -261,6 +271,37 @@ def suspension_finding(vehicle: str, day: int, ratio: float) -> SuspensionFindin
     )
 
 
+RAILS_KNOWN = Estimate(0.0625, 0.0125, 0.0375, 0.0875, 24.0, Status.ESTIMATED)
+RAILS_OPEN = Estimate.unknown(Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "not covered"), 24.0)
+RAILS_AMPLITUDES = (1e-3, 3e-3)
+
+
+def section_rails() -> SectionRailsRecord:
+    """Return worn rails of S-1."""
+    both, held = (RAILS_KNOWN, RAILS_OPEN), RailsReference.KNOWN_RAILS
+    period = RailPart(RailKey("S-1", 110), held, both, both, both, 4, 24, START, START + DAY)
+    return SectionRailsRecord(
+        section="S-1",
+        amplitude=RAILS_AMPLITUDES,
+        reference_wheel_profile="P8",
+        periods=(period,),
+        trend=RailTrend(RAILS_KNOWN, 1e-3, 3),
+        limit=0.05,
+        exceeded=True,
+        reported_amplitude=1e-3,
+        input_digest="d" * 64,
+        code_version="test",
+        recorded_ns=RECORDED,
+    )
+
+
+def wheelset_rails() -> WheelsetRailsRecord:
+    """Return the wheels of the first wheelset without the rails of S-1."""
+    own = WheelKey(WHEELSETS[0], 0, 3)
+    part = WheelPart(own, RailsReference.KNOWN_RAILS, (RAILS_KNOWN, RAILS_OPEN), ("S-1",), 24, START, START + DAY)
+    return WheelsetRailsRecord(RAILS_AMPLITUDES, part, "d" * 64, "test", RECORDED)
+
+
 def suspension_findings() -> list[SuspensionFinding]:
     """Return those of 8 days, of a vehicle whose spring softens and of another."""
     ratios = [("V-0", day, 1.0 if day < 5 else 0.5) for day in range(8)] + [("V-1", day, 1.0) for day in range(8)]
@@ -316,6 +357,7 @@ def populate(storage: Storage) -> None:
         unit.trends.put(trend_record(RECORDED + DAY, 0.25))
         for finding in suspension_findings():
             unit.suspensions.put(finding)
+        unit.rails.put_found([section_rails()], [wheelset_rails()])
     for serial in WHEELSETS[:10]:
         raised(storage, serial, fleet="alpha" if int(serial[-1]) % 2 == 0 else "=beta")
     raised(storage, WHEELSETS[0], "no_data")

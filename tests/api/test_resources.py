@@ -352,3 +352,27 @@ def test_an_error_of_the_storage_reveals_nothing_of_the_machine() -> None:
     assert "/srv" not in problem.detail
     assert from_error(ValueError("SELECT password")).detail == "the failure has been logged"
     assert from_error(ParameterError("is wrong", field="until")).errors[0].pointer == "#/until"
+
+
+def test_a_section_and_a_wheelset_lead_to_what_belongs_to_rails_and_to_wheels(client: httpx.Client) -> None:
+    section = get(client, "/v1/track-sections/S-1/rails")
+    assert (section["limit_1"], section["limit_exceeded"], section["limit_amplitude_mm"]) == (0.05, True, 1.0)
+    (period,) = section["periods"]
+    assert (period["reference"], period["n_wheelsets"]) == ("known_rails", 4)
+    near, far = period["by_amplitude"]
+    assert near["excess_1"]["interval_95"] == [0.0375, 0.0875]
+    assert far["rail_part_1"]["reason_code"] == "amplitude_not_covered"
+    assert section["trend"]["n_periods"] == 3
+    serial = api_fleet.WHEELSETS[0]
+    wheels = get(client, f"/v1/wheelsets/{serial}/rails")
+    methods = {one["method"]: one["equivalent_conicity_1"] for one in wheels["by_amplitude"][0]["conicities"]}
+    assert list(methods) == ["wheel_and_rail_apart", "geometry"]
+    assert methods["wheel_and_rail_apart"]["value"] == 0.0625
+    geometry = get(client, wheels["links"]["geometry"])
+    amplitudes = {one["amplitude_mm"]: one["equivalent_conicity_1"] for one in geometry["conicity_by_amplitude"]}
+    for row in wheels["by_amplitude"]:
+        (beside,) = (one["equivalent_conicity_1"] for one in row["conicities"] if one["method"] == "geometry")
+        assert beside["value"] == amplitudes.get(row["amplitude_mm"], {"value": None})["value"]
+    assert get(client, wheels["links"]["rails:S-1"]) == section
+    for unknown in ("/v1/track-sections/S-2/rails", "/v1/track-sections/S-9/rails", "/v1/wheelsets/WS-9999/rails"):
+        assert client.get(unknown).status_code == 404

@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from ingest.input_file import InputTable, NotNegative, Text, field_error
+from estimation.contact.rail_wear import DEEPEST_BAND, RailWear
+from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
 from ingest.simulator.scenario import SideFiles, SideMirrors
+from ingest.simulator.scenario_schema.units import MM
 
 
 def _as_built(run: float) -> float:
@@ -18,6 +20,25 @@ def _as_built(run: float) -> float:
 
 
 LEAST_RUN = 5.0  # of an inclination 1 in so many
+
+
+Depth = Annotated[float, Field(ge=0.0, le=DEEPEST_BAND / MM)]
+
+
+class RailWearTable(InputTable):
+    """``[section.rail_wear]``."""
+
+    depth_mm: Depth
+    depth_left_mm: Depth | None = None
+    depth_right_mm: Depth | None = None
+    centre_mm: float = Field(default=0.0, ge=-40.0, le=40.0)
+    half_width_mm: Positive = 25.0
+
+    def plan(self) -> tuple[RailWear, RailWear]:
+        """Return the wear of left and right rail in SI units."""
+        left, right = (self.depth_mm if one is None else one for one in (self.depth_left_mm, self.depth_right_mm))
+        form = (MM * self.centre_mm, MM * self.half_width_mm)
+        return RailWear(MM * left, *form), RailWear(MM * right, *form)
 
 
 class RailFiles(InputTable):

@@ -22,7 +22,7 @@ from ingest.simulator.scenario_schema.irregularities import (
     SwitchTable,
 )
 from ingest.simulator.scenario_schema.profile_names import RailName
-from ingest.simulator.scenario_schema.rails import RailFiles
+from ingest.simulator.scenario_schema.rails import RailFiles, RailWearTable
 from ingest.simulator.scenario_schema.running_plan import CrossLevelTable, LoadVariationTable
 from ingest.simulator.scenario_schema.survey import SurveyTable
 from ingest.simulator.scenario_schema.units import MM
@@ -98,6 +98,7 @@ class SectionTable(RailFiles):
     defects: list[DefectTable] = Field(default_factory=list)
     switches: list[SwitchTable] = Field(default_factory=list)
     joints: list[JointTable] = Field(default_factory=list)
+    rail_wear: RailWearTable | None = None
 
     @model_validator(mode="after")
     def _check_recipe(self) -> Self:
@@ -183,6 +184,7 @@ class SectionTable(RailFiles):
             file_inclination=self.inclination_of_files(self.rail_inclination_1_in),
             latitude=self.latitude_deg,
             longitude=self.longitude_deg,
+            rail_wear=(None, None) if self.rail_wear is None else self.rail_wear.plan(),
         )
 
     def _recipe(self) -> TrackRecipe | None:

@@ -1,0 +1,212 @@
+"""Wheel and rail apart: what belongs to the rails of a section, and to the wheels of a wheelset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+
+from pydantic import Field
+
+from api.schemas.common import Links, Representation, Uncertain, uncertain
+from api.schemas.registry import segment
+from api.times import Timestamp, to_rfc3339
+from estimation.values.geometry import GeometryRecord
+from estimation.values.quantities import Estimate, Status
+from estimation.values.rails import RailPart, RailsReference, SectionRailsRecord, WheelsetRailsRecord
+from estimation.values.reasons import Reason, ReasonCode
+
+MM = 1000.0
+NO_GEOMETRY = Estimate.unknown(Reason(ReasonCode.NO_GEOMETRY, "there is no geometry at this amplitude yet"))
+
+
+class ConicityMethod(StrEnum):
+    """How a conicity was found; those of different methods are never mixed."""
+
+    GEOMETRY = "geometry"  # from all windows of the wheelset, whatever rails they ran on
+    WHEEL_AND_RAIL_APART = "wheel_and_rail_apart"  # without what belongs to the rails of the sections
+
+
+class RailsAtAmplitude(Representation):
+    """What belongs to the rails, at one amplitude of the wheelsets' motion."""
+
+    amplitude_mm: float
+    rail_part_1: Uncertain = Field(
+        description="Conicity of the fleet's mean wheel on these rails, less that on the reference."
+    )
+    reference_wheel_conicity_1: Uncertain = Field(
+        description="Equivalent conicity of the wheel as designed, on these rails."
+    )
+    excess_1: Uncertain = Field(description="Of that over what it would be on the rails as on file.")
+
+
+class RailsPeriod(Representation):
+    """What was found of the rails over one period."""
+
+    measured_from: Timestamp
+    measured_to: Timestamp
+    reference: RailsReference | None = Field(description="What the rails are compared with; null where nothing was.")
+    n_wheelsets: int
+    n_windows: int
+    by_amplitude: list[RailsAtAmplitude]
+
+
+class RailsTrend(Representation):
+    """How fast the excess grows."""
+
+    excess_per_year_1: Uncertain
+    amplitude_mm: float
+    n_periods: int
+
+
+class SectionRails(Representation):
+    """The rails of a section, from the conicities of the wheelsets that ran on it and on others."""
+
+    section: str
+    reference_wheel_profile: str = Field(description="The wheel as designed, of most wheelsets.", examples=["P8"])
+    limit_1: float = Field(description="On the excess.")
+    limit_exceeded: bool | None = Field(
+        description="Whether the newest excess is beyond the limit, and its interval leaves no doubt of its sign; "
+        "null where it is not known."
+    )
+    limit_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude below that is known.")
+    periods: list[RailsPeriod] = Field(description="Oldest first.")
+    trend: RailsTrend | None = Field(description="Null until there are enough periods.")
+    code_version: str
+    input_digest: str
+    recorded_at: Timestamp
+    links: Links
+
+
+class ConicityBySource(Representation):
+    """The conicity at one amplitude, by one method."""
+
+    method: ConicityMethod
+    equivalent_conicity_1: Uncertain
+
+
+class ConicitiesAtAmplitude(Representation):
+    """Conicities at one amplitude, side by side."""
+
+    amplitude_mm: float
+    conicities: list[ConicityBySource]
+
+
+class WheelsetRails(Representation):
+    """The wheels of a wheelset without the rails that it ran on, beside the geometry of all its windows."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    baseline: int = Field(description="Number of reprofilings before it.")
+    geometry_baseline: int | None = Field(description="That of the geometry; null without one.")
+    interval: int = Field(description="Mileage interval since the last reprofiling.")
+    reference: RailsReference | None = Field(description="Whose rails the conicities are for; null where none are.")
+    sections: list[str] = Field(description="On which it ran.")
+    n_windows: int
+    measured_from: Timestamp
+    measured_to: Timestamp
+    by_amplitude: list[ConicitiesAtAmplitude]
+    status: Status = Field(description="`estimated` where a conicity is published at some amplitude.")
+    code_version: str
+    input_digest: str
+    recorded_at: Timestamp
+    links: Links
+
+
+def section_rails(record: SectionRailsRecord) -> SectionRails:
+    """Return the representation of what was found of a section's rails.
+
+    Parameters
+    ----------
+    record
+        As stored.
+    """
+    own, trend = f"/v1/track-sections/{segment(record.section)}", record.trend
+    return SectionRails(
+        section=record.section,
+        reference_wheel_profile=record.reference_wheel_profile,
+        limit_1=record.limit,
+        limit_exceeded=record.exceeded,
+        limit_amplitude_mm=None if record.reported_amplitude is None else record.reported_amplitude * MM,
+        periods=[_period(one, record.amplitude) for one in record.periods],
+        trend=None
+        if trend is None
+        else RailsTrend(
+            excess_per_year_1=uncertain(trend.per_year), amplitude_mm=trend.amplitude * MM, n_periods=trend.periods
+        ),
+        code_version=record.code_version,
+        input_digest=record.input_digest,
+        recorded_at=to_rfc3339(record.recorded_ns),
+        links={"self": f"{own}/rails", "track_section": own},
+    )
+
+
+def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None) -> WheelsetRails:
+    """Return the representation of a wheelset's wheels, beside its geometry.
+
+    Parameters
+    ----------
+    record
+        As stored.
+    geometry
+        The current one; None without.
+    """
+    part, own = record.part, f"/v1/wheelsets/{segment(record.wheelset)}"
+    rows = []
+    for amplitude, apart in zip(record.amplitude, part.conicity, strict=True):
+        beside = ((ConicityMethod.WHEEL_AND_RAIL_APART, apart), (ConicityMethod.GEOMETRY, _at(geometry, amplitude)))
+        conicities = [ConicityBySource(method=how, equivalent_conicity_1=uncertain(one)) for how, one in beside]
+        rows.append(ConicitiesAtAmplitude(amplitude_mm=amplitude * MM, conicities=conicities))
+    known = any(one.status is Status.ESTIMATED for one in part.conicity)
+    return WheelsetRails(
+        wheelset=record.wheelset,
+        baseline=part.wheel.baseline,
+        geometry_baseline=None if geometry is None else geometry.baseline,
+        interval=part.wheel.interval,
+        reference=part.reference,
+        sections=list(part.sections),
+        n_windows=part.windows,
+        measured_from=to_rfc3339(part.from_ns),
+        measured_to=to_rfc3339(part.to_ns),
+        by_amplitude=rows,
+        status=Status.ESTIMATED if known else Status.UNESTIMATED,
+        code_version=record.code_version,
+        input_digest=record.input_digest,
+        recorded_at=to_rfc3339(record.recorded_ns),
+        links={
+            "self": f"{own}/rails",
+            "wheelset": own,
+            "geometry": f"{own}/geometry",
+            **{f"rails:{code}": f"/v1/track-sections/{segment(code)}/rails" for code in part.sections},
+        },
+    )
+
+
+def _period(part: RailPart, amplitude: Sequence[float]) -> RailsPeriod:
+    columns = zip(amplitude, part.part, part.reference_wheel, part.excess, strict=True)
+    return RailsPeriod(
+        measured_from=to_rfc3339(part.from_ns),
+        measured_to=to_rfc3339(part.to_ns),
+        reference=part.reference,
+        n_wheelsets=part.wheelsets,
+        n_windows=part.windows,
+        by_amplitude=[
+            RailsAtAmplitude(
+                amplitude_mm=at * MM,
+                rail_part_1=uncertain(own),
+                reference_wheel_conicity_1=uncertain(wheel),
+                excess_1=uncertain(excess),
+            )
+            for at, own, wheel, excess in columns
+        ],
+    )
+
+
+def _at(geometry: GeometryRecord | None, amplitude: float) -> Estimate:
+    """Return the conicity of a geometry at an amplitude."""
+    if geometry is not None:
+        for at, one in zip(geometry.geometry.amplitude, geometry.geometry.conicity, strict=True):
+            if abs(float(at) - amplitude) < SAME_AMPLITUDE:
+                return one
+    return NO_GEOMETRY
+
+
+SAME_AMPLITUDE = 1e-9  # m

@@ -1,0 +1,161 @@
+"""One fleet of the rails bench: simulate its sections, ingest, all jobs; what is published, against the truth."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, register, run_jobs
+from bench.rails_sections import KNOWN, BenchSection, reference_wheel, sections_of
+from estimation.jobs import refresh_rails
+from estimation.jobs.job import JobContext
+from estimation.jobs.rails_settings import RailsSettings
+from estimation.storage import Storage, UnitOfWork
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Estimate
+from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan
+from ingest.simulator.wear import truth_of, wear_at, worn_contact
+
+AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm, as in the accuracy table
+ANCHORS: Mapping[str, frozenset[str]] = {
+    "known rails": frozenset({KNOWN}),
+    "measured wheels": frozenset(),
+    "none": frozenset(),
+}
+MEASURED = 2  # wheelsets whose profiles are on file, where these hold the level
+Scored = dict[str, Any]
+
+
+def score(seed: int, cache: Path, *, surveyed: bool = True) -> list[Scored]:
+    """Return a score for each way to hold the level, as JSON values.
+
+    Parameters
+    ----------
+    seed
+        Of the fleet.
+    cache
+        Folder that keeps recordings.
+    surveyed
+        Whether the alignments are on file.
+    """
+    sections = sections_of(seed, surveyed=surveyed)
+    recorded = [record(one.scenario, cache, workers=1) for one in sections]
+    found: list[Scored] = []
+    for measured, anchors in ((0, ("known rails", "none")), (MEASURED, ("measured wheels",))):
+        began = time.perf_counter()
+        with (
+            tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder,
+            _received(sections, recorded, Path(folder), measured) as (storage, context),
+        ):
+            run_jobs(context, ESTIMATION)
+            for anchor in anchors:
+                settings = replace(context.settings, rails=RailsSettings(ANCHORS[anchor]))
+                run_jobs(replace(context, settings=settings), (refresh_rails.JOB,))
+                with storage.read() as unit:
+                    scored = _stored(unit, sections)
+                head = {"seed": seed, "anchor": anchor, "surveyed": surveyed}
+                found.append(head | scored | {"seconds": time.perf_counter() - began})
+    return found
+
+
+@contextmanager
+def _received(
+    sections: Sequence[BenchSection], recorded: Sequence[Any], folder: Path, measured: int
+) -> Iterator[tuple[Storage, JobContext]]:
+    """Yield store and jobs of a new deployment that has received the runs on all sections."""
+    first = whole_fleet(sections, measured)
+    settings = deploy(first, folder)
+    for one in sections[1:]:
+        register(replace(first, section=one.plan, seed=one.scenario.seed), settings, folder / one.plan.code)
+    for runs in recorded:
+        receive(runs, settings)
+    with opened(settings) as (storage, context):
+        yield storage, context
+
+
+def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario:
+    """Return the scenario of the first section with the vehicles of all, as the registry has them.
+
+    Parameters
+    ----------
+    sections
+        All of them.
+    measured
+        Of how many wheelsets the profiles are on file.
+    """
+    vehicles: dict[str, VehiclePlan] = {vehicle.code: vehicle for one in sections for vehicle in one.scenario.vehicles}
+    drawn = DrawnFleet((), 0, 0, wear_alike=False, profiles_measured=measured, vehicle_class="", max_speed=0.0)
+    ordered = tuple(vehicles[code] for code in sorted(vehicles))
+    return replace(sections[0].scenario, vehicles=ordered, drawn=drawn if measured else None)
+
+
+def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
+    """Return what the jobs have stored, beside the truth."""
+    amplitude = np.array(AMPLITUDES)
+    of_sections = []
+    for one in sections:
+        found, true = unit.rails.of_section(one.plan.code), reference_wheel(one.scenario, amplitude)
+        part = None if found is None else found.periods[-1]
+        of_sections.append(
+            {
+                "section": one.plan.code,
+                "worn": one.worn,
+                "exceeded": None if found is None else found.exceeded,
+                "reference": None if part is None else part.reference,
+                "true_excess": (true - reference_wheel(sections[0].scenario, amplitude)).tolist(),
+                "wheel": [] if part is None or found is None else _errors(found.amplitude, part.reference_wheel, true),
+                "refused": [] if part is None else [_code(one) for one in part.reference_wheel],
+            }
+        )
+    wheelsets = []
+    for serial, true in sorted(_true_wheels(sections, amplitude).items()):
+        found_wheels, geometry = unit.rails.of_wheelset(serial), unit.geometries.current(serial)
+        now = None if geometry is None else geometry.geometry
+        wheelsets.append(
+            {
+                "serial": serial,
+                "sections": [] if found_wheels is None else list(found_wheels.part.sections),
+                "apart": []
+                if found_wheels is None
+                else _errors(found_wheels.amplitude, found_wheels.part.conicity, true),
+                "today": [] if now is None else _errors(tuple(now.amplitude.tolist()), now.conicity, true),
+            }
+        )
+    return {"sections": of_sections, "wheelsets": wheelsets}
+
+
+def _errors(
+    amplitude: Sequence[float], found: Sequence[Estimate], true: FloatArray
+) -> list[tuple[float, float, bool] | None]:
+    """Return error, std and whether the interval covers, at each of ``AMPLITUDES``; None where nothing is published."""
+    errors: list[tuple[float, float, bool] | None] = []
+    for a, truth in zip(AMPLITUDES, true, strict=True):
+        one = found[int(np.argmin(np.abs(np.array(amplitude) - a)))]
+        if one.value is None or one.std is None or one.low is None or one.high is None or not np.isfinite(truth):
+            errors.append(None)
+        else:
+            errors.append((float(one.value - truth), one.std, bool(one.low <= truth <= one.high)))
+    return errors
+
+
+def _code(one: Estimate) -> str:
+    return "" if one.reason is None else str(one.reason.code)
+
+
+def _true_wheels(sections: Sequence[BenchSection], amplitude: FloatArray) -> dict[str, FloatArray]:
+    """Return by serial the true conicity (k,) on rails as on file."""
+    found: dict[str, FloatArray] = {}
+    known = sections[0].plan
+    for plan in whole_fleet(sections).vehicles:
+        for wheelset in plan.wheelsets:
+            contact = worn_contact(wheelset, wear_at(wheelset, 0.0), known, np.array([0.0]), 12e-3)
+            true = truth_of(contact)
+            found[wheelset.serial] = np.interp(amplitude, true.amplitude, true.equivalent_conicity)
+    return found

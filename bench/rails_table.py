@@ -1,0 +1,182 @@
+"""Tables of the rails bench: how near wheels and rails come to the truth, and what was blamed on the wheels before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from bench.results_page import markdown_table
+
+TITLE = "Wheel and rail apart"
+AMPLITUDES_MM = (1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 2.75, 3.0)
+KNOWN, MEASURED, NONE = "known rails", "measured wheels", "none"
+REACH_RAILS, REACH_WHEELS, COVERS = 0.02, 0.01, (0.92, 0.98)
+Results = Mapping[str, Any]
+Error = tuple[float, float, bool]
+Rows = list[tuple[str, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class BenchTable:
+    """A table: its title, its columns, and what makes its rows."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: Callable[[Results], Rows]
+
+
+def _cases(results: Results, anchor: str) -> list[Any]:
+    return [case for case in results["cases"] if case["anchor"] == anchor]
+
+
+def _of_rails(cases: Sequence[Any], place: int | None = None) -> list[Error]:
+    """Return errors of the reference wheel on the sections whose rails are not taken as known."""
+    return [
+        error
+        for case in cases
+        for section in case["sections"]
+        if case["anchor"] != KNOWN or section["section"] != "S0"
+        for at, error in enumerate(section["wheel"])
+        if error is not None and place in (None, at)
+    ]
+
+
+def _of_wheels(cases: Sequence[Any], which: str, place: int | None = None) -> list[Error]:
+    return [
+        error
+        for case in cases
+        for wheelset in case["wheelsets"]
+        for at, error in enumerate(wheelset[which])
+        if error is not None and place in (None, at)
+    ]
+
+
+def _blamed(cases: Sequence[Any], which: str) -> list[float]:
+    """Return the mean error of each wheelset over its amplitudes."""
+    return [
+        float(np.mean([error[0] for error in wheelset[which] if error is not None]))
+        for case in cases
+        for wheelset in case["wheelsets"]
+        if any(error is not None for error in wheelset[which])
+    ]
+
+
+def _p95(errors: Sequence[float]) -> float:
+    return float(np.quantile(np.abs(errors), 0.95))
+
+
+def _summary(results: Results) -> Rows:
+    rows: Rows = []
+    for anchor in (KNOWN, MEASURED):
+        cases = _cases(results, anchor)
+        rails, wheels, bias = _of_rails(cases), _of_wheels(cases, "apart"), _blamed(cases, "apart")
+        if not rails or not wheels:
+            rows.append((f"{anchor}: anything published", "no", "yes", "NO"))
+            continue
+        rows += [
+            _row(f"{anchor}: reference wheel per section, 95 %", _p95([one[0] for one in rails]), REACH_RAILS),
+            _cover(f"{anchor}: reference wheel, intervals cover", rails),
+            _row(f"{anchor}: wheelset's mean error, 95 %", _p95(bias), REACH_WHEELS),
+            _cover(f"{anchor}: wheelsets, intervals cover", wheels),
+        ]
+    today = _blamed(_cases(results, KNOWN), "today")
+    if today:
+        rows.append(("today: wheelset's mean error, 95 %", f"{_p95(today):.4f}", "", ""))
+        rows.append(_removed(results))
+    refused = [wheelset["apart"] for case in _cases(results, NONE) for wheelset in case["wheelsets"]]
+    published = sum(error is not None for errors in refused for error in errors)
+    rows.append(("no anchor: conicities of wheelsets published", str(published), "0", "yes" if not published else "NO"))
+    return rows
+
+
+def _row(what: str, measured: float, reach: float) -> tuple[str, ...]:
+    return what, f"{measured:.4f}", f"{reach:g}", "yes" if measured <= reach else "NO"
+
+
+def _cover(what: str, errors: Sequence[Error]) -> tuple[str, ...]:
+    inside = sum(error[2] for error in errors)
+    share, (low, high) = inside / len(errors), COVERS
+    met = "yes" if low <= share <= high else "wide" if share > high else "NO"
+    return what, f"{inside} of {len(errors)}: {100 * share:.1f} %", f"{100 * low:g}-{100 * high:g} %", met
+
+
+def _removed(results: Results) -> tuple[str, ...]:
+    """Return how much of what is blamed on wheelsets is removed, over the errors that both have."""
+    both = [
+        (before[0], after[0])
+        for case in _cases(results, KNOWN)
+        for wheelset in case["wheelsets"]
+        for before, after in zip(wheelset["today"], wheelset["apart"], strict=False)
+        if before is not None and after is not None
+    ]
+    before, after = (np.abs(column).mean() for column in np.array(both).T)
+    return "of today's mean absolute error removed", f"{100 * (1 - after / before):.0f} %", "", ""
+
+
+def _by_amplitude(results: Results) -> Rows:
+    cases = _cases(results, KNOWN)
+    rows: Rows = []
+    for place, amplitude in enumerate(AMPLITUDES_MM):
+        rails = _of_rails(cases, place)
+        apart, today = (_of_wheels(cases, which, place) for which in ("apart", "today"))
+        rows.append((f"{amplitude:g}", *_figures(rails), *_figures(apart), *_figures(today)))
+    return rows
+
+
+def _figures(errors: Sequence[Error]) -> tuple[str, str]:
+    return (str(len(errors)), f"{_p95([one[0] for one in errors]):.4f}" if errors else "")
+
+
+def _findings(results: Results) -> Rows:
+    """Return what is said of worn and of unworn sections."""
+    rows: Rows = []
+    for anchor in (KNOWN, MEASURED, NONE):
+        sections = [one for case in _cases(results, anchor) for one in case["sections"] if one["section"] != "S0"]
+        for worn in (True, False):
+            said = [one["exceeded"] for one in sections if one["worn"] is worn]
+            counts = tuple(str(sum(one is answer for one in said)) for answer in (True, False, None))
+            rows.append((anchor, "worn head, or another gauge" if worn else "as on file", str(len(said)), *counts))
+    return rows
+
+
+TABLES = (
+    BenchTable(TITLE, ("what", "measured", "reach", "met"), _summary),
+    BenchTable(
+        "By amplitude, level held by known rails: how many are published, and the 95th percentile of their errors",
+        ("mm", "rails", "error", "wheelsets", "error ", "today", "error  "),
+        _by_amplitude,
+    ),
+    BenchTable(
+        "Is the excess of a section beyond the limit?",
+        ("level held by", "rails", "sections", "yes", "no", "not known"),
+        _findings,
+    ),
+)
+
+
+def terminal_tables(results: Results) -> list[Table]:
+    """Return the tables for a terminal."""
+    found = []
+    for one in TABLES:
+        table = Table(*one.header, title=one.title, title_justify="left")
+        for row in one.rows(results):
+            table.add_row(*row)
+        found.append(table)
+    return found
+
+
+def page_body(results: Results) -> list[str]:
+    """Return the same tables for a page of results."""
+    seeds = sorted({case["seed"] for case in results["cases"]})
+    derailed = results["derailed"]
+    head = f"Seeds {', '.join(map(str, seeds))}: each a fleet of 12 wheelsets on four surveyed sections."
+    if derailed:
+        head += f" Left out, because a wheelset climbs a rail: {', '.join(map(str, derailed))}."
+    body = [head]
+    for one in TABLES:
+        body += [f"{one.title}.", markdown_table(one.header, one.rows(results), range(1, len(one.header)))]
+    return body

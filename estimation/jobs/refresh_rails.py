@@ -1,0 +1,141 @@
+"""Job: part what belongs to the rails of each section from what belongs to the wheels of each wheelset.
+
+Conicities of a wheelset by section are made again where something has happened to the wheelset; what follows from all
+of them, where one of them or what holds their level is another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+
+import numpy as np
+
+from estimation.jobs.isolation import Isolation, inputs_of
+from estimation.jobs.job import Job, JobContext
+from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
+from estimation.jobs.steps.rail_cells import cells_of
+from estimation.rails.apart import exceeds, init, reported, result, update
+from estimation.rails.parameters import RailsParameters
+from estimation.storage import UnitOfWork
+from estimation.values.look import Look
+from estimation.values.quarantine import SubjectKind
+from estimation.values.rails import (
+    RailPart,
+    RailsApart,
+    SectionRailsRecord,
+    WheelsetRailsRecord,
+)
+
+STAGE = "refresh_rails"
+
+
+def run(context: JobContext) -> Mapping[str, int]:
+    """Make cells again where wheelsets have news, each committed on its own; then part wheels and rails if need be."""
+    counts: Counter[str] = Counter(wheelsets=0, cells=0, sections=0)
+    isolation = Isolation(context, STAGE)
+    with context.storage.read() as unit:
+        seen, looks = unit.looks.of(STAGE), _looks(unit, context)
+    failed = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
+    for done, (serial, look) in enumerate(looks.items()):
+        context.checkpoint(done, len(looks))
+        changes = inputs_of(context, serial)
+        unchanged = (before := seen.get(serial)) is not None and before.inputs == look.inputs and serial not in failed
+        if unchanged or isolation.waits(SubjectKind.WHEELSET, serial, changes):
+            continue
+        with isolation.alone(SubjectKind.WHEELSET, serial, changes):
+            counts["cells"] += _refresh_cells(context, serial, look)
+            counts["wheelsets"] += 1
+    counts["sections"] = _refresh_found(context)
+    counts["quarantined"] = isolation.quarantined
+    return counts
+
+
+def _looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
+    """Return by wheelset what its cells are made from, by what has happened to it."""
+    codes = unit.registry.classes_in_use()
+    classes = [(code, None if (found := unit.registry.vehicle_class(code)) is None else found.digest) for code in codes]
+    settings = context.settings
+    common = f"{classes!r} {settings.estimation.as_json()!r} {settings.rails.period_days!r} {context.code_version}"
+    touched = unit.looks.touched()
+    return {serial: Look(_digest(f"{touched[serial]} {common}")) for serial in sorted(touched)}
+
+
+def _refresh_cells(context: JobContext, serial: str, look: Look) -> int:
+    """Store the cells of a wheelset that are others by now; return how many."""
+    with context.storage.read() as unit:
+        found = cells_of(unit, serial, context, unit.rails.digests(serial))
+    with context.storage.write() as unit:
+        unit.rails.put_cells(found.changed)
+        unit.rails.drop_cells(found.gone)
+        unit.looks.note(STAGE, serial, look)
+    return len(found.changed) + len(found.gone)
+
+
+def _refresh_found(context: JobContext) -> int:
+    """Part wheels and rails where that is not what is stored; return of how many sections something is said."""
+    parameters = context.settings.rails.model
+    with context.storage.read() as unit:
+        cells = unit.rails.cells()
+        inputs = anchor_inputs(unit, cells, context)
+        digest = _digest(f"{[(one.wheel, one.rail, one.digest) for one in cells]!r} {inputs.text} {parameters!r}")
+        if unit.rails.input_digest() == (digest, context.code_version):
+            return 0
+        usable = [one.cell for one in cells if one.cell is not None]
+        amplitude = usable[0].amplitude if usable else np.array(context.settings.estimation.geometry.curve.amplitudes)
+        held = anchors(unit, inputs, amplitude)
+    found = result(update(init(parameters, amplitude), usable), held)
+    sections = _section_records(found, held.wheel.profile, parameters, digest, context)
+    wheelsets = _wheelset_records(found, digest, context)
+    with context.storage.write() as unit:
+        unit.rails.put_found(sections, wheelsets)
+    return len(sections)
+
+
+def _section_records(
+    found: RailsApart, profile: str, parameters: RailsParameters, digest: str, context: JobContext
+) -> list[SectionRailsRecord]:
+    """Return what is found of every section, its periods oldest first."""
+    periods: defaultdict[str, list[RailPart]] = defaultdict(list)
+    for one in found.rails:
+        periods[one.rail.section].append(one)
+    records = []
+    for section, parts in sorted(periods.items()):
+        known = (reported(part.excess, found.amplitude, parameters.limit_amplitude) for part in reversed(parts))
+        excess, amplitude = next((one for one in known if one is not None), (None, None))
+        records.append(
+            SectionRailsRecord(
+                section=section,
+                amplitude=tuple(found.amplitude.tolist()),
+                reference_wheel_profile=profile,
+                periods=tuple(parts),
+                trend=found.trends.get(section),
+                limit=parameters.limit,
+                exceeded=None if excess is None else exceeds(excess, parameters.limit),
+                reported_amplitude=amplitude,
+                input_digest=digest,
+                code_version=context.code_version,
+                recorded_ns=context.clock.now_ns(),
+            )
+        )
+    return records
+
+
+def _wheelset_records(found: RailsApart, digest: str, context: JobContext) -> list[WheelsetRailsRecord]:
+    """Return what is found of every wheelset in its newest interval."""
+    newest = {one.wheel.wheelset: one for one in found.wheels}  # in the order of their keys
+    amplitude, now_ns = tuple(found.amplitude.tolist()), context.clock.now_ns()
+    return [WheelsetRailsRecord(amplitude, one, digest, context.code_version, now_ns) for one in newest.values()]
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+JOB = Job(
+    name=STAGE,
+    description="Part what belongs to the rails of sections from what belongs to the wheels of wheelsets",
+    every_s=3_600.0,
+    run=run,
+)

@@ -1,0 +1,1 @@
+"""Conicities of wheelsets by section in; what belongs to rails and what to wheels out."""

@@ -1,0 +1,174 @@
+"""Wheel and rail apart: cells in, amplitude by amplitude what belongs to rails and to wheels out.
+
+``init``, ``update`` and ``result`` are pure; the same cells give the same answer in any order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from estimation.errors import ParameterError
+from estimation.rails.amplitude import AtAmplitude, at_amplitude
+from estimation.rails.parameters import Anchors, RailsParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Estimate
+from estimation.values.rails import (
+    RailKey,
+    RailPart,
+    RailsApart,
+    RailsReference,
+    RailTrend,
+    SectionConicity,
+    WheelKey,
+    WheelPart,
+)
+
+Cells = Mapping[tuple[WheelKey, RailKey], SectionConicity]
+
+
+@dataclass(frozen=True, slots=True)
+class RailsState:
+    """The cells so far."""
+
+    parameters: RailsParameters
+    amplitude: FloatArray  # (k,) m
+    cells: Cells = field(default_factory=dict)
+
+
+def init(parameters: RailsParameters, amplitude: FloatArray) -> RailsState:
+    """Return the state without cells.
+
+    Parameters
+    ----------
+    parameters
+        Of the model.
+    amplitude
+        (k,) m, of all cells.
+    """
+    return RailsState(parameters, amplitude)
+
+
+def update(state: RailsState, cells: Sequence[SectionConicity]) -> RailsState:
+    """Return the state with more cells.
+
+    Parameters
+    ----------
+    state
+        Without them.
+    cells
+        Each wheelset, interval, section and period once; what belongs to one cell is merged before, as bin tables.
+
+    Raises
+    ------
+    ParameterError
+        A cell is there already, or has other amplitudes.
+    """
+    found = dict(state.cells)
+    for cell in cells:
+        if cell.key in found:
+            raise ParameterError(f"two cells of {cell.wheel.wheelset} on {cell.rail.section}", field="cells")
+        if not np.array_equal(cell.amplitude, state.amplitude):
+            raise ParameterError(f"cell of {cell.wheel.wheelset}: other amplitudes", field="amplitude")
+        found[cell.key] = cell
+    return replace(state, cells=found)
+
+
+def result(state: RailsState, anchors: Anchors) -> RailsApart:
+    """Return wheels and rails apart at every amplitude, with intervals, or why they are not.
+
+    Parameters
+    ----------
+    state
+        All cells.
+    anchors
+        What holds the level.
+    """
+    cells = [state.cells[key] for key in sorted(state.cells)]
+    levels = [at_amplitude(cells, k, anchors, state.parameters) for k in range(len(state.amplitude))]
+    return RailsApart(
+        amplitude=state.amplitude,
+        rails=tuple(_rail_part(key, cells, levels) for key in sorted({cell.rail for cell in cells})),
+        wheels=tuple(_wheel_part(key, cells, levels) for key in sorted({cell.wheel for cell in cells})),
+        trends=_trends(levels, state),
+        interaction=np.array([level.interaction for level in levels]),
+    )
+
+
+def _rail_part(key: RailKey, cells: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> RailPart:
+    own = [cell for cell in cells if cell.rail == key]
+    found = [level.rails[key] for level in levels]
+    return RailPart(
+        rail=key,
+        reference=_strongest([one.reference for one in found]),
+        part=tuple(one.part for one in found),
+        reference_wheel=tuple(one.reference_wheel for one in found),
+        excess=tuple(one.excess for one in found),
+        wheelsets=max((one.wheelsets for one in found), default=0),
+        windows=sum(cell.windows for cell in own),
+        from_ns=min(cell.from_ns for cell in own),
+        to_ns=max(cell.to_ns for cell in own),
+    )
+
+
+def _wheel_part(key: WheelKey, cells: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> WheelPart:
+    own = [cell for cell in cells if cell.wheel == key]
+    found = [level.wheels[key] for level in levels]
+    return WheelPart(
+        wheel=key,
+        reference=_strongest([one.reference for one in found]),
+        conicity=tuple(one.conicity for one in found),
+        sections=tuple(sorted({cell.rail.section for cell in own})),
+        windows=sum(cell.windows for cell in own),
+        from_ns=min(cell.from_ns for cell in own),
+        to_ns=max(cell.to_ns for cell in own),
+    )
+
+
+def _strongest(references: Sequence[RailsReference | None]) -> RailsReference | None:
+    return next((one for one in RailsReference if one in references), None)
+
+
+def _trends(levels: Sequence[AtAmplitude], state: RailsState) -> Mapping[str, RailTrend]:
+    """Return the trend of each section at the largest amplitude up to that of the limit at which it is known."""
+    found: dict[str, RailTrend] = {}
+    for amplitude, level in zip(state.amplitude, levels, strict=True):
+        if amplitude <= state.parameters.limit_amplitude + 1e-9:
+            for section, (per_year, periods) in level.trends.items():
+                found[section] = RailTrend(per_year, float(amplitude), periods)
+    return found
+
+
+def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> tuple[Estimate, float] | None:
+    """Return the estimate at the largest amplitude up to ``most`` at which there is one; None where there is none.
+
+    Parameters
+    ----------
+    part
+        (k,) the estimate at each amplitude.
+    amplitude
+        (k,) m, increasing.
+    most
+        In m.
+    """
+    known = [
+        (one, float(a)) for one, a in zip(part, amplitude, strict=True) if one.value is not None and a <= most + 1e-9
+    ]
+    return known[-1] if known else None
+
+
+def exceeds(excess: Estimate, limit: float) -> bool:
+    """Return whether an excess is beyond a limit, to either side, and its interval leaves no doubt of the side.
+
+    Parameters
+    ----------
+    excess
+        With a value.
+    limit
+        Positive.
+    """
+    if excess.value is None or excess.low is None or excess.high is None:
+        return False
+    return abs(excess.value) > limit and not excess.low <= 0.0 <= excess.high

@@ -1,0 +1,85 @@
+"""When wheel and rail are parted, and what is known of them beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.rails import KnownWheel
+
+
+@dataclass(frozen=True, slots=True)
+class RailsParameters:
+    """Parameters of the mixed model.
+
+    Attributes
+    ----------
+    slope_std
+        Standard deviation, known beforehand, of how much more the rails of a section change the conicity of a wheel
+        whose conicity is higher by 1.
+    interaction
+        What neither wheel nor rail explains of a conicity, known beforehand as a standard deviation.
+    interaction_weight
+        How many degrees of freedom that knowledge counts.
+    farthest
+        By how much the conicity of the wheel as designed may be outside the range of the wheels that run on a section:
+        next to contact jumps a conicity does not go on as it does between those that are known.
+    most_interaction
+        Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is published.
+    least_wheelsets
+        Different wheelsets that must connect a section to its reference.
+    period_days
+        Length of a period, in which rails hardly wear.
+    least_periods
+        Fewest periods of a trend.
+    limit
+        On the excess of the reference wheel's conicity.
+    limit_amplitude
+        m, at which the limit is looked at, or the largest amplitude below that is known.
+    """
+
+    slope_std: float = 0.3
+    interaction: float = 0.008
+    interaction_weight: float = 4.0
+    farthest: float = 0.03
+    most_interaction: float = 0.01
+    least_wheelsets: int = 2
+    period_days: float = 180.0
+    least_periods: int = 3
+    limit: float = 0.05
+    limit_amplitude: float = 3.0e-3
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceWheel:
+    """The wheel as designed: what its conicity is, from its drawing and those of rails."""
+
+    profile: str  # name
+    on_reference: FloatArray  # (k,) on the rails that all are compared with
+    on_file: Mapping[str, FloatArray] = field(default_factory=dict)  # (k,) by section, on its rails as on file
+
+    def __post_init__(self) -> None:
+        on_reference = frozen_array(self.on_reference, (len(self.on_reference),), name="on_reference")
+        object.__setattr__(self, "on_reference", on_reference)
+
+    def of(self, section: str) -> FloatArray:
+        """Return its conicity (k,) on the rails of a section as on file; NaN where it has none.
+
+        Parameters
+        ----------
+        section
+            Code.
+        """
+        return self.on_file.get(section, np.full(len(self.on_reference), np.nan))
+
+
+@dataclass(frozen=True, slots=True)
+class Anchors:
+    """What holds the level, and what the wheel as designed is."""
+
+    wheel: ReferenceWheel
+    known_rails: frozenset[str] = frozenset()  # sections whose rails are as on file, and alike
+    known_wheels: tuple[KnownWheel, ...] = ()

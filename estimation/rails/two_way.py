@@ -1,0 +1,231 @@
+"""The mixed model: conicity = wheel + rail + slope of the rail times the wheel, solved with its covariance.
+
+For wheel ``w`` on rails ``s``, at one amplitude,
+
+    y_ws = theta_w + rho_s + beta_s (theta_w - m) + e_ws,    beta_s ~ N(0, slope_std^2),    e_ws ~ N(0, v_ws + tau^2)
+
+``theta`` is the conicity on the reference rails, where rho and beta are 0; ``m`` is a fixed number, the mean of
+all ``y``. How much a worn rail adds depends on the wheel: contact geometry of worn heads gives slopes within some 0.3.
+It is a regression with errors in both: the thetas are parameters, eliminated wheel by wheel, so that what is solved has
+two numbers a section. ``tau``, what is left, follows from the residuals, with what is known of it beforehand.
+
+A constant can be moved between all wheels and all rails. It is held by rails that are known (no rho, no beta), by
+wheels that are known (observations of theta), or else by the mean of the sections; then the level is open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import brentq
+from scipy.sparse import csr_array, diags_array
+
+from estimation.rails.parameters import RailsParameters
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
+
+ROUNDS = 50
+TOLERANCE = 1e-8  # of conicity
+LOWEST_TAU, HIGHEST_TAU = -3.0, -0.3  # decades of conicity
+SLOPES = (-0.8, 2.0)  # what a section may add to a wheel whose conicity is higher by 1
+TAU_TOLERANCE = 0.01  # decades
+HELD = 1e8  # weight of the condition that the mean over sections is 0, of the heaviest cell
+ROWS_AT_ONCE = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class TwoWay:
+    """Cells of connected wheels and rails at one amplitude."""
+
+    wheel: IntArray  # (n,) number of the wheel, 0 to w - 1
+    rail: IntArray  # (n,) number of the rails, 0 to s - 1
+    value: FloatArray  # (n,) conicity
+    variance: FloatArray  # (n,)
+    known_rail: BoolArray  # (s,)
+    known_value: FloatArray  # (w,) conicity of wheels on the reference rails; NaN where not known
+    known_variance: FloatArray  # (w,)
+
+    @property
+    def anchored(self) -> bool:
+        """Whether rails or wheels hold the level."""
+        return bool(self.known_rail.any() or np.isfinite(self.known_value).any())
+
+
+@dataclass(frozen=True, slots=True)
+class Parted:
+    """The solution; what is known has no variance."""
+
+    wheel: FloatArray  # (w,) theta
+    wheel_variance: FloatArray  # (w,)
+    rail: FloatArray  # (s,) rho
+    slope: FloatArray  # (s,) beta
+    covariance: FloatArray  # (2 s, 2 s) of rho and beta
+    interaction: float  # tau
+    freedom: float  # degrees of freedom behind it
+    centre: float  # m
+    converged: bool
+
+    def reference_wheel(self, conicity: float) -> tuple[FloatArray, FloatArray]:
+        """Return the conicity (s,) of a wheel on all rails, and its covariance (s, s), what is left not included.
+
+        Parameters
+        ----------
+        conicity
+            Of the wheel on the reference rails.
+        """
+        above = conicity - self.centre
+        s = len(self.rail)
+        rows = np.hstack([np.eye(s), above * np.eye(s)])
+        return conicity + self.rail + self.slope * above, rows @ self.covariance @ rows.T
+
+
+def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
+    """Return wheels and rails apart.
+
+    Parameters
+    ----------
+    cells
+        Of wheels and rails that are connected.
+    parameters
+        What is known beforehand.
+    """
+    found = _Search(cells, parameters)
+    if found.surplus(LOWEST_TAU) > 0.0 > found.surplus(HIGHEST_TAU):
+        found.surplus(float(brentq(found.surplus, LOWEST_TAU, HIGHEST_TAU, xtol=TAU_TOLERANCE)))
+    elif found.surplus(LOWEST_TAU) > 0.0:
+        found.surplus(HIGHEST_TAU)
+    assert found.parted is not None
+    return found.parted
+
+
+@dataclass(slots=True)
+class _Search:
+    """The search for tau; every solution begins at the one before."""
+
+    cells: TwoWay
+    parameters: RailsParameters
+    point: _Point | None = None
+    parted: Parted | None = None
+
+    def surplus(self, decades: float) -> float:
+        """Return by how much residuals are too large for a tau of 10^``decades``; it falls with that."""
+        tau, known = 10.0**decades, self.parameters
+        self.parted, point, squares = _solved(self.cells, known, tau, self.point)
+        self.point = point if self.parted.converged else None
+        if not self.parted.converged:
+            return np.inf
+        before = known.interaction_weight * ((known.interaction / tau) ** 2 - 1.0)
+        return float(squares - (self.parted.freedom - known.interaction_weight) + before)
+
+
+@dataclass(frozen=True, slots=True)
+class _Linear:
+    """The model about one point: weighted sums, the thetas eliminated."""
+
+    residual: FloatArray  # (n,)
+    of_rails: csr_array  # (n, 2 s) derivatives by rho and beta
+    of_wheel: FloatArray  # (n,) derivative by its own theta
+    own: FloatArray  # (w,) weight of each theta
+    right_wheel: FloatArray  # (w,)
+    shared: csr_array  # (w, 2 s) by how much a theta falls with rho and beta
+    matrix: FloatArray  # (2 s, 2 s)
+    right: FloatArray  # (2 s,)
+
+
+def _linearised(cells: TwoWay, weight: FloatArray, known: FloatArray, point: _Point, before: FloatArray) -> _Linear:
+    """Return the sums of the regression about a point; ``known`` are the weights (w,) of thetas that are known."""
+    n, s = len(cells.value), len(cells.known_rail)
+    theta, rho, beta = point.theta, point.phi[:s], point.phi[s:]
+    above = theta[cells.wheel] - point.centre
+    a = 1.0 + beta[cells.rail]
+    residual = cells.value - theta[cells.wheel] - rho[cells.rail] - beta[cells.rail] * above
+    rows, columns = np.tile(np.arange(n), 2), np.concatenate([cells.rail, cells.rail + s])
+    of_rails = csr_array((np.concatenate([np.ones(n), above]), (rows, columns)), shape=(n, 2 * s))
+    of_wheels = csr_array((weight * a, (np.arange(n), cells.wheel)), shape=(n, len(theta)))
+    own = known + np.bincount(cells.wheel, weight * a * a, minlength=len(theta))
+    apart = np.where(known > 0.0, np.nan_to_num(cells.known_value) - theta, 0.0)
+    right_wheel = known * apart + np.bincount(cells.wheel, weight * a * residual, minlength=len(theta))
+    crossed = of_wheels.T @ of_rails
+    shared = diags_array(1.0 / own) @ crossed
+    matrix = (of_rails.T @ diags_array(weight) @ of_rails - crossed.T @ shared).toarray() + np.diag(before)
+    right = of_rails.T @ (weight * residual) - crossed.T @ (right_wheel / own) - before * point.phi
+    if not cells.anchored:
+        held = HELD * weight.max()
+        for half in (slice(0, s), slice(s, 2 * s)):
+            matrix[half, half] += held
+            right[half] -= held * point.phi[half].sum()
+    return _Linear(residual, of_rails, a, own, right_wheel, csr_array(shared), matrix, right)
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    theta: FloatArray  # (w,)
+    phi: FloatArray  # (2 s,) rho and beta
+    centre: float
+
+
+def _solved(
+    cells: TwoWay, parameters: RailsParameters, tau: float, start: _Point | None
+) -> tuple[Parted, _Point, float]:
+    """Return the solution at ``tau``, where it is, and the weighted squares of its residuals."""
+    s, w = len(cells.known_rail), len(cells.known_value)
+    weight = 1.0 / (cells.variance + tau**2)
+    is_known = np.isfinite(cells.known_value)
+    known = np.where(is_known, 1.0 / np.where(is_known, cells.known_variance + tau**2, 1.0), 0.0)
+    free = np.flatnonzero(np.tile(~cells.known_rail, 2))
+    before = np.concatenate([np.zeros(s), np.full(s, parameters.slope_std**-2)])
+    centre = float(np.mean(cells.value))
+    point, converged = start or _Point(np.full(w, centre), np.zeros(2 * s), centre), False
+    for _ in range(ROUNDS):
+        linear = _linearised(cells, weight, known, point, before)
+        step = np.zeros(2 * s)
+        if len(free):
+            step[free] = _solution(linear.matrix[np.ix_(free, free)], linear.right[free])
+            step[s:] = np.clip(point.phi[s:] + step[s:], *SLOPES) - point.phi[s:]
+        of_theta = linear.right_wheel / linear.own - linear.shared @ step
+        point = _Point(point.theta + of_theta, point.phi + step, centre)
+        if max(float(np.abs(of_theta).max()), float(np.abs(step[:s]).max())) < TOLERANCE:
+            converged = True
+            break
+    linear = _linearised(cells, weight, known, point, before)
+    covariance = np.zeros((2 * s, 2 * s))
+    if len(free):
+        inverse = _solution(linear.matrix[np.ix_(free, free)], np.eye(len(free)))
+        covariance[np.ix_(free, free)] = inverse
+    fitted = 1.0 / linear.own[cells.wheel] * linear.of_wheel**2 + _quadratic(_apart(linear, cells), covariance)
+    found = Parted(
+        wheel=point.theta,
+        wheel_variance=1.0 / linear.own + _quadratic(linear.shared, covariance),
+        rail=point.phi[:s],
+        slope=point.phi[s:],
+        covariance=covariance,
+        interaction=tau,
+        freedom=parameters.interaction_weight + float(np.sum(1.0 - weight * fitted)),
+        centre=centre,
+        converged=converged and bool((np.diag(covariance) >= 0.0).all()),
+    )
+    squares = float(np.sum(weight * linear.residual**2))
+    return found, point, squares if found.converged else np.inf
+
+
+def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return what solves a symmetric system; NaN where the matrix does not determine it."""
+    try:
+        return np.asarray(cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False))
+    except np.linalg.LinAlgError:
+        return np.full_like(right, np.nan)
+
+
+def _apart(linear: _Linear, cells: TwoWay) -> csr_array:
+    """Return the derivatives (n, 2 s) of what is fitted by rho and beta, the thetas following."""
+    return csr_array(linear.of_rails - diags_array(linear.of_wheel) @ linear.shared[cells.wheel])
+
+
+def _quadratic(rows: csr_array, covariance: FloatArray) -> FloatArray:
+    """Return the variance (n,) of linear combinations, the rows (n, k), of what has a covariance (k, k)."""
+    found = np.empty(rows.shape[0])
+    for first in range(0, len(found), ROWS_AT_ONCE):
+        some = rows[first : first + ROWS_AT_ONCE].toarray()
+        found[first : first + ROWS_AT_ONCE] = np.einsum("ij,jk,ik->i", some, covariance, some, optimize=True)
+    return found

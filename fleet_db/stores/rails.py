@@ -1,0 +1,127 @@
+"""Wheels and rails apart: cells, and what was found last of each section and each wheelset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection, Row, Table, delete, select
+
+from estimation.values.rails import (
+    RailKey,
+    SectionConicity,
+    SectionRailsRecord,
+    StoredCell,
+    WheelKey,
+    WheelsetRailsRecord,
+)
+from estimation.values.reasons import Reason
+from fleet_db.fields import fields_of, from_json, to_json, value_of
+from fleet_db.locks import Subject, serialise
+from fleet_db.models import RailCellRow, SectionRailsRow, WheelsetRailsRow
+from fleet_db.rows import key_given, key_of, table_of, upsert
+
+CELLS = table_of(RailCellRow)
+OF_SECTIONS, OF_WHEELSETS = table_of(SectionRailsRow), table_of(WheelsetRailsRow)
+
+
+@dataclass(frozen=True, slots=True)
+class RailsStore:
+    """Implements ``estimation.storage.Rails``."""
+
+    connection: Connection
+
+    def digests(self, wheelset: str) -> Mapping[tuple[WheelKey, RailKey], str]:
+        """Return by key what the cells of a wheelset were made from."""
+        columns = (CELLS.c[name] for name in (*_KEY, "digest"))
+        found = self.connection.execute(select(*columns).where(CELLS.c.wheelset == wheelset))
+        return {_key(row): row.digest for row in found}
+
+    def cells(self) -> Sequence[StoredCell]:
+        """Return all cells, in the order of their keys."""
+        found = self.connection.execute(select(CELLS))
+        return sorted((_cell(row) for row in found), key=lambda one: (one.wheel, one.rail))
+
+    def put_cells(self, cells: Sequence[StoredCell]) -> None:
+        """Store cells, in the place of earlier ones of the same keys."""
+        for one in cells:
+            upsert(self.connection, CELLS, {**_key_values(one.wheel, one.rail), **_values(one)})
+
+    def drop_cells(self, keys: Sequence[tuple[WheelKey, RailKey]]) -> None:
+        """Remove cells."""
+        for wheel, rail in keys:
+            given = key_of(CELLS, _key_values(wheel, rail))
+            self.connection.execute(delete(CELLS).where(key_given(CELLS)), given)
+
+    def input_digest(self) -> tuple[str, str] | None:
+        """Return digest of the inputs and version of the code of what was found last; None before there is any."""
+        columns = (OF_SECTIONS.c.input_digest, OF_SECTIONS.c.code_version)
+        row = self.connection.execute(select(*columns).order_by(OF_SECTIONS.c.section).limit(1)).first()
+        return None if row is None else (row.input_digest, row.code_version)
+
+    def put_found(self, sections: Sequence[SectionRailsRecord], wheelsets: Sequence[WheelsetRailsRecord]) -> None:
+        """Store what was found, in the place of all that was found before."""
+        serialise(self.connection, Subject.GEOMETRIES)
+        for table in (OF_SECTIONS, OF_WHEELSETS):
+            self.connection.execute(delete(table))
+        self._insert(OF_SECTIONS, [{"section": one.section, **_provenance(one)} for one in sections])
+        self._insert(OF_WHEELSETS, [{"wheelset": one.wheelset, **_provenance(one)} for one in wheelsets])
+
+    def of_section(self, section: str) -> SectionRailsRecord | None:
+        """Return what was found last of the rails of a section."""
+        row = self.connection.execute(select(OF_SECTIONS).where(OF_SECTIONS.c.section == section)).first()
+        return None if row is None else _read(SectionRailsRecord, row.document)
+
+    def of_wheelset(self, wheelset: str) -> WheelsetRailsRecord | None:
+        """Return what was found last of the wheels of a wheelset."""
+        row = self.connection.execute(select(OF_WHEELSETS).where(OF_WHEELSETS.c.wheelset == wheelset)).first()
+        return None if row is None else _read(WheelsetRailsRecord, row.document)
+
+    def _insert(self, table: Table, rows: list[dict[str, Any]]) -> None:
+        if rows:
+            self.connection.execute(table.insert(), rows)
+
+
+_KEY = ("wheelset", "baseline", "mileage_interval", "section", "period")
+
+
+def _key_values(wheel: WheelKey, rail: RailKey) -> dict[str, Any]:
+    parts = (wheel.wheelset, wheel.baseline, wheel.interval, rail.section, rail.period)
+    return dict(zip(_KEY, parts, strict=True))
+
+
+def _key(row: Row[Any]) -> tuple[WheelKey, RailKey]:
+    return WheelKey(row.wheelset, row.baseline, row.mileage_interval), RailKey(row.section, row.period)
+
+
+def _values(one: StoredCell) -> dict[str, Any]:
+    if one.cell is None:
+        return {"digest": one.digest, "document": {"reason": to_json(one.reason)}}
+    scalars, arrays = fields_of(one.cell, without=("wheel", "rail"))
+    of_arrays = {name: to_json(values.tolist()) for name, values in arrays.items()}
+    return {"digest": one.digest, "document": {"scalars": scalars, "arrays": of_arrays}}
+
+
+def _cell(row: Row[Any]) -> StoredCell:
+    wheel, rail = _key(row)
+    document = row.document
+    if "reason" in document:
+        return StoredCell(wheel, rail, row.digest, None, from_json(document["reason"], Reason))
+    arrays = {name: np.array(from_json(values, tuple[float, ...])) for name, values in document["arrays"].items()}
+    cell = value_of(SectionConicity, document["scalars"], arrays, wheel=wheel, rail=rail)
+    return StoredCell(wheel, rail, row.digest, cell, None)
+
+
+def _provenance(record: SectionRailsRecord | WheelsetRailsRecord) -> dict[str, Any]:
+    return {
+        "input_digest": record.input_digest,
+        "code_version": record.code_version,
+        "recorded_ns": record.recorded_ns,
+        "document": to_json(record),
+    }
+
+
+def _read(kind: type[Any], document: Any) -> Any:  # noqa: ANN401 - the record of that kind
+    return from_json(document, kind)

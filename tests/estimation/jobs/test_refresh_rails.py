@@ -1,0 +1,207 @@
+"""Wheels and rails apart on a real store: two sections, one worn; what is read again, and what holds the level."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cache
+
+import pytest
+from alignment_job import DAY_NS, LENGTH, NAMES, counts, put, register, surveyed
+from one_database import on_sqlite
+from section_runs import RUNS, SECONDS
+from smooth_wheelset import mems_windows, run
+
+from estimation.contact.profiles import MeasuredProfiles, wheel_profile
+from estimation.jobs.rails_settings import RailsSettings
+from estimation.jobs.settings import JobSettings
+from estimation.jobs.steps import rail_cells
+from estimation.rails.parameters import RailsParameters
+from estimation.storage import Storage
+from estimation.values.quantities import Estimate
+from estimation.values.rails import RailPart, RailsReference, WheelsetRailsRecord
+from estimation.values.reasons import ReasonCode
+from estimation.values.track import TrackSectionRecord
+from estimation.values.windows import Window
+
+WEAR = 0.04  # what the rails of S2 add to every conicity
+EVERYWHERE, ONLY_WORN = (0, 1, 2), 4
+KNOWN = JobSettings(rails=RailsSettings(frozenset({"S1"})))
+
+
+@cache
+def on_worn_rails(number: int) -> tuple[Window, ...]:
+    cone, speed = RUNS[number]
+    found = mems_windows(run(SECONDS, seed=1, cone=cone + WEAR, speed=speed), seed=900 + number)
+    return tuple(replace(window, wheelset=f"W{number}", vehicle=f"V{number}", track_section="S2") for window in found)
+
+
+def put_worn(storage: Storage, number: int, day: int = 1) -> None:
+    with storage.write() as unit:
+        for window in on_worn_rails(number):
+            unit.windows.put(replace(window, start_ns=window.start_ns + day * DAY_NS), 10.0 + day, 1)
+
+
+@pytest.fixture
+def received(storage: Storage) -> Storage:
+    """Return a store with runs on both sections, estimated; one wheelset ran on worn rails alone."""
+    register(storage, ("S1", "S2"))
+    with storage.write() as unit:
+        for code in ("S1", "S2"):
+            unit.tracks.add_alignment(replace(surveyed(), section=code))
+    put(storage, EVERYWHERE)
+    for number in (*EVERYWHERE, ONLY_WORN):
+        put_worn(storage, number)
+    estimate(storage)
+    return storage
+
+
+def estimate(storage: Storage) -> None:
+    for name in ("estimate_windows", "refresh_geometry"):
+        counts(storage, name)
+
+
+def refresh(storage: Storage, settings: JobSettings = KNOWN) -> Mapping[str, int]:
+    return counts(storage, "refresh_rails", settings)
+
+
+def newest(storage: Storage, section: str) -> RailPart:
+    with storage.read() as unit:
+        found = unit.rails.of_section(section)
+    assert found is not None
+    return found.periods[-1]
+
+
+def wheels(storage: Storage, number: int) -> WheelsetRailsRecord:
+    with storage.read() as unit:
+        found = unit.rails.of_wheelset(NAMES[number])
+    assert found is not None
+    return found
+
+
+def values(estimates: tuple[Estimate, ...]) -> list[float]:
+    return [one.value for one in estimates if one.value is not None]
+
+
+def test_worn_rails_are_a_finding_of_the_section_and_not_of_the_wheelsets(received: Storage) -> None:
+    done = refresh(received)
+    assert done == {"wheelsets": 6, "cells": 7, "sections": 2, "quarantined": 0}
+    part = newest(received, "S2")
+    assert part.reference is RailsReference.KNOWN_RAILS
+    assert values(part.part) == pytest.approx([WEAR] * len(values(part.part)), abs=0.012)
+    assert len(values(part.part)) > 2
+    cone, _ = RUNS[ONLY_WORN]
+    one = wheels(received, ONLY_WORN).part
+    assert one.sections == ("S2",)
+    assert values(one.conicity) == pytest.approx([cone] * len(values(one.conicity)), abs=0.5 * WEAR)
+    assert all(found.low <= cone <= found.high for found in one.conicity if found.low is not None and found.high)
+    with received.read() as unit:
+        geometry = unit.geometries.current(NAMES[ONLY_WORN])
+    assert geometry is not None
+    blamed = values(geometry.geometry.conicity)
+    assert blamed == pytest.approx([cone + WEAR] * len(blamed), abs=0.5 * WEAR)
+
+
+@on_sqlite
+def test_a_repeat_reads_no_table_and_stores_nothing(received: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
+    refresh(received)
+    with received.read() as unit:
+        before = unit.rails.of_section("S2")
+
+    def refused(*_: object) -> None:
+        raise AssertionError("the cells of a wheelset without news were looked at")
+
+    monkeypatch.setattr("estimation.jobs.refresh_rails.cells_of", refused)
+    assert refresh(received) == {"wheelsets": 0, "cells": 0, "sections": 0, "quarantined": 0}
+    with received.read() as unit:
+        assert unit.rails.of_section("S2") == before
+
+
+@on_sqlite
+def test_only_the_cell_with_a_new_window_is_made_again(received: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
+    refresh(received)
+    put_worn(received, 1, day=2)
+    estimate(received)
+    made: list[tuple[str, str]] = []
+    conicity_of = rail_cells.section_conicity
+
+    def noting(wheel: object, rail: object, *rest: object, **named: object) -> object:
+        made.append((getattr(wheel, "wheelset", ""), getattr(rail, "section", "")))
+        return conicity_of(wheel, rail, *rest, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(rail_cells, "section_conicity", noting)
+    assert refresh(received)["cells"] == 1
+    assert made == [("W1", "S2")]
+
+
+@on_sqlite
+def test_windows_that_are_refused_by_now_take_their_cell_with_them(received: Storage) -> None:
+    refresh(received)
+    with received.write() as unit:
+        for window in on_worn_rails(2):
+            faulty = replace(window.quality, sensor_fault=True)
+            unit.windows.put(replace(window, start_ns=window.start_ns + DAY_NS, quality=faulty), 11.0, 2)
+    estimate(received)
+    assert refresh(received)["cells"] == 1
+    with received.read() as unit:
+        assert [one.rail.section for one in unit.rails.cells() if one.wheel.wheelset == "W2"] == ["S1"]
+    assert wheels(received, 2).part.sections == ("S1",)
+
+
+@on_sqlite
+def test_without_known_rails_no_wheelset_gets_a_conicity(received: Storage) -> None:
+    refresh(received, JobSettings())
+    part = newest(received, "S2")
+    assert part.reference is RailsReference.MEAN
+    assert values(part.part) == pytest.approx([0.5 * WEAR] * len(values(part.part)), abs=0.01)
+    assert not values(wheels(received, 0).part.conicity)
+    assert not values(part.excess)
+
+
+@on_sqlite
+def test_rails_of_another_kind_hold_no_level_though_they_be_known(received: Storage) -> None:
+    with received.write() as unit:
+        unit.tracks.add_section(TrackSectionRecord("S1", 1, "Section", "60E1", 0.025, 1.435, LENGTH))
+    estimate(received)
+    refresh(received, JobSettings(rails=RailsSettings(frozenset({"S1", "S2"}))))
+    references = {code: newest(received, code).reference for code in ("S1", "S2")}
+    assert set(references.values()) == {RailsReference.KNOWN_RAILS}
+    assert values(newest(received, "S2").part) == pytest.approx([0.0] * len(values(newest(received, "S2").part)))
+    assert any(abs(one) > 0.02 for one in values(newest(received, "S1").part))
+
+
+@on_sqlite
+def test_measured_profiles_hold_the_level(received: Storage) -> None:
+    """The profiles are not those of the run: what they say is what counts, and the rails are what is left."""
+    wheel = wheel_profile("P8")
+    with received.write() as unit:
+        for number in (1, 2):
+            unit.registry.add_measured_profiles(
+                MeasuredProfiles(NAMES[number], DAY_NS, 10.0, wheel, wheel, 0.1e-3)  # mileage of the first interval
+            )
+    refresh(received, JobSettings())
+    assert newest(received, "S1").reference is RailsReference.MEASURED_WHEELS
+
+
+@on_sqlite
+def test_what_contradicts_the_class_gives_no_cell(received: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
+    why = rail_cells.Reason(ReasonCode.YAW_SPRING_DIFFERS, "another spring")
+    monkeypatch.setattr("fleet_db.stores.geometries.GeometryStore.reason", lambda *_: why)
+    refresh(received)
+    with received.read() as unit:
+        cells = unit.rails.cells()
+    assert {one.reason for one in cells} == {why}
+    assert all(one.cell is None for one in cells)
+
+
+@on_sqlite
+def test_the_limit_of_the_settings_makes_the_finding(received: Storage) -> None:
+    found = {}
+    for limit in (0.01, 0.3):
+        refresh(received, JobSettings(rails=RailsSettings(frozenset({"S1"}), replace(RailsParameters(), limit=limit))))
+        with received.read() as unit:
+            record = unit.rails.of_section("S2")
+        assert record is not None
+        found[limit] = (record.limit, record.exceeded)
+    assert found[0.3][0] == 0.3
+    assert found[0.3][1] is not True
