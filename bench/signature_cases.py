@@ -47,6 +47,7 @@ PAIRS = {
     WearFamily.P8_ON_56E1: ("P8", "56E1", 1 / 20),
     WearFamily.S1002_ON_60E1: ("S1002", "60E1", 1 / 40),
 }
+DAY_NS = 86_400_000_000_000
 POSITION_STD = 10.0  # m, of a run
 
 
@@ -136,7 +137,7 @@ def run(
     window = window_of(runs, section, track, speed, rng, start_ns, placed=placed)
     found = window_signatures(window, window_parameters(), SignatureParameters())
     if isinstance(found, Reason):
-        raise RuntimeError(found.text)
+        raise RuntimeError(found.text)  # noqa: TRY004 - a reason is a finding, not a wrong type
     return Pass(runs, section, found)
 
 
@@ -225,9 +226,11 @@ def fleet(plan: Plan, seed: int) -> SimulatedFleet:
     rng = np.random.default_rng([seed, 77])
     known, unknown = tracks(plan.sections, seed), tracks(plan.others, seed, plan.sections)
 
-    def passes(who: Sequence[Wheelset], where: dict[str, TrackTruth], ranges: Sequence[tuple[float, float]]) -> list[Pass]:
+    def passes(
+        who: Sequence[Wheelset], where: dict[str, TrackTruth], ranges: Sequence[tuple[float, float]]
+    ) -> list[Pass]:
         return [
-            run(one, code, track, float(rng.uniform(*limits)), rng)
+            run(one, code, track, float(rng.uniform(*limits)), rng, DAY_NS * int(rng.integers(1, 300)))
             for one in who
             for code, track in where.items()
             for limits in ranges
@@ -242,8 +245,27 @@ def fleet(plan: Plan, seed: int) -> SimulatedFleet:
     )
 
 
-def moved(entry: LibraryEntry, section: str) -> LibraryEntry:
-    """Return an entry at a place of another section."""
-    place = entry.signature.place
-    assert place is not None
-    return replace(entry, signature=replace(entry.signature, place=Place(section, place.cell)))
+TAMPED_FROM = 1500.0  # m of a section, from where on its track is another
+
+
+def retracked(made: SimulatedFleet, seed: int, count: int = 14) -> tuple[list[Pass], set[Place]]:
+    """Return passes over two sections before and after half of one was tamped, and the stretches that were.
+
+    The first runs are those of the library; the second are a year later.
+    """
+    rng = np.random.default_rng([seed, 31])
+    code, other = list(made.tracks)[:2]
+    track = made.tracks[code]
+    fresh = make_track(TrackRecipe(length=LENGTH, alignment_std=0.9e-3), np.random.SeedSequence([seed, 32]))
+    share = np.clip((track.s - TAMPED_FROM) / 50.0, 0.0, 1.0)
+    tamped = replace(track, alignment=(1 - share) * track.alignment + share * fresh.alignment)
+    runs = list({one.wheelset.serial: one.wheelset for one in made.teaching}.values())[:count]
+    serials = {one.serial for one in runs}
+    passes = [one for one in made.teaching if one.section in {code, other} and one.wheelset.serial in serials]
+    for number, runner in enumerate(runs):
+        for section, rails in ((code, tamped), (other, made.tracks[other])):
+            at_ns = (365 + number) * DAY_NS
+            passes.append(run(runner, section, rails, float(rng.uniform(14, 20)), rng, at_ns))
+    places = {item.place for one in passes for item in one.signatures if item.place is not None}
+    size = SignatureParameters().cell
+    return passes, {one for one in places if one.section == code and one.cell * size >= TAMPED_FROM}

@@ -184,12 +184,13 @@ def _rows(signatures: Sequence[Signature]) -> Rows:
     places = {one.place or Place("", -number): number for number, one in enumerate(signatures)}
     sections = sorted({"" if one.place is None else one.place.section for one in signatures})
     return Rows(
-        features=np.stack([one.features for one in signatures]),
+        powers=np.stack([one.powers for one in signatures]),
         conicity=np.full(n, np.nan),
         speed=np.array([one.speed for one in signatures]),
         place=np.array([places[one.place or Place("", -number)] for number, one in enumerate(signatures)]),
         section=np.array([sections.index("" if one.place is None else one.place.section) for one in signatures]),
         wheelset=np.zeros(n, dtype=np.int64),
+        variance=np.zeros(n),
     )
 
 

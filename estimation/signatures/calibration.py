@@ -89,7 +89,7 @@ def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
 
 def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
     """Return which rows (n,) are left out together; rows that share data are."""
-    family = {}
+    family: dict[int, frozenset[str]] = {}
     for number, group in zip(rows.wheelset, groups, strict=True):
         family[int(number)] = family.get(int(number), frozenset()) | group
     merged: list[tuple[set[int], frozenset[str]]] = []
@@ -145,7 +145,7 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
 
 def _score(found: Likelihood, rows: Rows, std: float, wheelset: int) -> _Judged:
     error = abs(found.mean - float(np.mean(rows.conicity)))
-    distance = float(found.distance.min()) / rows.features.shape[1]
+    distance = float(found.distance.min()) / rows.powers.shape[1]
     return _Judged(wheelset, error / float(np.hypot(found.std, std)), distance)
 
 

@@ -93,20 +93,24 @@ def rows_of(entries: Sequence[LibraryEntry]) -> Rows:
     places = sorted({_place(entry) for entry in entries})
     sections = sorted({place.section for place in places})
     known = np.array([entry.conicity for entry in entries])
+    expected, variance = _expected(known, np.array([entry.std for entry in entries]))
     return Rows(
-        features=np.stack([entry.signature.features for entry in entries]),
-        conicity=_expected(known, np.array([entry.std for entry in entries])),
+        powers=np.stack([entry.signature.powers for entry in entries]),
+        conicity=expected,
         speed=np.array([entry.signature.speed for entry in entries]),
         place=_numbers([_place(entry) for entry in entries], places),
         section=_numbers([_place(entry).section for entry in entries], sections),
         wheelset=_numbers([entry.wheelset for entry in entries], names),
+        variance=variance / expected**2,
     )
 
 
-def _expected(known: FloatArray, std: FloatArray) -> FloatArray:
+def _expected(known: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and variance (n,) of the true conicities, given the known ones."""
     spread = max(float(np.var(known) - np.mean(std**2)), 1e-6)
     mean = float(np.mean(known))
-    return np.asarray(mean + (known - mean) * spread / (spread + std**2))
+    share = spread / (spread + std**2)
+    return np.asarray(mean + (known - mean) * share), np.asarray(share * std**2)
 
 
 def _numbers(values: Sequence[Hashable], known: Sequence[Hashable]) -> IntArray:
@@ -119,5 +123,5 @@ def _place(entry: LibraryEntry) -> Place:
     return entry.signature.place
 
 
-def _order(entry: LibraryEntry) -> tuple[str, int, int]:
-    return entry.wheelset, entry.signature.start_ns, entry.signature.order
+def _order(entry: LibraryEntry) -> tuple[str, int, int, Place]:
+    return entry.wheelset, entry.signature.start_ns, entry.signature.order, _place(entry)

@@ -1,7 +1,12 @@
 """The regression of a library: features = response(conicity, speed) + track of the place + wheelset + rest.
 
-The response is a second-order polynomial in the logarithms of conicity and speed. The track of a place adds the same to
-all that pass it: the logarithm of a power is that of the track's plus that of what the wheelset makes of it. So where
+Features are the level, the shape of y over the bands, and per band the ratios R over y and roll over R, all as
+logarithms: in ratios most of the track cancels, so that their covariances are small and nearly diagonal. The level is
+the mean logarithm of the powers of y and R.
+
+The response is a polynomial of second order in the logarithms of conicity and speed, and the product of conicity and
+the level of the place: a wheel has another conicity where the motion is larger. The track of a place adds the same to
+all that pass it: the logarithm of a power is that of the track's plus that of what the wheelset does with it. So where
 the library has a place its track cancels; where it does not, the track is a random effect, whose covariance over places
 and sections the library shows: what all tracks have in common, as the form of their spectra, cancels still. What a
 wheelset has of its own, such as its vehicle's differences from the class, is a random effect, too.
@@ -15,19 +20,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.signatures import SIGNALS
 
 CONICITY, SPEED = 0.2, 20.0  # that the polynomial is about
-TERMS = 5
-SHRINKING = 0.1  # of covariances towards their diagonals
+TERMS = 5  # without the product of conicity and level
+LARGEST_SHARE = 0.9  # of the variance along the response that may be taken out
+SHRINKING = 0.05  # of covariances towards their diagonals
 RIDGE = 1e-4  # variance of a log feature that nothing is better known than
+LEVEL = 0  # number of the feature
 
 
 @dataclass(frozen=True, slots=True)
 class MixedModel:
     """What the library has taught, over f features; covariances (f, f)."""
 
-    response: FloatArray  # (5, f)
+    response: FloatArray  # (6, f); the last row is of the product of conicity and level
     mean: FloatArray  # (f,) of all places
+    of_level: FloatArray  # (f,) by how much the effects of places change with their level
     places: FloatArray  # (p, f) effects of the known places
     passes: FloatArray  # (p,) entries behind each
     rest: FloatArray
@@ -37,24 +46,31 @@ class MixedModel:
 
     def __post_init__(self) -> None:
         f = len(self.mean)
-        object.__setattr__(self, "response", frozen_array(self.response, (TERMS, f), name="response"))
+        object.__setattr__(self, "response", frozen_array(self.response, (TERMS + 1, f), name="response"))
         object.__setattr__(self, "mean", frozen_array(self.mean, (f,), name="mean"))
+        object.__setattr__(self, "of_level", frozen_array(self.of_level, (f,), name="of_level"))
         object.__setattr__(self, "places", frozen_array(self.places, (None, f), name="places"))
         object.__setattr__(self, "passes", frozen_array(self.passes, (len(self.places),), name="passes"))
         for name in ("rest", "of_wheelset", "of_place", "of_section"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (f, f), name=name))
+
+    @property
+    def levels(self) -> FloatArray:
+        """Levels (p,) of the known places, from their mean."""
+        return np.asarray(self.places[:, LEVEL] - self.mean[LEVEL])
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
     """Entries as arrays; places, sections and wheelsets are numbers from 0."""
 
-    features: FloatArray  # (n, f)
+    powers: FloatArray  # (n, f) logarithms, signal after signal: y, R, roll
     conicity: FloatArray  # (n,)
     speed: FloatArray  # (n,) m/s
     place: IntArray  # (n,)
     section: IntArray  # (n,)
     wheelset: IntArray  # (n,)
+    variance: FloatArray  # (n,) of the logarithm of the conicity: how well it is known
 
     def chosen(self, which: Sequence[int] | IntArray) -> Rows:
         """Return some of the rows.
@@ -65,12 +81,33 @@ class Rows:
             Their numbers.
         """
         at = np.asarray(which, dtype=np.int64)
-        columns = (self.features, self.conicity, self.speed, self.place, self.section, self.wheelset)
-        return Rows(*(column[at] for column in columns))
+        return Rows(
+            self.powers[at],
+            self.conicity[at],
+            self.speed[at],
+            self.place[at],
+            self.section[at],
+            self.wheelset[at],
+            self.variance[at],
+        )
+
+
+def features_of(powers: FloatArray) -> FloatArray:
+    """Return features (n, f), the level first.
+
+    Parameters
+    ----------
+    powers
+        (n, f) logarithms, signal after signal: y, R, roll.
+    """
+    y, difference, roll = np.split(powers, SIGNALS, axis=1)
+    level = 0.5 * (y.mean(axis=1) + difference.mean(axis=1))
+    shape = y - y.mean(axis=1)[:, None]  # the last band follows from the others
+    return np.concatenate([level[:, None], shape[:, :-1], difference - y, roll - difference], axis=1)
 
 
 def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
-    """Return the terms (..., 5) of the response.
+    """Return the terms (..., 5) of the response, the logarithm of the conicity first.
 
     Parameters
     ----------
@@ -81,11 +118,24 @@ def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
     return np.stack([c, c * c, v, v * v, c * v], axis=-1)
 
 
+def track_effects(rows: Rows) -> FloatArray:
+    """Return what the features (n, f) of entries have beyond the response: track, wheelset and rest.
+
+    Parameters
+    ----------
+    rows
+        Entries of one class and axle position.
+    """
+    features, regressors, place = features_of(rows.powers), terms(rows.conicity, rows.speed), rows.place
+    return np.asarray(features - regressors @ _within(regressors, features, place))
+
+
 def fitted(rows: Rows) -> MixedModel:
     """Return the model of a library.
 
     The response is that within places (their effects are fixed in it), and covariances follow from its residuals,
-    step by step: of wheelsets, of places, of sections.
+    step by step: of wheelsets, of places, of sections. What the errors of the known conicities add to the covariance
+    of wheelsets is taken out again: they are none of the features.
 
     Parameters
     ----------
@@ -93,31 +143,50 @@ def fitted(rows: Rows) -> MixedModel:
         Entries of one class and axle position.
     """
     kept, place = np.unique(rows.place, return_inverse=True)
-    regressors = terms(rows.conicity, rows.speed)
-    within = [values - _means(values, place)[place] for values in (regressors, rows.features)]
-    response = np.linalg.lstsq(within[0], within[1], rcond=None)[0]
-    left = rows.features - regressors @ response
+    response, left = _response(rows, place)
     effects = _means(left, place)
     residuals = left - effects[place]
     wheelsets, wheelset = np.unique(rows.wheelset, return_inverse=True)
     own = _means(residuals, wheelset)
     rest = residuals - own[wheelset]
     freedom = max(len(rest) - len(kept) - len(wheelsets), 1)
+    of_wheelset = _covariance(own, max(len(wheelsets) - TERMS, 1))
     sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
-    by_section = _means(effects, section)
-    around = effects - by_section[section]
-    mean = by_section.mean(axis=0)
-    of_sections = by_section - mean
+    mean = _means(effects, section).mean(axis=0)
+    level = effects[:, LEVEL] - mean[LEVEL]
+    of_level = level @ (effects - mean) / max(float(level @ level), RIDGE)
+    around = effects - mean - level[:, None] * of_level
+    by_section = _means(around, section)
     return MixedModel(
         response=response,
         mean=mean,
+        of_level=np.asarray(of_level),
         places=effects,
         passes=np.bincount(place).astype(np.float64),
         rest=_covariance(rest, freedom),
-        of_wheelset=_covariance(own, max(len(wheelsets) - TERMS, 1)),
-        of_place=_covariance(around, max(len(kept) - len(sections), 1)),
-        of_section=_covariance(of_sections, max(len(sections) - 1, 1)),
+        of_wheelset=_without(of_wheelset, np.asarray(response[0]), float(rows.variance.mean())),
+        of_place=_covariance(around - by_section[section], max(len(kept) - len(sections), 1)),
+        of_section=_covariance(by_section, max(len(sections) - 1, 1)),
     )
+
+
+def _response(rows: Rows, place: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the response (6, f), and what it leaves of the features (n, f)."""
+    features, regressors = features_of(rows.powers), terms(rows.conicity, rows.speed)
+    first = _within(regressors, features[:, [LEVEL]], place)
+    level = _means(features[:, [LEVEL]] - regressors @ first, place)[place]
+    product = regressors[:, [0]] * (level - level.mean())
+    full = np.concatenate([regressors, product], axis=1)
+    response = _within(full, features, place)
+    response[:, LEVEL] = np.append(first[:, 0], 0.0)
+    return response, np.asarray(features - full @ response)
+
+
+def _within(regressors: FloatArray, values: FloatArray, place: IntArray) -> FloatArray:
+    """Return the coefficients (t, f) of values (n, f) on regressors (n, t), means of places taken out of both."""
+    place = np.unique(place, return_inverse=True)[1]
+    apart = [array - _means(array, place)[place] for array in (regressors, values)]
+    return np.asarray(np.linalg.lstsq(apart[0], apart[1], rcond=None)[0], dtype=np.float64)
 
 
 def _means(values: FloatArray, group: IntArray) -> FloatArray:
@@ -130,6 +199,12 @@ def _means(values: FloatArray, group: IntArray) -> FloatArray:
 def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
     raw = residuals.T @ residuals / freedom
     return np.asarray((1 - SHRINKING) * raw + SHRINKING * np.diag(np.diag(raw)) + RIDGE * np.eye(len(raw)))
+
+
+def _without(covariance: FloatArray, slope: FloatArray, variance: float) -> FloatArray:
+    """Return a covariance less that of an error of the logarithm of the conicity; still positive definite."""
+    most = LARGEST_SHARE / float(slope @ np.linalg.solve(covariance, slope))
+    return np.asarray(covariance - min(variance, most) * np.outer(slope, slope))
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,18 +246,21 @@ def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: 
     conicity
         (k,) increasing.
     """
-    n = len(rows.features)
-    mean_terms = terms(conicity[:, None], rows.speed[None, :]).mean(axis=1)
-    expected = mean_terms @ model.response
+    n = len(rows.powers)
+    features = features_of(rows.powers).mean(axis=0)
+    base = terms(conicity[:, None], rows.speed[None, :]).mean(axis=1)
+    expected = base @ model.response[:TERMS]
     covariance = model.rest / n + model.of_wheelset
     if known is None:
         places, sections = len(np.unique(rows.place)), len(np.unique(rows.section))
         covariance = covariance + model.of_place / places + model.of_section / sections
-        track = model.mean
+        level = features[LEVEL] - expected[:, LEVEL] - model.mean[LEVEL]
+        track = model.mean + level[:, None] * model.of_level
     else:
-        track = model.places[known].mean(axis=0)
+        level = np.full(len(conicity), model.levels[known].mean())
+        track = model.places[known].mean(axis=0)[None, :]
         shares = np.bincount(known, minlength=len(model.passes)) / n
         covariance = covariance + model.rest * float(np.sum(shares**2 / model.passes))
-    residual = rows.features.mean(axis=0) - track - expected
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), residual.T)
+    expected = expected + (base[:, 0] * level)[:, None] * model.response[TERMS] + track
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (features - expected).T)
     return Likelihood(conicity, np.sum(whitened**2, axis=0))

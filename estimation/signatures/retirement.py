@@ -1,8 +1,8 @@
 """Entries of places whose track has changed since: found by their features, and retired with the reason.
 
 What the track of a place adds to features is what they have beyond the response to conicity and speed. Work on the
-track changes it for all that pass. So of every place each time between two passes is tried: what came before is compared
-with what came after, and the largest distance decides.
+track changes it for all that pass. So of every place each time between two passes is tried: what came before is
+compared with what came after, and the largest distance decides.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.signatures.library import rows_of
-from estimation.signatures.mixed_model import MixedModel, fitted, terms
+from estimation.signatures.mixed_model import MixedModel, fitted, track_effects
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import LibraryEntry, Place, Retired
 
 LEAST_PASSES = 3  # on either side of a change
-LARGEST = 4.0  # squared distance over the number of features, from which on a place has changed
+LARGEST = 2.5  # squared distance over the number of features, from which on a place has changed
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +53,7 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
     if not entries:
         return Current((), (), ())
     rows = rows_of(entries)
-    model = fitted(rows)
-    tracks = rows.features - terms(rows.conicity, rows.speed) @ model.response
+    model, tracks = fitted(rows), track_effects(rows)
     by_place: dict[Place, list[int]] = defaultdict(list)
     for number, entry in enumerate(entries):
         assert entry.signature.place is not None

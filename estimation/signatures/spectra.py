@@ -30,7 +30,7 @@ def band_spectra(signals: FloatArray, parameters: SignatureParameters) -> tuple[
     starts = range(0, signals.shape[1] - size + 1, size // 2)
     total = sum((_products(signals[:, at : at + size]) for at in starts), np.zeros((SIGNALS, SIGNALS, size // 2 + 1)))
     mean = total / (len(starts) * np.sum(np.hanning(size) ** 2) / parameters.step)
-    wavenumber = np.fft.rfftfreq(size, parameters.step)
+    wavenumber = np.asarray(np.fft.rfftfreq(size, parameters.step), dtype=np.float64)
     ends = parameters.wavenumbers
     inside = [(wavenumber >= low) & (wavenumber < high) for low, high in pairwise(ends)]
     bands = np.stack([mean[:, :, chosen].mean(axis=2) for chosen in inside])  # (b, 3, 3)

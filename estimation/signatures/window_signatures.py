@@ -67,7 +67,7 @@ def window_signatures(
         return checked
     section = None if placed else window.track_section
     stretches = [_stretch(segment, window, parameters, direction(checked.window)) for segment in checked.segments]
-    found = []
+    found: list[Signature] = []
     for stretch in stretches:
         for cell, part in _cells(stretch, signature):
             spectra, peak = band_spectra(stretch.signals[:, part], signature)

@@ -59,7 +59,7 @@ class Signature:
         object.__setattr__(self, "spectra", frozen_array(self.spectra, (None, POWERS + CROSSES), name="spectra"))
 
     @property
-    def features(self) -> FloatArray:
+    def powers(self) -> FloatArray:
         """Logarithms of the powers (3 b,), signal after signal."""
         return np.log(self.spectra[:, :POWERS]).T.ravel()
 
