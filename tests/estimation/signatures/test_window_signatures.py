@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -122,7 +123,7 @@ def slow_spectra(signals: FloatArray) -> FloatArray:
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(size) / (size - 1))
     starts = list(range(0, signals.shape[1] - size + 1, size // 2))
     rows = []
-    for low, high in zip(ends[:-1], ends[1:], strict=True):
+    for low, high in pairwise(ends):
         lines = [k for k in range(size // 2 + 1) if low <= k / (size * step) < high]
         matrix = np.zeros((3, 3), dtype=complex)
         for start in starts:
