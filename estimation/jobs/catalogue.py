@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from estimation.errors import NotFoundError
-from estimation.jobs import estimate_windows, evaluate_alerts, refresh_alignment, refresh_geometry, refresh_trends
+from estimation.jobs import (
+    estimate_windows,
+    evaluate_alerts,
+    refresh_alignment,
+    refresh_geometry,
+    refresh_signatures,
+    refresh_trends,
+)
 from estimation.jobs.job import Job, JobContext, Stage, run_job
 from estimation.values.runs import JobRun, JobTrigger
 
@@ -15,6 +22,7 @@ ALL_JOBS: tuple[Job, ...] = (
     refresh_geometry.JOB,
     refresh_trends.JOB,
     evaluate_alerts.JOB,
+    refresh_signatures.JOB,
 )
 
 STAGES = (refresh_alignment.STAGE, estimate_windows.STAGE, refresh_geometry.STAGE)

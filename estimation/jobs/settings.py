@@ -9,6 +9,7 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.geometry.estimate import GeometryParameters
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.signatures.parameters import SignatureParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
 from estimation.values.json_value import JsonValue
@@ -79,12 +80,15 @@ class JobSettings:
         Of ``refresh_trends``.
     rules
         Of ``evaluate_alerts``; the conicity limit is that of the trends, too.
+    signatures
+        Of ``refresh_signatures``.
     """
 
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
     estimation: EstimationSettings = field(default_factory=EstimationSettings)
     trend: TrendParameters = field(default_factory=TrendParameters)
     rules: RuleBook = field(default_factory=RuleBook)
+    signatures: SignatureParameters = field(default_factory=SignatureParameters)
 
     def alignment_parameters(self) -> dict[str, JsonValue]:
         """Return every setting that shapes an alignment: those of its job and those of the motion that it fits."""

@@ -6,6 +6,7 @@ along the track. Their spectra are those of the accelerations over known powers 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -154,3 +155,46 @@ LEFT_OUT_CODES = (
     ReasonCode.WHEELSET_TURNED,
 )
 """Why entries do not count for an answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class WindowSignatures:
+    """What became of a window: its signatures, or why it has none."""
+
+    wheelset: str
+    start_ns: int
+    vehicle: str
+    window_digest: str  # of the samples
+    assumed: str  # digest of class, parameters and layout
+    signatures: tuple[Signature, ...]
+    reason: Reason | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class KnownSignatures:
+    """Signatures of a window whose mileage is believed, with that."""
+
+    found: WindowSignatures
+    mileage_km: float
+
+
+@dataclass(frozen=True, slots=True)
+class SignatureRecord:
+    """The newest answer about a wheelset, with its provenance, beside what its geometry says."""
+
+    answer: SignatureAnswer
+    baseline: int
+    signatures: int  # that were judged
+    from_ns: int | None
+    to_ns: int | None
+    left_out: Mapping[str, int]  # library entries that do not count for this wheelset, by code of the reason
+    geometry: Estimate | None  # conicity at 3 mm by the geometry, of the same baseline; None without one
+    disagreement: Disagreement | None
+    input_digest: str
+    code_version: str
+    recorded_ns: int
+
+    @property
+    def wheelset(self) -> str:
+        """Serial."""
+        return self.answer.wheelset

@@ -22,6 +22,7 @@ from fleet_db.models.roll_ups import RollingSumsRow, RollUpRow, RollUpStateRow, 
 from fleet_db.models.section_looks import SectionChangeRow, SectionLookRow
 from fleet_db.models.sensor_changes import SensorChangeRow
 from fleet_db.models.settings import StoredSettingRow
+from fleet_db.models.signatures import SignatureAnswerRow, WearSignatureRow
 from fleet_db.models.stale_spans import StaleSpanRow
 from fleet_db.models.suspension import SuspensionFindingRow
 from fleet_db.models.track_epochs import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
@@ -71,6 +72,7 @@ __all__ = [
     "SectionChangeRow",
     "SectionLookRow",
     "SensorChangeRow",
+    "SignatureAnswerRow",
     "StaleSpanRow",
     "StoredSettingRow",
     "SuspensionFindingRow",
@@ -86,6 +88,7 @@ __all__ = [
     "TrendRow",
     "VehicleClassRow",
     "VehicleRow",
+    "WearSignatureRow",
     "WebhookDeliveryRow",
     "WebhookFleetRow",
     "WebhookRow",
