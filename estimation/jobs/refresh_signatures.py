@@ -27,6 +27,7 @@ from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import (
     AxlePosition,
+    DesignPair,
     KnownSignatures,
     LibraryEntry,
     Place,
@@ -79,6 +80,7 @@ class _Subject:
 
     wheelset: str
     baseline: int
+    pair: DesignPair
     kind: _Kind | None  # None without signatures since it was last turned
     signatures: tuple[Signature, ...]
     digests: tuple[str, ...]
@@ -129,10 +131,12 @@ def _subjects(reader: EntryReader, known: Sequence[KnownSignatures], most_km: fl
         newest = now[-1] if now else None
         near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-NEWEST:]
         kind = _kind(near[-1]) if near else None
-        chosen = [one for one in near if _kind(one) == kind]
+        pair = reader.pair(mine[-1])
+        chosen = [one for one in near if _kind(one) == kind and reader.pair(one) == pair]
         found[serial] = _Subject(
             wheelset=serial,
             baseline=last.number,
+            pair=pair,
             kind=kind,
             signatures=tuple(item for one in chosen for item in one.found.signatures),
             digests=tuple(one.found.window_digest + one.found.assumed for one in chosen),
@@ -171,7 +175,7 @@ def _record(
     answer = None if signatures else _silent(subject)
     if answer is None and subject.kind is not None:
         everything = [entry for kept in shelf.entries.values() for entry in kept]
-        allowed = admitted(everything, Subject(subject.wheelset, *subject.kind, subject.shares_data))
+        allowed = admitted(everything, Subject(subject.wheelset, *subject.kind, subject.pair, subject.shares_data))
         left_out.update(allowed.left_out)
         found = library(allowed.entries, context.settings.signatures)
         if isinstance(found, Reason):

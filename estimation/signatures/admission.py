@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.values.reasons import ReasonCode
-from estimation.values.signatures import AxlePosition, LibraryEntry
+from estimation.values.signatures import NO_PAIR, AxlePosition, DesignPair, LibraryEntry
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +17,7 @@ class Subject:
     wheelset: str
     vehicle_class: str
     position: AxlePosition
+    pair: DesignPair = NO_PAIR
     shares_data: frozenset[str] = frozenset()  # the other wheelset of its bogie, where both nodes give the frame's yaw
 
 
@@ -44,8 +45,15 @@ def admitted(entries: Sequence[LibraryEntry], subject: Subject) -> Admitted:
         signature = entry.signature
         if (signature.vehicle_class, signature.position) != (subject.vehicle_class, subject.position):
             left_out[ReasonCode.OTHER_VEHICLE_CLASS] += 1
+        elif not _alike(entry.pair, subject.pair):
+            left_out[ReasonCode.OTHER_PROFILES] += 1
         elif mine & ({entry.wheelset} | set(entry.shares_data)):
             left_out[ReasonCode.SAME_WHEELSET] += 1
         else:
             kept.append(entry)
     return Admitted(tuple(kept), dict(left_out))
+
+
+def _alike(entry: DesignPair, subject: DesignPair) -> bool:
+    """Whether two pairs are of the same design, as far as that of the subject is known."""
+    return entry.wheel == subject.wheel and subject.rail in {None, entry.rail}

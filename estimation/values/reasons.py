@@ -147,6 +147,10 @@ class ReasonCode(StrEnum):
         "other_vehicle_class",
         "The library entry is of another class of vehicle, or of the other axle of a bogie.",
     )
+    OTHER_PROFILES = (
+        "other_profiles",
+        "The library entry is of other design profiles of wheel or rail.",
+    )
     SAME_WHEELSET = (
         "same_wheelset",
         "The library entry is of the judged wheelset, or shares samples with it.",

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from estimation.values.reasons import Reason, ReasonCode
 
 SIGNALS = 3  # y, R, roll
 POWERS, CROSSES = 3, 6  # columns of ``Signature.spectra``: powers of the signals, then Re and Im of their products
-METHOD = "signature"
+METHOD: Final = "signature"
 
 
 class AxlePosition(StrEnum):
@@ -73,6 +74,18 @@ class ConicitySource(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class DesignPair:
+    """Design profiles of wheel and rail: what a conicity looks like depends on both."""
+
+    wheel: str
+    rail: str | None  # with its inclination; None where nobody knows on which rails a wheelset ran
+
+
+NO_PAIR = DesignPair("", None)
+"""Of entries all of which are of one design."""
+
+
+@dataclass(frozen=True, slots=True)
 class LibraryEntry:
     """A signature of a wheelset of known conicity at 3 mm, of the same profiles."""
 
@@ -82,6 +95,7 @@ class LibraryEntry:
     std: float
     source: ConicitySource
     shares_data: tuple[str, ...] = ()  # wheelsets whose samples went into the signature or the conicity, its own too
+    pair: DesignPair = NO_PAIR
 
     @property
     def wheelset(self) -> str:
@@ -150,6 +164,7 @@ class Disagreement:
 
 LEFT_OUT_CODES = (
     ReasonCode.OTHER_VEHICLE_CLASS,
+    ReasonCode.OTHER_PROFILES,
     ReasonCode.SAME_WHEELSET,
     ReasonCode.SECTION_CHANGED,
     ReasonCode.WHEELSET_TURNED,

@@ -18,7 +18,7 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extr
 from estimation.values.interval_conicities import KnownConicity
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, WheelsetRecord
-from estimation.values.signatures import ConicitySource, KnownSignatures, LibraryEntry, Place
+from estimation.values.signatures import ConicitySource, DesignPair, KnownSignatures, LibraryEntry, Place
 from estimation.values.track import TrackSectionRecord
 
 LEAST_STD = 0.003  # of a conicity from measured profiles
@@ -59,6 +59,7 @@ class EntryReader:
     classes: ClassLookup
     vehicles: VehicleLookup
     parameters: SignatureParameters
+    _sections: dict[str, TrackSectionRecord] = field(default_factory=dict)
     _baselines: dict[str, Sequence[Baseline]] = field(default_factory=dict)
     _labels: dict[tuple[str, int], Sequence[_Label]] = field(default_factory=dict)
     _measured: dict[str, Sequence[MeasuredProfiles]] = field(default_factory=dict)
@@ -72,7 +73,6 @@ class EntryReader:
         known
             Signatures of windows.
         """
-        sections = {one.code: one for one in self.unit.tracks.sections()}
         doubted, left_out = suspected(self.unit), Counter[ReasonCode]()
         newest: dict[tuple[str, int, Place, int], LibraryEntry] = {}
         for one in known:
@@ -81,7 +81,7 @@ class EntryReader:
                 left_out[ReasonCode.IDENTITY_DOUBTFUL] += 1
                 continue
             baseline = self.baseline_at(wheelset, one.found.start_ns).number
-            section = self._section(one, sections)
+            section = self._section(one)
             label = None if section is None else self._label(one, baseline, section)
             if label is None or isinstance(label, ReasonCode):
                 left_out[label or ReasonCode.SECTION_UNKNOWN] += 1
@@ -132,19 +132,35 @@ class EntryReader:
         other = None if partner is None else self.vehicles.mounting_at(found.vehicle, partner, found.start_ns)
         return (found.wheelset,) if other is None else (found.wheelset, other.wheelset)
 
+    def pair(self, one: KnownSignatures) -> DesignPair:
+        """Return the design profiles of wheels and rails that a window ran on.
+
+        Parameters
+        ----------
+        one
+            With signatures.
+        """
+        section = self._section(one)
+        rail = None if section is None else f"{section.rail_profile} {section.rail_inclination:.6f}"
+        return DesignPair(self.classes.wheelset(one.found.wheelset).wheel_profile, rail)
+
     def _mountings(self, wheelset: str) -> Sequence[Mounting]:
         return self.unit.registry.mountings(wheelset)
 
-    def _section(self, one: KnownSignatures, sections: Mapping[str, TrackSectionRecord]) -> TrackSectionRecord | None:
+    def _section(self, one: KnownSignatures) -> TrackSectionRecord | None:
         place = one.found.signatures[0].place
-        return None if place is None else sections.get(place.section)
+        if place is None:
+            return None
+        if not self._sections:
+            self._sections.update({found.code: found for found in self.unit.tracks.sections()})
+        return self._sections.get(place.section)
 
     def _entries(
         self, one: KnownSignatures, baseline: int, label: tuple[float, float, ConicitySource]
     ) -> list[LibraryEntry]:
         conicity, std, source = label
-        shared = self.sharing(one)
-        return [LibraryEntry(item, baseline, conicity, std, source, shared) for item in one.found.signatures]
+        shared, pair = self.sharing(one), self.pair(one)
+        return [LibraryEntry(item, baseline, conicity, std, source, shared, pair) for item in one.found.signatures]
 
     def _label(
         self, one: KnownSignatures, baseline: int, section: TrackSectionRecord

@@ -14,7 +14,15 @@ from estimation.signatures.answer import compared, judged, most_likely, states
 from estimation.signatures.library import Library, library, rows_of
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import AxlePosition, Basis, ConicitySource, LibraryEntry, Place, SignatureAnswer
+from estimation.values.signatures import (
+    AxlePosition,
+    Basis,
+    ConicitySource,
+    DesignPair,
+    LibraryEntry,
+    Place,
+    SignatureAnswer,
+)
 
 CONICITIES = np.linspace(0.16, 0.36, 21)
 
@@ -80,7 +88,7 @@ def test_a_wheelset_is_never_judged_by_itself_or_by_what_shares_its_samples(draw
     found = admitted(partner, Subject("W3", "C", AxlePosition.SINGLE))
     assert {"W3", "W4"}.isdisjoint({one.wheelset for one in found.entries})
     assert found.left_out == {ReasonCode.SAME_WHEELSET: 16}
-    by_subject = admitted(entries, Subject("W3", "C", AxlePosition.SINGLE, frozenset({"W7"})))
+    by_subject = admitted(entries, Subject("W3", "C", AxlePosition.SINGLE, shares_data=frozenset({"W7"})))
     assert {"W3", "W7"}.isdisjoint({one.wheelset for one in by_subject.entries})
 
 
@@ -109,6 +117,17 @@ def test_entries_of_another_class_or_axle_position_are_left_out_and_nothing_is_s
     answer = ask(asked, known(entries))
     assert answer.conicity.reason is not None
     assert answer.conicity.reason.code is ReasonCode.OTHER_VEHICLE_CLASS
+
+
+def test_entries_of_other_profiles_are_left_out(draw: Draw) -> None:
+    p8, other_rail = DesignPair("P8", "56E1 0.05"), DesignPair("P8", "60E1 0.05")
+    entries = [replace(one, pair=p8) for one in draw(0, CONICITIES, 2)]
+    entries[:4] = [replace(one, pair=DesignPair("S1002", "56E1 0.05")) for one in entries[:4]]
+    entries[4:8] = [replace(one, pair=other_rail) for one in entries[4:8]]
+    found = admitted(entries, Subject("X", "C", AxlePosition.SINGLE, p8))
+    assert found.left_out == {ReasonCode.OTHER_PROFILES: 8}
+    anywhere = admitted(entries, Subject("X", "C", AxlePosition.SINGLE, DesignPair("P8", None)))
+    assert anywhere.left_out == {ReasonCode.OTHER_PROFILES: 4}, "no position: any rails"
 
 
 @pytest.mark.parametrize(
