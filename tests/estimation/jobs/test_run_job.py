@@ -97,7 +97,14 @@ def test_a_run_that_was_given_up_meanwhile_stays_given_up(sqlite_storage: Storag
 
 def test_the_catalogue_names_every_job_in_its_order(storage: Storage) -> None:
     names = [job.name for job in ALL_JOBS]
-    assert names == ["refresh_alignment", "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts"]
+    assert names == [
+        "refresh_alignment",
+        "estimate_windows",
+        "refresh_geometry",
+        "refresh_trends",
+        "evaluate_alerts",
+        "refresh_signatures",
+    ]
     assert job_named("refresh_trends") is ALL_JOBS[3]
     with pytest.raises(NotFoundError, match="no job 'nothing'"):
         job_named("nothing")
