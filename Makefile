@@ -6,7 +6,7 @@ ARGS ?=
 # what one process has compiled serves the others: the tests start many
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rivals mutants chaos house clean bench-adhesion bench-rails
+.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rivals mutants chaos house clean bench-adhesion bench-rails bench-signatures
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -38,6 +38,9 @@ bench-estimation: $(VENV)/.dev
 
 bench-world: $(VENV)/.dev
 	$(BIN)/python -m bench world $(ARGS)
+
+bench-signatures: $(VENV)/.dev
+	$(BIN)/python -m bench signatures $(ARGS)
 
 bench-vehicles: $(VENV)/.dev
 	$(BIN)/python -m bench vehicles $(ARGS)

@@ -54,6 +54,7 @@ from api.routes import (
     registry_decisions,
     reprofilings,
     sensor_changes,
+    signatures,
     tracks,
     vehicle_classes,
     vehicles,
@@ -84,6 +85,7 @@ RESOURCES = (
     sensor_changes,
     registry_decisions,
     geometry,
+    signatures,
     accuracy,
     life,
     alert_feed,  # before the alerts, whose path it would be taken for

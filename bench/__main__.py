@@ -24,6 +24,7 @@ NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend")
 WITH_OPTIONS = (
     "section",
     "world",
+    "signatures",
     "vehicles",
     "mutants",
     "house",

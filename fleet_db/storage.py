@@ -44,6 +44,7 @@ from fleet_db.stores.roll_ups import RollUpStore
 from fleet_db.stores.section_looks import SectionLookStore
 from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.settings import StoredSettingStore
+from fleet_db.stores.signatures import SignatureStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
 from fleet_db.stores.track_epochs import EpochStore
@@ -92,6 +93,7 @@ class SqlUnitOfWork:
     trends: TrendStore = field(init=False)
     suspensions: SuspensionStore = field(init=False)
     adhesion: AdhesionStore = field(init=False)
+    signatures: SignatureStore = field(init=False)
     alerts: AlertStore = field(init=False)
     feed_branches: FeedBranchStore = field(init=False)
     jobs: JobRunStore = field(init=False)
@@ -133,6 +135,7 @@ class SqlUnitOfWork:
         self.trends = TrendStore(connection, self.changes)
         self.suspensions = SuspensionStore(connection)
         self.adhesion = AdhesionStore(connection)
+        self.signatures = SignatureStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.plausibility = PlausibilityStore(connection, self.windows)
         self.recorded_times = RecordedTimeStore(connection)

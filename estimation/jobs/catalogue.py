@@ -12,6 +12,7 @@ from estimation.jobs import (
     refresh_alignment,
     refresh_geometry,
     refresh_rails,
+    refresh_signatures,
     refresh_trends,
 )
 from estimation.jobs.job import Job, JobContext, Stage, run_job
@@ -25,6 +26,7 @@ ALL_JOBS: tuple[Job, ...] = (
     refresh_trends.JOB,
     evaluate_alerts.JOB,
     refresh_rails.JOB,
+    refresh_signatures.JOB,
 )
 
 STAGES = (refresh_alignment.STAGE, estimate_windows.STAGE, refresh_geometry.STAGE)

@@ -10,6 +10,7 @@ from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.geometry.estimate import GeometryParameters
 from estimation.jobs.rails_settings import RailsSettings
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.signatures.parameters import SignatureParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.trend.trend import TrendParameters
 from estimation.values.json_value import JsonValue
@@ -82,6 +83,8 @@ class JobSettings:
         Of ``refresh_rails``.
     rules
         Of ``evaluate_alerts``; the conicity limit is that of the trends, too.
+    signatures
+        Of ``refresh_signatures``.
     """
 
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)
@@ -89,6 +92,7 @@ class JobSettings:
     trend: TrendParameters = field(default_factory=TrendParameters)
     rails: RailsSettings = field(default_factory=RailsSettings)
     rules: RuleBook = field(default_factory=RuleBook)
+    signatures: SignatureParameters = field(default_factory=SignatureParameters)
 
     def alignment_parameters(self) -> dict[str, JsonValue]:
         """Return every setting that shapes an alignment: those of its job and those of the motion that it fits."""

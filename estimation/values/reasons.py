@@ -164,6 +164,41 @@ class ReasonCode(StrEnum):
         "The filter does not follow the motion: its innovations contradict its covariance. Use another estimator.",
     )
     NOT_FINITE = "not_finite", "The calculation gave no finite number."
+    # wear signature
+    OTHER_VEHICLE_CLASS = (
+        "other_vehicle_class",
+        "The library entry is of another class of vehicle, or of the other axle of a bogie.",
+    )
+    OTHER_PROFILES = (
+        "other_profiles",
+        "The library entry is of other design profiles of wheel or rail.",
+    )
+    SAME_WHEELSET = (
+        "same_wheelset",
+        "The library entry is of the judged wheelset, or shares samples with it.",
+    )
+    SECTION_CHANGED = (
+        "section_changed",
+        "The track has changed there since, by tamping or other work. New passes make new library entries.",
+    )
+    WHEELSET_TURNED = (
+        "wheelset_turned",
+        "The wheelset was turned between the signature and what is known of its wheels.",
+    )
+    LIBRARY_TOO_SMALL = (
+        "library_too_small",
+        "The library has too few wheelsets of this class and of known conicity. Measure profiles, or survey a section.",
+    )
+    LIBRARY_ALIKE = "library_alike", "The wheelsets of the library are all alike: nothing can be learned from them."
+    NOT_IN_LIBRARY = (
+        "not_in_library",
+        "The signature is unlike everything in the library, in speed, conicity, profiles or track.",
+    )
+    NO_SIGNATURE = "no_signature", "There is no signature of the wheelset since it was last turned."
+    METHODS_DISAGREE = (
+        "methods_disagree",
+        "Signature and geometry differ by more than their intervals. Measure the profiles.",
+    )
     # trend
     NO_GEOMETRY = "no_geometry", "There is no geometry yet."
     NO_GEOMETRY_SINCE_REPROFILING = "no_geometry_since_reprofiling", "There is no geometry since the last reprofiling."

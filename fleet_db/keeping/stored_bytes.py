@@ -36,6 +36,7 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "roll-ups": ("roll_ups", "taken_tables", "roll_up_states", "rolling_sums"),
     "geometries": ("geometry_estimates", "wheelset_bins"),
     "trends": ("trends",),
+    "signatures": ("wear_signatures", "signature_answers"),
     "alignments": ("track_alignments", "track_versions", "track_reports", "track_epochs", "track_epoch_windows"),
     "receipts": ("chunks", "raw_marks", "recording_changes", "quarantine", "stale_spans"),
     "alerts and worklist": ("alerts", "alert_events", "worklist_entries", "worklist_alerts", "webhook_deliveries"),

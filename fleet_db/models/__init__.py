@@ -24,6 +24,7 @@ from fleet_db.models.roll_ups import RollingSumsRow, RollUpRow, RollUpStateRow, 
 from fleet_db.models.section_looks import SectionChangeRow, SectionLookRow
 from fleet_db.models.sensor_changes import SensorChangeRow
 from fleet_db.models.settings import StoredSettingRow
+from fleet_db.models.signatures import SignatureAnswerRow, WearSignatureRow
 from fleet_db.models.stale_spans import StaleSpanRow
 from fleet_db.models.suspension import SuspensionFindingRow
 from fleet_db.models.track_epochs import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
@@ -76,6 +77,7 @@ __all__ = [
     "SectionLookRow",
     "SectionRailsRow",
     "SensorChangeRow",
+    "SignatureAnswerRow",
     "StaleSpanRow",
     "StoredSettingRow",
     "SuspensionFindingRow",
@@ -91,6 +93,7 @@ __all__ = [
     "TrendRow",
     "VehicleClassRow",
     "VehicleRow",
+    "WearSignatureRow",
     "WebhookDeliveryRow",
     "WebhookFleetRow",
     "WebhookRow",

@@ -25,6 +25,15 @@ from estimation.values.rails import (
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobOutcome, JobTrigger
+from estimation.values.signatures import (
+    Basis,
+    ConicitySource,
+    Disagreement,
+    SignatureAnswer,
+    SignatureRecord,
+    StateProbability,
+    UsedEntry,
+)
 from estimation.values.suspension import SuspensionFinding
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
 from estimation.values.trend import TrendRecord, WearTrend
@@ -164,6 +173,30 @@ def geometry_record(recorded_ns: int, conicity: float) -> GeometryRecord:
         parameters={"half_life_km": 10000.0},
         code_version="0.1.0+test",
         recorded_ns=recorded_ns,
+    )
+
+
+def signature_record() -> SignatureRecord:
+    """Return what the signatures of the first wheelset show: another conicity than its geometry."""
+    used = (
+        UsedEntry(WHEELSETS[2], "S-1", 0.28125, 0.5, ConicitySource.MEASURED_PROFILES),
+        UsedEntry(WHEELSETS[1], "S-1", 0.3125, 0.25, ConicitySource.GEOMETRY),
+    )
+    states = (StateProbability(0.0, 0.25, 0.125), StateProbability(0.25, float("inf"), 0.875))
+    answer = SignatureAnswer(WHEELSETS[0], estimate(0.3125), Basis.OTHER_PLACES, states, used, 12, 3, 0.5)
+    apart = Reason(ReasonCode.METHODS_DISAGREE, "their intervals are apart")
+    return SignatureRecord(
+        answer=answer,
+        baseline=2,
+        signatures=9,
+        from_ns=START,
+        to_ns=START + LENGTH,
+        left_out={"same_wheelset": 4},
+        geometry=estimate(0.25),
+        disagreement=Disagreement(0.0625, 0.0125, disagrees=True, reason=apart),
+        input_digest="5" * 64,
+        code_version="0.1.0+test",
+        recorded_ns=RECORDED,
     )
 
 
@@ -355,6 +388,7 @@ def populate(storage: Storage) -> None:
         unit.geometries.put(geometry_record(RECORDED + DAY, 0.25))
         unit.trends.put(trend_record(RECORDED, 0.1875))
         unit.trends.put(trend_record(RECORDED + DAY, 0.25))
+        unit.signatures.put_answer(signature_record())
         for finding in suspension_findings():
             unit.suspensions.put(finding)
         unit.rails.put_found([section_rails()], [wheelset_rails()])

@@ -28,7 +28,14 @@ from fleet_db.storage import SqlStorage
 
 NAMES = ("W0", "W1", "W2")
 MINUTE_NS = 60 * 10**9
-ALL = ("refresh_alignment", "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
+ALL = (
+    "refresh_alignment",
+    "estimate_windows",
+    "refresh_geometry",
+    "refresh_trends",
+    "evaluate_alerts",
+    "refresh_signatures",
+)
 
 
 @pytest.fixture

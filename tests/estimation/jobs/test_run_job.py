@@ -104,6 +104,7 @@ def test_the_catalogue_names_every_job_in_its_order(storage: Storage) -> None:
         "refresh_trends",
         "evaluate_alerts",
         "refresh_rails",
+        "refresh_signatures",
     ]
     assert job_named("refresh_trends") is ALL_JOBS[3]
     with pytest.raises(NotFoundError, match="no job 'nothing'"):

@@ -1,0 +1,271 @@
+"""Simulated fleets for the library of wear signatures: windows of MEMS sensors, their signatures, and the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+
+import numpy as np
+
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.wear import WearFamily, wear_course, worn
+from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
+from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.window_signatures import window_signatures
+from estimation.values.arrays import FloatArray
+from estimation.values.reasons import Reason
+from estimation.values.signatures import ConicitySource, LibraryEntry, Place, Signature
+from estimation.values.windows import Window, WindowQuality
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import Arrangement, VehicleClass
+from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion, simulate_wheelset
+from ingest.simulator.sensors import Channel, SensorNode, draw_offsets, measure
+from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
+
+GRID: FloatArray = np.asarray(np.arange(-160, 161) * 0.05e-3)  # m
+AMPLITUDE = np.array([3e-3])  # m
+LENGTH, BEGIN = 3100.0, 60.0  # m
+NODE = SensorNode(  # 100 ug per root hertz, angular channels at twice that, offsets, drift
+    Channel(1e-3, 0.2, 1e-3), Channel(2e-3, 0.2, 1e-3), Channel(2e-3, 0.2, 1e-3), Channel(1e-3, 0.2, 1e-3)
+)
+CONDITIONS = tuple(0.25e-3 * k for k in range(7))  # m of tread worn away: seven conditions of the wheels
+WITHIN = 0.03e-3  # m, by which wheelsets of one condition differ
+LABEL_STD = 0.01  # of the conicities that the library has on file
+SPREAD = {  # of the vehicles about their class, relative standard deviations
+    "longitudinal_creep_coefficient": 0.06,
+    "lateral_creep_coefficient": 0.06,
+    "yaw_stiffness": 0.03,
+    "lateral_stiffness": 0.03,
+    "wheelset_mass": 0.015,
+    "yaw_inertia": 0.015,
+    "suspended_mass": 0.015,
+}
+PAIRS = {
+    WearFamily.P8_ON_56E1: ("P8", "56E1", 1 / 20),
+    WearFamily.S1002_ON_60E1: ("S1002", "60E1", 1 / 40),
+}
+DAY_NS = 86_400_000_000_000
+POSITION_STD = 10.0  # m, of a run
+
+
+@dataclass(frozen=True, slots=True)
+class Wheelset:
+    """A simulated wheelset."""
+
+    serial: str
+    condition: int
+    conicity: float  # at 3 mm
+    table: PreparedTable
+    vehicle: VehicleParameters
+
+
+@dataclass(frozen=True, slots=True)
+class Pass:
+    """Signatures of one wheelset over one section."""
+
+    wheelset: Wheelset
+    section: str
+    signatures: tuple[Signature, ...]
+
+
+@cache
+def window_parameters(vehicle_class: str = "single") -> WindowParameters:
+    """Return what windows are read with: the class, from which the vehicles differ."""
+    assumed = VehicleClass(vehicle_class, vehicle_class, "bench", Arrangement.SINGLE_WHEELSET, VehicleParameters())
+    return WindowParameters.of(assumed, None, SignalParameters(), Gates())
+
+
+def wheelset(
+    serial: str,
+    depth: float,
+    condition: int,
+    rng: np.random.Generator,
+    family: WearFamily = WearFamily.P8_ON_56E1,
+) -> Wheelset:
+    """Return a wheelset that has lost so much of its tread, on a vehicle that differs from its class."""
+    wheel, rail, inclination = PAIRS[family]
+    skew = rng.uniform(-0.1, 0.1)
+    wheels = [worn(wheel_profile(wheel), wear_course(family, depth * (1 + side * skew))) for side in (1, -1)]
+    rails = rail_profile(rail)
+    table = contact_table(WheelsetOnTrack(wheels[0], wheels[1], rails, rails, inclination, 1.435), GRID, outside="hold")
+    conicity = equivalent_conicity(GRID, table.rolling_radius_difference[:, 0], AMPLITUDE)
+    base = VehicleParameters()
+    own = {name: getattr(base, name) * float(np.exp(std * rng.standard_normal())) for name, std in SPREAD.items()}
+    return Wheelset(serial, condition, float(conicity[0]), PreparedTable.of(table), replace(base, **own))
+
+
+def wheelsets(count: int, name: str, rng: np.random.Generator) -> list[Wheelset]:
+    """Return wheelsets of the seven conditions in turn."""
+    found = []
+    for number in range(count):
+        condition = number % len(CONDITIONS)
+        depth = max(0.0, CONDITIONS[condition] + float(rng.uniform(-WITHIN, WITHIN)))
+        found.append(wheelset(f"{name}{number}", depth, condition, rng))
+    return found
+
+
+def tracks(count: int, seed: int, first: int = 0) -> dict[str, TrackTruth]:
+    """Return the tracks of sections, of different roughness."""
+    found = {}
+    for number in range(first, first + count):
+        sequence = np.random.SeedSequence([seed, 5, number])
+        std = float(np.random.default_rng([seed, 6, number]).uniform(1.2e-3, 2.4e-3))
+        found[f"S{number}"] = make_track(TrackRecipe(length=LENGTH, alignment_std=std), sequence)
+    return found
+
+
+def run(
+    runs: Wheelset,
+    section: str,
+    track: TrackTruth,
+    speed: float,
+    rng: np.random.Generator,
+    start_ns: int = 0,
+    *,
+    placed: bool = True,
+) -> Pass:
+    """Run a wheelset over a section at a mean speed, m/s, and return its signatures.
+
+    Raises
+    ------
+    RuntimeError
+        It has none.
+    """
+    window = window_of(runs, section, track, speed, rng, start_ns, placed=placed)
+    found = window_signatures(window, window_parameters(), SignatureParameters())
+    if isinstance(found, Reason):
+        raise RuntimeError(found.text)  # noqa: TRY004 - a reason is a finding, not a wrong type
+    return Pass(runs, section, found)
+
+
+def window_of(
+    runs: Wheelset,
+    section: str,
+    track: TrackTruth,
+    speed: float,
+    rng: np.random.Generator,
+    start_ns: int = 0,
+    *,
+    placed: bool = True,
+) -> Window:
+    """Return one window of a run over a whole section."""
+    t = np.arange(round((LENGTH - 2 * BEGIN) / (1.05 * speed) / STEP)) * STEP
+    course = speed * (1 + 0.04 * np.sin(2 * np.pi * t / rng.uniform(60, 200) + rng.uniform(0, 6)))
+    motion = simulate_wheelset(runs.vehicle, runs.table, track, np.asarray(course), BEGIN)
+    if motion.outside:
+        raise RuntimeError(f"{runs.serial} left its contact table {motion.outside} times")
+    return measured(motion, runs.serial, section, rng, start_ns, placed=placed)
+
+
+def measured(
+    motion: WheelsetMotion, serial: str, section: str, rng: np.random.Generator, start_ns: int, *, placed: bool
+) -> Window:
+    """Return what the node of a wheelset measures, at positions that are some metres off."""
+    record = measure(motion, NODE, rng, draw_offsets(NODE, rng))
+    lateral, yaw, roll, mass = record.values.T
+    n, dt = len(record.t), STEP * NODE.stride
+    offset = float(np.clip(rng.normal(0.0, POSITION_STD), -2 * POSITION_STD, 2 * POSITION_STD))
+    return Window(
+        wheelset=serial,
+        vehicle="V",
+        axle=1,
+        start_ns=start_ns,
+        length_ns=round(n * dt * 1e9),
+        sample_interval_s=dt,
+        lateral_acceleration=lateral,
+        yaw_acceleration=yaw,
+        roll_acceleration=roll,
+        mass_lateral_acceleration=mass,
+        speed=motion.speed[:: NODE.stride],
+        distance=motion.distance[:: NODE.stride] + offset,
+        valid=np.ones(n, dtype=np.bool_),
+        resolution=(1e-4, 1e-4, 1e-4, 1e-4),
+        track_section=section if placed else None,
+        odometer_m=0.0,
+        quality=WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 5.0, 25.0, 1.0 if placed else 0.0, sensor_fault=False),
+    )
+
+
+def entries(passes: Sequence[Pass], rng: np.random.Generator, label_std: float = LABEL_STD) -> list[LibraryEntry]:
+    """Return the library of passes, with conicities on file that are off by so much per wheelset."""
+    labels = {one.wheelset.serial: one.wheelset.conicity + label_std * rng.standard_normal() for one in passes}
+    return [
+        LibraryEntry(signature, 0, float(labels[one.wheelset.serial]), label_std, ConicitySource.GEOMETRY)
+        for one in passes
+        for signature in one.signatures
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What a fleet of one seed runs."""
+
+    teachers: int = 28
+    judged: int = 14
+    sections: int = 6
+    others: int = 3  # sections that the library does not have
+    speeds: tuple[tuple[float, float], ...] = ((14.0, 20.0),)  # of the library, m/s, one range a run
+    asked: tuple[float, float] = (14.0, 20.0)  # of the judged wheelsets
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedFleet:
+    """Passes that teach, and passes of other wheelsets over the same and over other sections."""
+
+    teaching: tuple[Pass, ...]
+    same: tuple[Pass, ...]
+    other: tuple[Pass, ...]
+    tracks: dict[str, TrackTruth] = field(default_factory=dict)
+
+
+def fleet(plan: Plan, seed: int) -> SimulatedFleet:
+    """Run a fleet."""
+    rng = np.random.default_rng([seed, 77])
+    known, unknown = tracks(plan.sections, seed), tracks(plan.others, seed, plan.sections)
+
+    def passes(
+        who: Sequence[Wheelset], where: dict[str, TrackTruth], ranges: Sequence[tuple[float, float]]
+    ) -> list[Pass]:
+        return [
+            run(one, code, track, float(rng.uniform(*limits)), rng, DAY_NS * int(rng.integers(1, 300)))
+            for one in who
+            for code, track in where.items()
+            for limits in ranges
+        ]
+
+    teachers, asked = wheelsets(plan.teachers, "T", rng), wheelsets(plan.judged, "J", rng)
+    return SimulatedFleet(
+        tuple(passes(teachers, known, plan.speeds)),
+        tuple(passes(asked, dict(list(known.items())[: plan.others]), [plan.asked])),
+        tuple(passes(asked, unknown, [plan.asked])),
+        known,
+    )
+
+
+TAMPED_FROM = 1500.0  # m of a section, from where on its track is another
+
+
+def retracked(made: SimulatedFleet, seed: int, count: int = 14) -> tuple[list[Pass], set[Place]]:
+    """Return passes over two sections before and after half of one was tamped, and the stretches that were.
+
+    The first runs are those of the library; the second are a year later.
+    """
+    rng = np.random.default_rng([seed, 31])
+    code, other = list(made.tracks)[:2]
+    track = made.tracks[code]
+    fresh = make_track(TrackRecipe(length=LENGTH, alignment_std=0.9e-3), np.random.SeedSequence([seed, 32]))
+    share = np.clip((track.s - TAMPED_FROM) / 50.0, 0.0, 1.0)
+    tamped = replace(track, alignment=(1 - share) * track.alignment + share * fresh.alignment)
+    runs = list({one.wheelset.serial: one.wheelset for one in made.teaching}.values())[:count]
+    serials = {one.serial for one in runs}
+    passes = [one for one in made.teaching if one.section in {code, other} and one.wheelset.serial in serials]
+    for number, runner in enumerate(runs):
+        for section, rails in ((code, tamped), (other, made.tracks[other])):
+            at_ns = (365 + number) * DAY_NS
+            passes.append(run(runner, section, rails, float(rng.uniform(14, 20)), rng, at_ns))
+    places = {item.place for one in passes for item in one.signatures if item.place is not None}
+    size = SignatureParameters().cell
+    return passes, {one for one in places if one.section == code and one.cell * size >= TAMPED_FROM}

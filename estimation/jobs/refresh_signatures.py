@@ -1,0 +1,220 @@
+"""Job: the signatures of new windows, and what the library of all says of every wheelset, the others' data alone.
+
+A wheelset is looked at again when its signatures or anything in the library have changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from estimation.jobs.isolation import Isolation
+from estimation.jobs.job import Job, JobContext
+from estimation.jobs.steps.signature_entries import Entries, EntryReader
+from estimation.jobs.steps.signature_windows import refresh_windows
+from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.vehicle_lookup import VehicleLookup
+from estimation.signatures.admission import Subject, admitted
+from estimation.signatures.answer import compared, judged
+from estimation.signatures.library import library
+from estimation.signatures.retirement import Change, current
+from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.values.geometry import GeometryRecord
+from estimation.values.quantities import Estimate
+from estimation.values.quarantine import SubjectKind
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.signatures import (
+    AxlePosition,
+    DesignPair,
+    KnownSignatures,
+    LibraryEntry,
+    Place,
+    Signature,
+    SignatureAnswer,
+    SignatureRecord,
+)
+
+STAGE = "refresh_signatures"
+NEWEST = 12  # windows that a wheelset is judged by
+
+_Kind = tuple[str, AxlePosition]
+
+
+def run(context: JobContext) -> Mapping[str, int]:
+    """Make signatures of new windows, and answers of wheelsets for which something has changed."""
+    counts: Counter[str] = Counter(refresh_windows(context))
+    isolation = Isolation(context, STAGE)
+    with context.storage.read() as unit:
+        classes = ClassLookup(unit, context.settings.estimation)
+        reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
+        known = unit.signatures.known()
+        made, answered = reader.entries(known), unit.signatures.answered()
+        subjects = _subjects(reader, known, context.settings.signatures.most_mileage_km)
+        geometries = {
+            serial: _geometry(unit.geometries.current(serial), one.baseline) for serial, one in subjects.items()
+        }
+    shelf = _shelved(made)
+    counts.update(retired=shelf.retired, answered=0, unchanged=0)
+    for done, (serial, subject) in enumerate(subjects.items()):
+        context.checkpoint(done, len(subjects))
+        digest = _digest(context, shelf, subject, geometries[serial])
+        if answered.get(serial) == (digest, context.code_version):
+            counts["unchanged"] += 1
+            continue
+        with isolation.alone(SubjectKind.WHEELSET, serial):
+            record = _record(context, shelf, subject, geometries[serial], digest)
+            with context.storage.write() as unit:
+                unit.signatures.put_answer(record)
+            counts["answered"] += 1
+            counts["estimated"] += record.answer.conicity.value is not None
+            counts["disagreeing"] += record.disagreement is not None and record.disagreement.disagrees
+    counts["quarantined"] = isolation.quarantined
+    return counts
+
+
+@dataclass(frozen=True, slots=True)
+class _Subject:
+    """A wheelset, and the signatures that it is judged by."""
+
+    wheelset: str
+    baseline: int
+    pair: DesignPair
+    kind: _Kind | None  # None without signatures since it was last turned
+    signatures: tuple[Signature, ...]
+    digests: tuple[str, ...]
+    shares_data: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Shelf:
+    """Entries by kind that are of the present track, and where it has changed."""
+
+    entries: Mapping[_Kind, tuple[LibraryEntry, ...]]
+    changes: Mapping[tuple[_Kind, Place], Change]
+    left_out: Mapping[ReasonCode, int]
+    retired: int
+    digest: str
+
+
+def _shelved(made: Entries) -> _Shelf:
+    by_kind: dict[_Kind, list[LibraryEntry]] = defaultdict(list)
+    for entry in made.found:
+        by_kind[entry.signature.vehicle_class, entry.signature.position].append(entry)
+    entries, changes, retired = {}, {}, 0
+    for kind, members in by_kind.items():
+        found = current(members)
+        entries[kind] = found.entries
+        changes.update({(kind, change.place): change for change in found.changes})
+        retired += len(found.retired)
+    lines = sorted(
+        (one.wheelset, one.signature.start_ns, one.signature.order, one.conicity, one.std)
+        for kept in entries.values()
+        for one in kept
+    )
+    left_out = Counter(made.left_out)
+    if retired:
+        left_out[ReasonCode.SECTION_CHANGED] += retired
+    return _Shelf(entries, changes, dict(left_out), retired, hashlib.sha256(repr(lines).encode()).hexdigest())
+
+
+def _subjects(reader: EntryReader, known: Sequence[KnownSignatures], most_km: float) -> dict[str, _Subject]:
+    """Return who is judged, by serial: every wheelset that has signatures."""
+    of_wheelset: dict[str, list[KnownSignatures]] = defaultdict(list)
+    for one in known:
+        of_wheelset[one.found.wheelset].append(one)
+    found = {}
+    for serial, mine in of_wheelset.items():
+        last = reader.lives(serial)[-1]
+        now = [one for one in mine if one.found.start_ns >= last.from_ns]
+        newest = now[-1] if now else None
+        near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-NEWEST:]
+        kind = _kind(near[-1]) if near else None
+        pair = reader.pair(mine[-1])
+        chosen = [one for one in near if _kind(one) == kind and reader.pair(one) == pair]
+        found[serial] = _Subject(
+            wheelset=serial,
+            baseline=last.number,
+            pair=pair,
+            kind=kind,
+            signatures=tuple(item for one in chosen for item in one.found.signatures),
+            digests=tuple(one.found.window_digest + one.found.assumed for one in chosen),
+            shares_data=frozenset(other for one in chosen for other in reader.sharing(one)),
+        )
+    return found
+
+
+def _kind(one: KnownSignatures) -> _Kind:
+    first = one.found.signatures[0]
+    return first.vehicle_class, first.position
+
+
+def _geometry(record: GeometryRecord | None, baseline: int) -> Estimate | None:
+    """Return the conicity at 3 mm by the geometry; None without one of the present profile."""
+    if record is None or record.baseline != baseline:
+        return None
+    return conicity_at_limit_amplitude(record.geometry)
+
+
+def _digest(context: JobContext, shelf: _Shelf, subject: _Subject, geometry: Estimate | None) -> str:
+    text = repr((shelf.digest, sorted(shelf.left_out.items()), subject, geometry, context.settings.signatures))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _record(
+    context: JobContext,
+    shelf: _Shelf,
+    subject: _Subject,
+    geometry: Estimate | None,
+    digest: str,
+) -> SignatureRecord:
+    """Return the answer about a wheelset."""
+    signatures = tuple(one for one in subject.signatures if _of_present_track(one, shelf))
+    left_out = Counter(shelf.left_out)
+    answer = None if signatures else _silent(subject)
+    if answer is None and subject.kind is not None:
+        everything = [entry for kept in shelf.entries.values() for entry in kept]
+        allowed = admitted(everything, Subject(subject.wheelset, *subject.kind, subject.pair, subject.shares_data))
+        left_out.update(allowed.left_out)
+        found = library(allowed.entries, context.settings.signatures)
+        if isinstance(found, Reason):
+            answer = SignatureAnswer(subject.wheelset, Estimate.unknown(found))
+        else:
+            answer = judged(subject.wheelset, signatures, found, context.settings.signatures)
+    assert answer is not None
+    return SignatureRecord(
+        answer=answer,
+        baseline=subject.baseline,
+        signatures=len(signatures),
+        from_ns=min((one.start_ns for one in signatures), default=None),
+        to_ns=max((one.start_ns for one in signatures), default=None),
+        left_out={code.value: count for code, count in sorted(left_out.items())},
+        geometry=geometry,
+        disagreement=None if geometry is None else compared(answer.conicity, geometry),
+        input_digest=digest,
+        code_version=context.code_version,
+        recorded_ns=context.clock.now_ns(),
+    )
+
+
+def _of_present_track(one: Signature, shelf: _Shelf) -> bool:
+    """Whether a signature is of the track as it is now."""
+    if one.place is None:
+        return True
+    change = shelf.changes.get(((one.vehicle_class, one.position), one.place))
+    return change is None or one.start_ns > change.after_ns
+
+
+def _silent(subject: _Subject) -> SignatureAnswer:
+    text = "there is no signature of the wheelset since it was last turned, on the track as it is now"
+    reason = Reason(ReasonCode.NO_SIGNATURE, text)
+    return SignatureAnswer(subject.wheelset, Estimate.unknown(reason))
+
+
+JOB = Job(
+    name=STAGE,
+    description="Make wear signatures of new windows, and judge every wheelset by those of the others",
+    every_s=900.0,
+    run=run,
+)

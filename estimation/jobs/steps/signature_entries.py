@@ -1,0 +1,244 @@
+"""What the fleet knows of the wheelsets whose signatures are stored: library entries, and why others are none."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, wheel_contact
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.jobs.steps.baselines import Baseline, baselines
+from estimation.jobs.steps.identities import suspected
+from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.vehicle_lookup import VehicleLookup
+from estimation.signatures.parameters import SignatureParameters
+from estimation.storage import UnitOfWork
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated
+from estimation.values.interval_conicities import KnownConicity
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.signatures import ConicitySource, DesignPair, KnownSignatures, LibraryEntry, Place
+from estimation.values.track import TrackSectionRecord
+
+LEAST_STD = 0.003  # of a conicity from measured profiles
+AT_LIMIT = int(abs(AMPLITUDES - LIMIT_AMPLITUDE).argmin())
+SPEED_BAND = 5.0  # m/s: of each wheelset, place and band the newest signature is an entry
+
+
+@dataclass(frozen=True, slots=True)
+class _Label:
+    mileage_km: float
+    conicity: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class Entries:
+    """Library entries of all classes, by key, and how many windows give none, by reason."""
+
+    found: tuple[LibraryEntry, ...]
+    left_out: Mapping[ReasonCode, int]
+
+
+@dataclass(frozen=True, slots=True)
+class EntryReader:
+    """Finds what the fleet knows of wheelsets, as one transaction sees it.
+
+    Attributes
+    ----------
+    unit
+        Registry, geometries and sections are read.
+    classes, vehicles
+        Of the same transaction.
+    parameters
+        How old and how uncertain a conicity may be.
+    """
+
+    unit: UnitOfWork
+    classes: ClassLookup
+    vehicles: VehicleLookup
+    parameters: SignatureParameters
+    _sections: dict[str, TrackSectionRecord] = field(default_factory=dict)
+    _baselines: dict[str, Sequence[Baseline]] = field(default_factory=dict)
+    _labels: dict[tuple[str, int], Sequence[_Label]] = field(default_factory=dict)
+    _measured: dict[str, Sequence[MeasuredProfiles]] = field(default_factory=dict)
+    _contacts: dict[tuple[str, int, RailShare], tuple[float, float] | None] = field(default_factory=dict)
+
+    def entries(self, known: Sequence[KnownSignatures]) -> Entries:
+        """Return the library entries that signatures make, the newest of each wheelset, place and band of speed.
+
+        Parameters
+        ----------
+        known
+            Signatures of windows.
+        """
+        doubted, left_out = suspected(self.unit), Counter[ReasonCode]()
+        newest: dict[tuple[str, int, Place, int], LibraryEntry] = {}
+        for one in known:
+            wheelset = one.found.wheelset
+            if wheelset in doubted:
+                left_out[ReasonCode.IDENTITY_DOUBTFUL] += 1
+                continue
+            baseline = self.baseline_at(wheelset, one.found.start_ns).number
+            section = self._section(one)
+            label = None if section is None else self._label(one, baseline, section)
+            if label is None or isinstance(label, ReasonCode):
+                left_out[label or ReasonCode.SECTION_UNKNOWN] += 1
+                continue
+            for entry in self._entries(one, baseline, label):
+                place = entry.signature.place
+                if place is not None:
+                    newest[wheelset, baseline, place, int(entry.signature.speed // SPEED_BAND)] = entry
+        return Entries(tuple(newest.values()), dict(left_out))
+
+    def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
+        """Return the life of a wheelset's profile at a time.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        at_ns
+            Vehicle time.
+        """
+        return next(one for one in reversed(self.lives(wheelset)) if one.from_ns <= max(at_ns, 0))
+
+    def lives(self, wheelset: str) -> Sequence[Baseline]:
+        """Return the lives of a wheelset's profile, oldest first.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        """
+        if wheelset not in self._baselines:
+            self._baselines[wheelset] = baselines(self.classes.wheelset(wheelset))
+        return self._baselines[wheelset]
+
+    def sharing(self, one: KnownSignatures) -> tuple[str, ...]:
+        """Return the wheelsets whose samples are in a window's signatures: its own, and the other of its bogie.
+
+        Parameters
+        ----------
+        one
+            With signatures.
+        """
+        found, on_file = one.found, self.classes.of_vehicle(one.found.vehicle)
+        mounting = next((m for m in self._mountings(found.wheelset) if _within(m, found.vehicle, found.start_ns)), None)
+        if isinstance(on_file, Reason) or mounting is None:
+            return (found.wheelset,)
+        partner = on_file.vehicle_class.partner(mounting.axle)
+        other = None if partner is None else self.vehicles.mounting_at(found.vehicle, partner, found.start_ns)
+        return (found.wheelset,) if other is None else (found.wheelset, other.wheelset)
+
+    def pair(self, one: KnownSignatures) -> DesignPair:
+        """Return the design profiles of wheels and rails that a window ran on.
+
+        Parameters
+        ----------
+        one
+            With signatures.
+        """
+        section = self._section(one)
+        rail = None if section is None else f"{section.rail_profile} {section.rail_inclination:.6f}"
+        return DesignPair(self.classes.wheelset(one.found.wheelset).wheel_profile, rail)
+
+    def _mountings(self, wheelset: str) -> Sequence[Mounting]:
+        return self.unit.registry.mountings(wheelset)
+
+    def _section(self, one: KnownSignatures) -> TrackSectionRecord | None:
+        place = one.found.signatures[0].place
+        if place is None:
+            return None
+        if not self._sections:
+            self._sections.update({found.code: found for found in self.unit.tracks.sections()})
+        return self._sections.get(place.section)
+
+    def _entries(
+        self, one: KnownSignatures, baseline: int, label: tuple[float, float, ConicitySource]
+    ) -> list[LibraryEntry]:
+        conicity, std, source = label
+        shared, pair = self.sharing(one), self.pair(one)
+        return [LibraryEntry(item, baseline, conicity, std, source, shared, pair) for item in one.found.signatures]
+
+    def _label(
+        self, one: KnownSignatures, baseline: int, section: TrackSectionRecord
+    ) -> tuple[float, float, ConicitySource] | ReasonCode:
+        """Return conicity, std and source; or why it is not known well enough."""
+        measured, turned = self._of_measurement(one, baseline, section)
+        if measured is not None:
+            return (*measured, ConicitySource.MEASURED_PROFILES)
+        near = [item for item in self._estimates(one.found.wheelset, baseline) if self._is_near(item.mileage_km, one)]
+        if near:
+            best = min(near, key=lambda item: (abs(item.mileage_km - one.mileage_km), item.std))
+            return best.conicity, best.std, ConicitySource.GEOMETRY
+        return ReasonCode.WHEELSET_TURNED if turned else ReasonCode.NO_CONICITY
+
+    def _is_near(self, mileage_km: float, one: KnownSignatures) -> bool:
+        return abs(mileage_km - one.mileage_km) <= self.parameters.most_mileage_km
+
+    def _of_measurement(
+        self, one: KnownSignatures, baseline: int, section: TrackSectionRecord
+    ) -> tuple[tuple[float, float] | None, bool]:
+        """Return conicity and std by the nearest measurement of the same profile; and whether one is of another."""
+        wheelset = one.found.wheelset
+        if wheelset not in self._measured:
+            self._measured[wheelset] = self.unit.registry.measured_profiles(wheelset)
+        near = [item for item in self._measured[wheelset] if self._is_near(item.mileage_km, one)]
+        same = [item for item in near if self.baseline_at(wheelset, item.at_ns).number == baseline]
+        rails = RailShare(section.rail_profile, section.rail_inclination, section.nominal_gauge_m, 1.0)
+        for item in sorted(same, key=lambda item: abs(item.mileage_km - one.mileage_km)):
+            found = self._contact(item, self.classes.wheelset(wheelset), rails)
+            if found is not None:
+                return found, False
+        return None, len(near) > len(same)
+
+    def _contact(
+        self, item: MeasuredProfiles, wheelset: WheelsetRecord, rails: RailShare
+    ) -> tuple[float, float] | None:
+        key = (item.wheelset, item.at_ns, rails)
+        if key not in self._contacts:
+            pair = WheelPair(item.left, item.right, wheelset.nominal_radius_m, item.std)
+            contact = wheel_contact(pair, [rails])
+            conicity = None if isinstance(contact, Reason) else contact.conicity[AT_LIMIT]
+            known = None
+            if conicity is not None and conicity.value is not None and conicity.std is not None:
+                std = max(conicity.std, LEAST_STD)
+                known = (conicity.value, std) if std <= self.parameters.most_std else None
+            self._contacts[key] = known
+        return self._contacts[key]
+
+    def _estimates(self, wheelset: str, baseline: int) -> Sequence[_Label]:
+        key = (wheelset, baseline)
+        if key not in self._labels:
+            found = [
+                (record.mileage_km, at_limit(record.known))
+                for record in self.unit.geometries.conicities(wheelset, baseline)
+                if record.windows
+            ]
+            self._labels[key] = [
+                _Label(km, *both) for km, both in found if both is not None and both[1] <= self.parameters.most_std
+            ]
+        return self._labels[key]
+
+
+def at_limit(known: Sequence[KnownConicity]) -> tuple[float, float] | None:
+    """Return conicity and std at 3 mm, extrapolated where the motion does not go as far; None where neither is known.
+
+    Parameters
+    ----------
+    known
+        Of one interval, in the order of their amplitudes.
+    """
+    for one in known:
+        if abs(one.amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE:
+            return one.value, one.std
+    below = [one for one in known if one.amplitude < LIMIT_AMPLITUDE]
+    found = extrapolated(below) if below else None
+    return None if found is None else (found.value, found.std)
+
+
+def _within(mounting: Mounting, vehicle: str, at_ns: int) -> bool:
+    open_end = mounting.to_ns is None or at_ns < mounting.to_ns
+    return mounting.vehicle == vehicle and mounting.from_ns <= at_ns and open_end

@@ -1,0 +1,228 @@
+"""Signatures of a wheelset and a library in; its conicity, its state of wear and what they rest on out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats
+
+from estimation.signatures.calibration import COVERAGE, Calibration, conicity_grid
+from estimation.signatures.library import Library
+from estimation.signatures.mixed_model import Likelihood, Rows, likelihood
+from estimation.signatures.parameters import SignatureParameters
+from estimation.values.arrays import IntArray
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.signatures import (
+    Basis,
+    ConicitySource,
+    Disagreement,
+    Place,
+    Signature,
+    SignatureAnswer,
+    StateProbability,
+    UsedEntry,
+)
+
+NORMAL = float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
+SHOWN = 10  # entries that an answer names
+RARE = 0.02  # most probability outside what the library covers
+
+
+def judged(
+    wheelset: str, signatures: Sequence[Signature], library: Library, parameters: SignatureParameters
+) -> SignatureAnswer:
+    """Return what a library says of a wheelset.
+
+    Parameters
+    ----------
+    wheelset
+        Serial.
+    signatures
+        Of it, since it was last turned.
+    library
+        Of entries that may be learned from (``admission``); none of them shares data with the wheelset.
+    parameters
+        What an answer must keep to.
+    """
+    same = [one for one in signatures if one.place in library.places]
+    chosen = same or list(signatures)
+    basis = Basis.SAME_PLACES if same else Basis.OTHER_PLACES
+    refusal = _refusal(chosen, library, parameters)
+    calibration = library.calibration[basis]
+    if refusal is None and isinstance(calibration, Reason):
+        refusal = calibration
+    if refusal is not None or isinstance(calibration, Reason):
+        assert refusal is not None
+        return _unknown(wheelset, refusal, library)
+    known = np.array([library.places[one.place] for one in same if one.place is not None]) if same else None
+    return _answer(wheelset, chosen, known, library, calibration, basis, parameters)
+
+
+def _refusal(signatures: Sequence[Signature], library: Library, parameters: SignatureParameters) -> Reason | None:
+    if not signatures:
+        return Reason(ReasonCode.NO_SIGNATURE, "there is no signature of the wheelset")
+    kinds = {(one.vehicle_class, one.position) for one in signatures}
+    if kinds != {(library.vehicle_class, library.position)}:
+        return Reason(
+            ReasonCode.OTHER_VEHICLE_CLASS,
+            f"the library is of class {library.vehicle_class}, axle position {library.position}",
+        )
+    low, high = library.speed[0] - parameters.speed_margin, library.speed[1] + parameters.speed_margin
+    speed = float(np.mean([one.speed for one in signatures]))
+    if not low <= speed <= high:
+        text = f"the wheelset ran at {speed:.1f} m/s, the library covers {low:.1f} to {high:.1f} m/s"
+        return Reason(ReasonCode.NOT_IN_LIBRARY, text)
+    return None
+
+
+def _answer(
+    wheelset: str,
+    signatures: Sequence[Signature],
+    known: IntArray | None,
+    library: Library,
+    calibration: Calibration,
+    basis: Basis,
+    parameters: SignatureParameters,
+) -> SignatureAnswer:
+    grid = conicity_grid(np.array(library.conicity), parameters.margin)
+    found = likelihood(library.model, _rows(signatures), known, grid)
+    features = library.model.mean.shape[0]
+    novelty = float(found.distance.min()) / features / calibration.largest_distance
+    refusal = _novel(novelty) or _outside(found, library, parameters)
+    if refusal is not None:
+        return _unknown(wheelset, refusal, library, novelty)
+    half = calibration.factor * found.std
+    std = half / NORMAL
+    return SignatureAnswer(
+        wheelset=wheelset,
+        conicity=Estimate(
+            found.mean, std, found.mean - half, found.mean + half, float(len(signatures)), Status.ESTIMATED
+        ),
+        basis=basis,
+        states=states(found.mean, std, parameters.states),
+        used=_used(found.mean, std, signatures, library, basis),
+        library_wheelsets=library.wheelsets,
+        library_sections=len(library.sections),
+        novelty=novelty,
+    )
+
+
+def _novel(novelty: float) -> Reason | None:
+    if novelty <= 1.0:
+        return None
+    text = f"the signature is {novelty:.1f} times as far from the library as any that it answers"
+    return Reason(ReasonCode.NOT_IN_LIBRARY, text)
+
+
+def _outside(found: Likelihood, library: Library, parameters: SignatureParameters) -> Reason | None:
+    """Return that the conicity may be one that the library does not cover."""
+    low, high = library.conicity[0] - parameters.margin, library.conicity[1] + parameters.margin
+    beyond = (found.conicity < low) | (found.conicity > high)
+    if float(found.posterior[beyond].sum()) <= RARE:
+        return None
+    text = f"the signature is like that of a conicity outside {low:.2f} to {high:.2f}, which the library covers"
+    return Reason(ReasonCode.NOT_IN_LIBRARY, text)
+
+
+def states(conicity: float, std: float, ends: Sequence[float]) -> tuple[StateProbability, ...]:
+    """Return the probabilities of the states of wear.
+
+    Parameters
+    ----------
+    conicity, std
+        Of the answer.
+    ends
+        Conicities between the states, increasing.
+    """
+    bounds = [0.0, *ends, float("inf")]
+    below = stats.norm.cdf([-np.inf, *ends, np.inf], conicity, std)
+    return tuple(
+        StateProbability(low, high, float(share))
+        for low, high, share in zip(bounds[:-1], bounds[1:], np.diff(below), strict=True)
+    )
+
+
+def most_likely(found: Sequence[StateProbability]) -> StateProbability:
+    """Return the state of the largest probability.
+
+    Parameters
+    ----------
+    found
+        States of an answer.
+    """
+    return max(found, key=lambda one: one.probability)
+
+
+def compared(answer: Estimate, geometry: Estimate) -> Disagreement | None:
+    """Return how far signature and geometry are apart; None where one of them says nothing.
+
+    Parameters
+    ----------
+    answer
+        Conicity at 3 mm by the signature.
+    geometry
+        The same by the geometry.
+    """
+    numbers = (answer.value, answer.low, answer.high, geometry.value, geometry.low, geometry.high)
+    if any(number is None for number in numbers) or answer.std is None or geometry.std is None:
+        return None
+    value, low, high, other, other_low, other_high = (float(number) for number in numbers if number is not None)
+    apart = low > other_high or high < other_low
+    text = f"the signature shows a conicity of {value:.3f}, the geometry one of {other:.3f}; their intervals are apart"
+    return Disagreement(
+        difference=value - other,
+        std=float(np.hypot(answer.std, geometry.std)),
+        disagrees=apart,
+        reason=Reason(ReasonCode.METHODS_DISAGREE, text) if apart else None,
+    )
+
+
+def _rows(signatures: Sequence[Signature]) -> Rows:
+    n = len(signatures)
+    places = {one.place or Place("", -number): number for number, one in enumerate(signatures)}
+    sections = sorted({"" if one.place is None else one.place.section for one in signatures})
+    return Rows(
+        powers=np.stack([one.powers for one in signatures]),
+        conicity=np.full(n, np.nan),
+        speed=np.array([one.speed for one in signatures]),
+        place=np.array([places[one.place or Place("", -number)] for number, one in enumerate(signatures)]),
+        section=np.array([sections.index("" if one.place is None else one.place.section) for one in signatures]),
+        wheelset=np.zeros(n, dtype=np.int64),
+        variance=np.zeros(n),
+    )
+
+
+def _used(
+    conicity: float, std: float, signatures: Sequence[Signature], library: Library, basis: Basis
+) -> tuple[UsedEntry, ...]:
+    """Return the entries of the nearest conicities: of the same places where the library has them."""
+    places = {one.place for one in signatures}
+    weights: dict[tuple[str, str], float] = {}
+    about: dict[tuple[str, str], tuple[list[float], ConicitySource]] = {}
+    total = 0.0
+    for entry in library.entries:
+        place = entry.signature.place
+        if place is None or (basis is Basis.SAME_PLACES and place not in places):
+            continue
+        width = float(np.hypot(std, max(entry.std, 0.02)))
+        weight = float(np.exp(-0.5 * ((entry.conicity - conicity) / width) ** 2))
+        key = (entry.wheelset, place.section)
+        weights[key] = weights.get(key, 0.0) + weight
+        about.setdefault(key, ([], entry.source))[0].append(entry.conicity)
+        total += weight
+    nearest = sorted(weights, key=lambda key: (-weights[key], key))[:SHOWN]
+    return tuple(UsedEntry(*key, float(np.mean(about[key][0])), weights[key] / total, about[key][1]) for key in nearest)
+
+
+def _unknown(
+    wheelset: str, reason: Reason, library: Library | None = None, novelty: float | None = None
+) -> SignatureAnswer:
+    return SignatureAnswer(
+        wheelset=wheelset,
+        conicity=Estimate.unknown(reason),
+        library_wheelsets=0 if library is None else library.wheelsets,
+        library_sections=0 if library is None else len(library.sections),
+        novelty=novelty,
+    )

@@ -1,0 +1,266 @@
+"""The regression of a library: features = response(conicity, speed) + track of the place + wheelset + rest.
+
+Features are the level, the shape of y over the bands, and per band the ratios R over y and roll over R, all as
+logarithms: in ratios most of the track cancels, so that their covariances are small and nearly diagonal. The level is
+the mean logarithm of the powers of y and R.
+
+The response is a polynomial of second order in the logarithms of conicity and speed, and the product of conicity and
+the level of the place: a wheel has another conicity where the motion is larger. The track of a place adds the same to
+all that pass it: the logarithm of a power is that of the track's plus that of what the wheelset does with it. So where
+the library has a place its track cancels; where it does not, the track is a random effect, whose covariance over places
+and sections the library shows: what all tracks have in common, as the form of their spectra, cancels still. What a
+wheelset has of its own, such as its vehicle's differences from the class, is a random effect, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.signatures import SIGNALS
+
+CONICITY, SPEED = 0.2, 20.0  # that the polynomial is about
+TERMS = 5  # without the product of conicity and level
+LARGEST_SHARE = 0.9  # of the variance along the response that may be taken out
+SHRINKING = 0.05  # of covariances towards their diagonals
+RIDGE = 1e-4  # variance of a log feature that nothing is better known than
+LEVEL = 0  # number of the feature
+
+
+@dataclass(frozen=True, slots=True)
+class MixedModel:
+    """What the library has taught, over f features; covariances (f, f)."""
+
+    response: FloatArray  # (6, f); the last row is of the product of conicity and level
+    mean: FloatArray  # (f,) of all places
+    of_level: FloatArray  # (f,) by how much the effects of places change with their level
+    places: FloatArray  # (p, f) effects of the known places
+    passes: FloatArray  # (p,) entries behind each
+    rest: FloatArray
+    of_wheelset: FloatArray
+    of_place: FloatArray  # of places of one section
+    of_section: FloatArray
+
+    def __post_init__(self) -> None:
+        f = len(self.mean)
+        object.__setattr__(self, "response", frozen_array(self.response, (TERMS + 1, f), name="response"))
+        object.__setattr__(self, "mean", frozen_array(self.mean, (f,), name="mean"))
+        object.__setattr__(self, "of_level", frozen_array(self.of_level, (f,), name="of_level"))
+        object.__setattr__(self, "places", frozen_array(self.places, (None, f), name="places"))
+        object.__setattr__(self, "passes", frozen_array(self.passes, (len(self.places),), name="passes"))
+        for name in ("rest", "of_wheelset", "of_place", "of_section"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (f, f), name=name))
+
+    @property
+    def levels(self) -> FloatArray:
+        """Levels (p,) of the known places, from their mean."""
+        return np.asarray(self.places[:, LEVEL] - self.mean[LEVEL])
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Entries as arrays; places, sections and wheelsets are numbers from 0."""
+
+    powers: FloatArray  # (n, f) logarithms, signal after signal: y, R, roll
+    conicity: FloatArray  # (n,)
+    speed: FloatArray  # (n,) m/s
+    place: IntArray  # (n,)
+    section: IntArray  # (n,)
+    wheelset: IntArray  # (n,)
+    variance: FloatArray  # (n,) of the logarithm of the conicity: how well it is known
+
+    def chosen(self, which: Sequence[int] | IntArray) -> Rows:
+        """Return some of the rows.
+
+        Parameters
+        ----------
+        which
+            Their numbers.
+        """
+        at = np.asarray(which, dtype=np.int64)
+        return Rows(
+            self.powers[at],
+            self.conicity[at],
+            self.speed[at],
+            self.place[at],
+            self.section[at],
+            self.wheelset[at],
+            self.variance[at],
+        )
+
+
+def features_of(powers: FloatArray) -> FloatArray:
+    """Return features (n, f), the level first.
+
+    Parameters
+    ----------
+    powers
+        (n, f) logarithms, signal after signal: y, R, roll.
+    """
+    y, difference, roll = np.split(powers, SIGNALS, axis=1)
+    level = 0.5 * (y.mean(axis=1) + difference.mean(axis=1))
+    shape = y - y.mean(axis=1)[:, None]  # the last band follows from the others
+    return np.concatenate([level[:, None], shape[:, :-1], difference - y, roll - difference], axis=1)
+
+
+def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
+    """Return the terms (..., 5) of the response, the logarithm of the conicity first.
+
+    Parameters
+    ----------
+    conicity, speed
+        Of shapes that broadcast; speed in m/s.
+    """
+    c, v = np.broadcast_arrays(np.log(conicity / CONICITY), np.log(speed / SPEED))
+    return np.stack([c, c * c, v, v * v, c * v], axis=-1)
+
+
+def track_effects(rows: Rows) -> FloatArray:
+    """Return what the features (n, f) of entries have beyond the response: track, wheelset and rest.
+
+    Parameters
+    ----------
+    rows
+        Entries of one class and axle position.
+    """
+    features, regressors, place = features_of(rows.powers), terms(rows.conicity, rows.speed), rows.place
+    return np.asarray(features - regressors @ _within(regressors, features, place))
+
+
+def fitted(rows: Rows) -> MixedModel:
+    """Return the model of a library.
+
+    The response is that within places (their effects are fixed in it), and covariances follow from its residuals,
+    step by step: of wheelsets, of places, of sections. What the errors of the known conicities add to the covariance
+    of wheelsets is taken out again: they are none of the features.
+
+    Parameters
+    ----------
+    rows
+        Entries of one class and axle position.
+    """
+    kept, place = np.unique(rows.place, return_inverse=True)
+    response, left = _response(rows, place)
+    effects = _means(left, place)
+    residuals = left - effects[place]
+    wheelsets, wheelset = np.unique(rows.wheelset, return_inverse=True)
+    own = _means(residuals, wheelset)
+    rest = residuals - own[wheelset]
+    freedom = max(len(rest) - len(kept) - len(wheelsets), 1)
+    of_wheelset = _covariance(own, max(len(wheelsets) - TERMS, 1))
+    sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
+    mean = _means(effects, section).mean(axis=0)
+    level = effects[:, LEVEL] - mean[LEVEL]
+    of_level = level @ (effects - mean) / max(float(level @ level), RIDGE)
+    around = effects - mean - level[:, None] * of_level
+    by_section = _means(around, section)
+    return MixedModel(
+        response=response,
+        mean=mean,
+        of_level=np.asarray(of_level),
+        places=effects,
+        passes=np.bincount(place).astype(np.float64),
+        rest=_covariance(rest, freedom),
+        of_wheelset=_without(of_wheelset, np.asarray(response[0]), float(rows.variance.mean())),
+        of_place=_covariance(around - by_section[section], max(len(kept) - len(sections), 1)),
+        of_section=_covariance(by_section, max(len(sections) - 1, 1)),
+    )
+
+
+def _response(rows: Rows, place: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the response (6, f), and what it leaves of the features (n, f)."""
+    features, regressors = features_of(rows.powers), terms(rows.conicity, rows.speed)
+    first = _within(regressors, features[:, [LEVEL]], place)
+    level = _means(features[:, [LEVEL]] - regressors @ first, place)[place]
+    product = regressors[:, [0]] * (level - level.mean())
+    full = np.concatenate([regressors, product], axis=1)
+    response = _within(full, features, place)
+    response[:, LEVEL] = np.append(first[:, 0], 0.0)
+    return response, np.asarray(features - full @ response)
+
+
+def _within(regressors: FloatArray, values: FloatArray, place: IntArray) -> FloatArray:
+    """Return the coefficients (t, f) of values (n, f) on regressors (n, t), means of places taken out of both."""
+    place = np.unique(place, return_inverse=True)[1]
+    apart = [array - _means(array, place)[place] for array in (regressors, values)]
+    return np.asarray(np.linalg.lstsq(apart[0], apart[1], rcond=None)[0], dtype=np.float64)
+
+
+def _means(values: FloatArray, group: IntArray) -> FloatArray:
+    """Return the means (g, k) of rows (n, k) by group."""
+    count = np.bincount(group)
+    sums = np.stack([np.bincount(group, column) for column in values.T], axis=1)
+    return np.asarray(sums / count[:, None])
+
+
+def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
+    raw = residuals.T @ residuals / freedom
+    return np.asarray((1 - SHRINKING) * raw + SHRINKING * np.diag(np.diag(raw)) + RIDGE * np.eye(len(raw)))
+
+
+def _without(covariance: FloatArray, slope: FloatArray, variance: float) -> FloatArray:
+    """Return a covariance less that of an error of the logarithm of the conicity; still positive definite."""
+    most = LARGEST_SHARE / float(slope @ np.linalg.solve(covariance, slope))
+    return np.asarray(covariance - min(variance, most) * np.outer(slope, slope))
+
+
+@dataclass(frozen=True, slots=True)
+class Likelihood:
+    """How well each conicity explains the features of a wheelset."""
+
+    conicity: FloatArray  # (k,)
+    distance: FloatArray  # (k,) squared Mahalanobis distances
+
+    @property
+    def posterior(self) -> FloatArray:
+        """Probabilities (k,) of the conicities, all alike beforehand."""
+        weight = np.exp(-0.5 * (self.distance - self.distance.min()))
+        return np.asarray(weight / weight.sum())
+
+    @property
+    def mean(self) -> float:
+        """Mean of the posterior."""
+        return float(self.posterior @ self.conicity)
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the posterior, that of its grid at least."""
+        spread = float(self.posterior @ (self.conicity - self.mean) ** 2)
+        return float(np.sqrt(spread + (self.conicity[1] - self.conicity[0]) ** 2 / 12))
+
+
+def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: FloatArray) -> Likelihood:
+    """Return how well conicities explain the mean of some signatures of one wheelset.
+
+    Parameters
+    ----------
+    model
+        Of the library.
+    rows
+        Signatures of the wheelset; their conicities are not read.
+    known
+        (n,) numbers of their places in the model; None where the library does not have them.
+    conicity
+        (k,) increasing.
+    """
+    n = len(rows.powers)
+    features = features_of(rows.powers).mean(axis=0)
+    base = terms(conicity[:, None], rows.speed[None, :]).mean(axis=1)
+    expected = base @ model.response[:TERMS]
+    covariance = model.rest / n + model.of_wheelset
+    if known is None:
+        places, sections = len(np.unique(rows.place)), len(np.unique(rows.section))
+        covariance = covariance + model.of_place / places + model.of_section / sections
+        level = features[LEVEL] - expected[:, LEVEL] - model.mean[LEVEL]
+        track = model.mean + level[:, None] * model.of_level
+    else:
+        level = np.full(len(conicity), model.levels[known].mean())
+        track = model.places[known].mean(axis=0)[None, :]
+        shares = np.bincount(known, minlength=len(model.passes)) / n
+        covariance = covariance + model.rest * float(np.sum(shares**2 / model.passes))
+    expected = expected + (base[:, 0] * level)[:, None] * model.response[TERMS] + track
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (features - expected).T)
+    return Likelihood(conicity, np.sum(whitened**2, axis=0))

@@ -1,0 +1,160 @@
+"""A window in; the signatures of its wheelset over the places that it passed out, or why there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.filters.local_cubic import local_cubic_kernel
+from estimation.motion.checks import check_axis_signs, check_moving, direction, gate, jumps_reason, position_jumps
+from estimation.motion.fusion_parameters import FusionParameters
+from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
+from estimation.motion.parameters import WindowParameters
+from estimation.motion.rolling_radius_difference import fuse, motion_signals
+from estimation.motion.smooth_sampling import sample_smoothed
+from estimation.motion.usable_samples import moving_samples, straight_part
+from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.spectra import band_spectra
+from estimation.values.arrays import FloatArray
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.signatures import AxlePosition, Place, Signature
+from estimation.values.track import TrackLayout
+from estimation.values.windows import Window
+
+MARGIN = 10.0  # m that are left out at each end of a segment
+_INCREASE = 1e-9  # m from sample to sample at least
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """Signals of one segment on the grid of the section, or on one of its own."""
+
+    first: int  # number of the first grid point
+    signals: FloatArray  # (3, n)
+    speed: FloatArray  # (n,) m/s
+
+
+def window_signatures(
+    window: Window,
+    parameters: WindowParameters,
+    signature: SignatureParameters,
+    layout: TrackLayout | None = None,
+) -> tuple[Signature, ...] | Reason:
+    """Return the signatures of a window, one for each cell of the section that it passed whole.
+
+    Where section or position are not known every stretch of that length has one, without a place.
+
+    Parameters
+    ----------
+    window
+        Measured accelerations of one wheelset, (n,) each.
+    parameters
+        Gates, vehicle and filters.
+    signature
+        Cells, blocks and bands.
+    layout
+        Curves of the section, which are left out; None where none is on file.
+    """
+    placed = gate(window.quality, window.track_section, parameters.gates)
+    if placed is not None:
+        if placed.code not in {ReasonCode.SECTION_UNKNOWN, ReasonCode.POSITION_UNKNOWN}:
+            return placed
+        window = _without_place(window)
+    checked = _checked(window, parameters, None if placed else layout)
+    if isinstance(checked, Reason):
+        return checked
+    section = None if placed else window.track_section
+    stretches = [_stretch(segment, window, parameters, direction(checked.window)) for segment in checked.segments]
+    found: list[Signature] = []
+    for stretch in stretches:
+        for cell, part in _cells(stretch, signature):
+            spectra, peak = band_spectra(stretch.signals[:, part], signature)
+            found.append(
+                Signature(
+                    wheelset=window.wheelset,
+                    vehicle=window.vehicle,
+                    vehicle_class=parameters.vehicle_class.code,
+                    position=axle_position(window, parameters),
+                    start_ns=window.start_ns,
+                    order=len(found),
+                    place=None if section is None else Place(section, cell),
+                    speed=float(np.mean(stretch.speed[part])),
+                    spectra=spectra,
+                    peak_wavelength=peak,
+                )
+            )
+    if not found:
+        return Reason(ReasonCode.PASS_TOO_SHORT, f"no stretch of {signature.cell:g} m was passed whole")
+    return tuple(found)
+
+
+def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
+    """Return where the wheelset of a window runs in its bogie.
+
+    The axle of the lower number is in front where the vehicle runs forwards; a vehicle reports its speed as positive
+    either way, so that running backwards is not told from running the section backwards.
+
+    Parameters
+    ----------
+    window
+        Its axle.
+    parameters
+        Of its vehicle's class.
+    """
+    partner = parameters.vehicle_class.partner(window.axle)
+    if partner is None:
+        return AxlePosition.SINGLE
+    return AxlePosition.LEADING if window.axle < partner else AxlePosition.TRAILING
+
+
+def _without_place(window: Window) -> Window:
+    """Return the window at distances from its own begin."""
+    run = np.cumsum(np.nan_to_num(window.speed)) * window.sample_interval_s
+    return replace(window, track_section=None, distance=run)
+
+
+def _checked(window: Window, parameters: WindowParameters, layout: TrackLayout | None) -> IntegratedWindow | Reason:
+    """Return the window integrated, or what of it contradicts the rest."""
+    signals = parameters.signals
+    reason = check_moving(window, signals)
+    if reason is None and direction(window) == 0:
+        reason = Reason(ReasonCode.BOTH_DIRECTIONS, "the vehicle runs both ways along the section")
+    if reason is not None:
+        return reason
+    straight = straight_part(window, layout, signals)
+    if isinstance(straight, Reason):
+        return straight
+    integrated = integrate(straight, moving_samples(straight, signals), signals)
+    if not integrated.segments:
+        return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
+    return jumps_reason(position_jumps(integrated)) or check_axis_signs(integrated) or integrated
+
+
+def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParameters, way: int) -> _Stretch:
+    """Return y, R and roll of a segment on the grid of the section, in the order of the section."""
+    fusion = FusionParameters()
+    known = np.flatnonzero(segment.known)
+    at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
+    run = np.maximum.accumulate(way * at) + _INCREASE * np.arange(len(at))
+    fused = fuse(motion_signals(segment, parameters.vehicle, run), parameters.vehicle, fusion)
+    first, count = round(float(fused.run[0]) / fusion.step), len(fused.run)
+    fine = fusion.step / fusion.oversampling
+    weights = local_cubic_kernel(fusion.shortest[1], fine)
+    others = np.stack([segment.displacements[2], segment.speed])
+    finer = fusion.oversampling
+    roll, speed = sample_smoothed(others, run, finer * first, count, finer, fine, weights)
+    begin = first if way > 0 else -(first + count - 1)
+    signals = np.stack([fused.displacement, fused.difference, roll])
+    return _Stretch(begin, np.asarray(signals[:, ::way]), np.asarray(speed[::way]))
+
+
+def _cells(stretch: _Stretch, parameters: SignatureParameters) -> Iterator[tuple[int, slice]]:
+    """Yield the numbers of the cells that a stretch covers whole, and where they are in it."""
+    size = round(parameters.cell / parameters.step)
+    margin = round(MARGIN / parameters.step)
+    first, behind = stretch.first + margin, stretch.first + stretch.signals.shape[1] - margin
+    for cell in range(-(-first // size), behind // size):
+        begin = cell * size - stretch.first
+        yield cell, slice(begin, begin + size)

@@ -1,0 +1,139 @@
+"""What is stored of wear signatures and answers, on both databases."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import stored_values as make
+from same_values import same_values
+
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.signatures import (
+    AxlePosition,
+    Basis,
+    ConicitySource,
+    Disagreement,
+    Place,
+    Signature,
+    SignatureAnswer,
+    SignatureRecord,
+    StateProbability,
+    UsedEntry,
+    WindowSignatures,
+)
+from estimation.values.windows import WindowState
+from fleet_db.storage import SqlStorage
+
+
+def signature(start_ns: int, order: int, place: Place | None) -> Signature:
+    spectra = np.random.default_rng(order).standard_normal((8, 9))
+    return Signature("WS-1", "V-1", "C", AxlePosition.LEADING, start_ns, order, place, 17.25, spectra, 11.5)
+
+
+def stored_window(storage: SqlStorage, index: int = 0, seed: int = 0) -> tuple[int, str]:
+    window = make.window(index, seed=seed)
+    with storage.write() as unit:
+        unit.windows.put(window, 100.0, make.START)
+        record = unit.windows.get("WS-1", window.start_ns)
+    assert record is not None
+    return record.start_ns, record.content_digest
+
+
+def made(start_ns: int, digest: str, reason: Reason | None = None, *, placed: bool = True) -> WindowSignatures:
+    signatures = tuple(signature(start_ns, k, Place("S-7", 4 + k) if placed else None) for k in range(3))
+    return WindowSignatures("WS-1", start_ns, "V-1", digest, "a" * 64, () if reason else signatures, reason)
+
+
+def test_signatures_come_back_bit_for_bit_with_the_mileage_of_their_window(fleet: SqlStorage) -> None:
+    for placed in (True, False):
+        found = made(*stored_window(fleet), placed=placed)
+        with fleet.write() as unit:
+            unit.signatures.put_all([found])
+        with fleet.read() as unit:
+            (known,) = unit.signatures.known()
+        assert replace(known.found, signatures=()) == replace(found, signatures=())
+        assert len(known.found.signatures) == len(found.signatures)
+        for back, one in zip(known.found.signatures, found.signatures, strict=True):
+            assert same_values(back, one)
+        assert known.mileage_km == 100.0
+
+
+def test_a_window_is_missing_until_it_has_signatures_and_again_with_other_samples(fleet: SqlStorage) -> None:
+    start_ns, digest = stored_window(fleet)
+    with fleet.write() as unit:
+        assert unit.signatures.missing(10) == [("WS-1", start_ns)]
+        unit.signatures.put_all([made(start_ns, digest)])
+        assert unit.signatures.missing(10) == []
+    stored_window(fleet, seed=5)
+    with fleet.read() as unit:
+        assert unit.signatures.missing(10) == [("WS-1", start_ns)]
+        assert unit.signatures.known() == [], "those of other samples are not known"
+
+
+def test_a_refusal_is_kept_and_one_for_want_of_the_other_axle_is_tried_again(fleet: SqlStorage) -> None:
+    start_ns, digest = stored_window(fleet)
+    short = Reason(ReasonCode.PASS_TOO_SHORT, "too short")
+    frame = Reason(ReasonCode.FRAME_UNKNOWN, "no other axle")
+    with fleet.write() as unit:
+        unit.signatures.put_all([made(start_ns, digest, short)])
+        assert unit.signatures.missing(10) == []
+        assert unit.signatures.counts() == {"pass_too_short": 1}
+        unit.signatures.put_all([made(start_ns, digest, frame)])
+        assert unit.signatures.missing(10) == []
+        unit.windows.mark("WS-1", start_ns, WindowState.ESTIMATED)
+        assert unit.signatures.missing(10) == [("WS-1", start_ns)]
+
+
+def test_signatures_of_other_assumptions_are_forgotten(fleet: SqlStorage) -> None:
+    with fleet.write() as unit:
+        pass
+    start_ns, digest = stored_window(fleet)
+    with fleet.write() as unit:
+        unit.signatures.put_all([made(start_ns, digest)])
+        assert unit.signatures.assumptions() == [("V-1", "WS-1", "a" * 64)]
+        assert unit.signatures.forget("V-1", "WS-1", "b" * 64) == 0
+        assert unit.signatures.forget("V-1", "WS-1", "a" * 64) == 1
+        assert unit.signatures.missing(10) == [("WS-1", start_ns)]
+
+
+RECORD = SignatureRecord(
+    answer=SignatureAnswer(
+        "WS-1",
+        Estimate(0.21, 0.01, 0.19, 0.23, 12.0, Status.ESTIMATED),
+        Basis.SAME_PLACES,
+        (StateProbability(0.0, 0.2, 0.25), StateProbability(0.2, float("inf"), 0.75)),
+        (UsedEntry("WS-2", "S-7", 0.2, 0.5, ConicitySource.MEASURED_PROFILES),),
+        9,
+        2,
+        0.25,
+    ),
+    baseline=1,
+    signatures=12,
+    from_ns=5,
+    to_ns=9,
+    left_out={"same_wheelset": 3},
+    geometry=Estimate(0.25, 0.005, 0.24, 0.26, 4.0, Status.ESTIMATED),
+    disagreement=Disagreement(-0.04, 0.011, disagrees=True, reason=Reason(ReasonCode.METHODS_DISAGREE, "apart")),
+    input_digest="d" * 64,
+    code_version="9",
+    recorded_ns=77,
+)
+
+
+def test_the_newest_answer_takes_the_place_of_the_one_before(fleet: SqlStorage) -> None:
+    silent = replace(
+        RECORD,
+        answer=SignatureAnswer("WS-1", Estimate.unknown(Reason(ReasonCode.LIBRARY_TOO_SMALL, "too few"))),
+        geometry=None,
+        disagreement=None,
+        input_digest="e" * 64,
+    )
+    for one in (RECORD, silent):
+        with fleet.write() as unit:
+            unit.signatures.put_answer(one)
+        with fleet.read() as unit:
+            assert unit.signatures.answer("WS-1") == one
+            assert unit.signatures.answer("WS-2") is None
+            assert unit.signatures.answered() == {"WS-1": (one.input_digest, "9")}
