@@ -116,10 +116,6 @@ class ReasonCode(StrEnum):
     )
     SURVEY_GAUGE_UNIT = "survey_gauge_unit", "The gauge on file has another scale. Register it again in the right unit."
     # creep forces and adhesion
-    DIVERGED = (
-        "diverged",
-        "The filter of the creep forces does not follow the accelerations. Check the vehicle's class and its sensors.",
-    )
     LOW_ADHESION = (
         "low_adhesion",
         "The window is on rails of so little friction that creep is not linear. It is left out of the geometry.",
@@ -161,7 +157,7 @@ class ReasonCode(StrEnum):
     NO_ZERO_CROSSING = "no_zero_crossing", "rL - rR has no zero in the range covered."
     DIVERGED = (
         "diverged",
-        "The filter does not follow the motion: its innovations contradict its covariance. Use another estimator.",
+        "The filter does not follow the motion: its innovations contradict its covariance. Check class and sensors.",
     )
     NOT_FINITE = "not_finite", "The calculation gave no finite number."
     # wear signature

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlalchemy as sa
 from alembic import op
 
-revision: str = "0041"
+revision: str = "0040"
 down_revision: str | None = "0039"
 branch_labels: str | None = None
 depends_on: str | None = None
