@@ -14,8 +14,8 @@ from estimation.values.adhesion import SectionAdhesion as SectionAdhesionValue
 class PlaceFriction(Representation):
     """The friction of a place, pooled over passes of wheelsets."""
 
-    from_m: float
-    to_m: float
+    from_m: float = Field(description="Where it begins, along the section.")
+    to_m: float = Field(description="Where it ends, along the section.")
     friction_1: Uncertain = Field(description="Coefficient of friction; null where creep shows a lower bound alone.")
     at_least_1: float | None = Field(description="Lower end of the 95 % interval; null where nothing is known.")
     low_probability_1: float = Field(description="Probability of a friction below the limit of `low_adhesion`.")
@@ -28,7 +28,7 @@ class SectionAdhesion(Representation):
     section: str = Field(examples=["main-1"])
     measured_from: Timestamp = Field(description="Start of the first window.")
     measured_to: Timestamp = Field(description="Start of the last window.")
-    windows: int
+    windows: int = Field(description="Windows that are pooled along the section.")
     low_stretches: list[Stretch] = Field(description="Where friction is below the limit.")
     places: list[PlaceFriction] = Field(description="Places that were passed, in order of distance.")
     links: Links

@@ -162,8 +162,8 @@ class DataQualityEvidence(_OfRule):
 class Stretch(Representation):
     """A stretch of a track section."""
 
-    from_m: float
-    to_m: float
+    from_m: float = Field(description="Where it begins, along the section.")
+    to_m: float = Field(description="Where it ends, along the section.")
 
 
 class LowAdhesionEvidence(Representation):
