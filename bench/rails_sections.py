@@ -1,6 +1,6 @@
 """Sections of the rails bench: one fleet, several sections, rails of their own; what is true of them.
 
-A scenario has one section. Several scenarios with the same wheelsets, whose runs lie between each other, are several
+A scenario has one section. Several scenarios with the same wheelsets, whose runs are between each other, are several
 sections of one fleet. Not every vehicle runs everywhere, and one never runs on the section whose rails are known: what
 its wheels are has to come from the others.
 """

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from estimation.accuracy.wheel_contact import RailShare, WheelPair
-from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.radius_difference import refined_curve
 from estimation.contact.rail_wear import DEEPEST_BAND, RailWear, worn_rail
+from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ParameterError, ProfileError
 from estimation.rails.design import conicity_on_rails, designed_wheel
 
@@ -16,19 +20,19 @@ WEAR = RailWear(0.6e-3, -2e-3, 24e-3)
 
 def test_the_head_is_lower_by_the_depth_at_the_middle_of_the_band_and_nowhere_beyond_it() -> None:
     new = rail_profile("56E1")
-    worn = worn_rail(new, WEAR)
+    head = worn_rail(new, WEAR)
     y = np.linspace(-26e-3, 22e-3, 97)
-    lost = worn.height(y) - new.height(y)  # z is down
+    lost = head.height(y) - new.height(y)  # z is down
     u = (y + 2e-3) / 24e-3
     assert lost == pytest.approx(0.6e-3 * (1.0 - u**2) ** 3, abs=2e-6)
     outside = np.abs(new.y + 2e-3) >= 24e-3
-    assert np.array_equal(worn.z[outside], new.z[outside])
+    assert np.array_equal(head.z[outside], new.z[outside])
 
 
 def test_slopes_are_the_derivatives_of_the_heights() -> None:
-    worn = worn_rail(rail_profile("60E1"), WEAR)
+    head = worn_rail(rail_profile("60E1"), WEAR)
     y = np.linspace(-15e-3, 15e-3, 61)
-    assert worn.gradient(y) == pytest.approx((worn.height(y + 1e-6) - worn.height(y - 1e-6)) / 2e-6, abs=2e-3)
+    assert head.gradient(y) == pytest.approx((head.height(y + 1e-6) - head.height(y - 1e-6)) / 2e-6, abs=2e-3)
 
 
 def test_no_wear_is_the_new_rail() -> None:
@@ -66,6 +70,33 @@ def test_measured_wheels_have_the_std_of_their_measurement() -> None:
     pair = WheelPair(wheel, wheel, 0.45, 0.1e-3)
     _, std = conicity_on_rails(pair, RailShare("56E1", 0.05, 1.435, 1.0), np.array([3e-3]))
     assert 0.001 < std[0] < 0.02
+
+
+def test_what_rails_add_is_nearly_a_straight_line_over_the_conicity_of_the_wheel() -> None:
+    """The numbers of the decision; the slopes are what ``slope_std`` is about."""
+    depths, slopes = (0.0, 0.3e-3, 0.6e-3, 1.0e-3), []
+    wheels = [worn(wheel_profile("P8"), wear_course(WearFamily.P8_ON_56E1, depth)) for depth in depths]
+    new = rail_profile("56E1")
+    on_new = np.array([_at_2_mm(wheel, new, 1.435) for wheel in wheels])
+    band = worn_rail(new, RailWear(1e-3, 0.0, 25e-3))
+    for rail, gauge, least, most in (
+        (new, 1.432, -0.137, -0.169),
+        (new, 1.438, -0.012, -0.047),
+        (band, 1.435, 0.213, 0.184),
+    ):
+        added = np.array([_at_2_mm(wheel, rail, gauge) for wheel in wheels]) - on_new
+        assert (added[0], added[-1]) == pytest.approx((least, most), abs=1.5e-3)
+        line = np.polyfit(on_new, added, 1)
+        assert np.abs(np.polyval(line, on_new) - added).max() < 0.006
+        slopes.append(line[0])
+    assert all(-0.6 < slope < 0.0 for slope in slopes)
+
+
+def _at_2_mm(wheel: Profile, rail: Profile, gauge: float) -> float:
+    wheelset = WheelsetOnTrack.symmetric(wheel, rail, 0.05, gauge)
+    table = contact_table(wheelset, 0.05e-3 * np.arange(-160, 161), outside="hold")
+    curve = refined_curve(wheelset, table, 0)
+    return float(equivalent_conicity(curve.displacement, curve.difference, np.array([2e-3]))[0])
 
 
 def test_what_is_not_built_in_gives_no_reference() -> None:
