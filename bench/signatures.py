@@ -68,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
     console.print(table)
     if options.write_docs:
         seeds = f"Seeds {', '.join(str(case['seed']) for case in cases)}."
-        body = [f"{seeds} {__doc__.partition('Every seed')[2] and _about()}", markdown_table(COLUMNS, cells)]
+        body = [f"{seeds} {_about()}", markdown_table(COLUMNS, cells)]
         page = write_page("signatures", TITLE, "python -m bench signatures --write-docs", body)
         console.print(f"wrote {page}", highlight=False)
     return 0 if all(row.met for row in rows) else 1

@@ -18,9 +18,9 @@ from estimation.values.signatures import METHOD, Basis, ConicitySource, Signatur
 class StateOfWear(Representation):
     """A range of the equivalent conicity at 3 mm, and how likely the wheelset is in it."""
 
-    from_1: float
-    to_1: float | None = Field(description="Null: no end.")
-    probability: float
+    from_1: float = Field(description="Least equivalent conicity of the state.")
+    to_1: float | None = Field(description="Where the next state begins; null for the last.")
+    probability: float = Field(description="That the conicity is in this state.")
 
 
 class UsedEntry(Representation):
@@ -28,8 +28,8 @@ class UsedEntry(Representation):
 
     wheelset: str
     section: str
-    equivalent_conicity_1: float
-    weight: float
+    equivalent_conicity_1: float = Field(description="On file, at 3 mm.")
+    weight: float = Field(description="Share of all entries that were used.")
     source: ConicitySource = Field(description="How its conicity is known.")
 
 
@@ -37,7 +37,7 @@ class MethodsCompared(Representation):
     """How far signature and geometry are apart, both at 3 mm."""
 
     difference_1: float = Field(description="Signature less geometry.")
-    difference_std_1: float
+    difference_std_1: float = Field(description="Standard deviation of the difference.")
     disagree: bool = Field(description="Whether their 95 % intervals are apart: a finding.")
     reason: str | None
     reason_code: ReasonCode | None
@@ -51,12 +51,12 @@ class SignatureAnswer(Representation):
     equivalent_conicity_at_3_mm_1: Uncertain = Field(description="`n_windows` counts signatures: stretches of track.")
     basis: Basis | None = Field(description="Whether the library has the places that the wheelset passed.")
     state: StateOfWear | None = Field(description="The most likely state; null where nothing is said.")
-    states: list[StateOfWear]
+    states: list[StateOfWear] = Field(description="All states; empty where nothing is said.")
     used_entries: list[UsedEntry] = Field(
         description="Those that count most, at most ten; without those of fleets that you do not see."
     )
-    library_wheelsets: int
-    library_sections: int
+    library_wheelsets: int = Field(description="Wheelsets that the library has for this one.")
+    library_sections: int = Field(description="Sections that it has.")
     left_out: dict[str, int] = Field(description="Library entries and windows that do not count, by reason.")
     novelty: float | None = Field(description="Distance from the library; above 1 nothing is said.")
     geometry_at_3_mm_1: Uncertain | None = Field(

@@ -94,7 +94,7 @@ def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
     """Return where the wheelset of a window runs in its bogie.
 
     The axle of the lower number is in front where the vehicle runs forwards; a vehicle reports its speed as positive
-    either way, so that running backwards is not told from running the section backwards.
+    either way, so that the two ways of running the section backwards look alike.
 
     Parameters
     ----------
