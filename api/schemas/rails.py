@@ -45,17 +45,17 @@ class RailsPeriod(Representation):
     measured_from: Timestamp
     measured_to: Timestamp
     reference: RailsReference | None = Field(description="What the rails are compared with; null where nothing was.")
-    n_wheelsets: int
+    n_wheelsets: int = Field(description="Number of wheelsets that ran on the section.")
     n_windows: int
-    by_amplitude: list[RailsAtAmplitude]
+    by_amplitude: list[RailsAtAmplitude] = Field(description="Smallest amplitude first.")
 
 
 class RailsTrend(Representation):
     """How fast the excess grows."""
 
-    excess_per_year_1: Uncertain
+    excess_per_year_1: Uncertain = Field(description="Growth of the excess in a year.")
     amplitude_mm: float
-    n_periods: int
+    n_periods: int = Field(description="Number of periods behind it.")
 
 
 class SectionRails(Representation):
@@ -80,15 +80,15 @@ class SectionRails(Representation):
 class ConicityBySource(Representation):
     """The conicity at one amplitude, by one method."""
 
-    method: ConicityMethod
-    equivalent_conicity_1: Uncertain
+    method: ConicityMethod = Field(description="How it was found.")
+    equivalent_conicity_1: Uncertain = Field(description="At this amplitude, by this method.")
 
 
 class ConicitiesAtAmplitude(Representation):
     """Conicities at one amplitude, side by side."""
 
     amplitude_mm: float
-    conicities: list[ConicityBySource]
+    conicities: list[ConicityBySource] = Field(description="One by each method.")
 
 
 class WheelsetRails(Representation):
@@ -103,7 +103,7 @@ class WheelsetRails(Representation):
     n_windows: int
     measured_from: Timestamp
     measured_to: Timestamp
-    by_amplitude: list[ConicitiesAtAmplitude]
+    by_amplitude: list[ConicitiesAtAmplitude] = Field(description="Smallest amplitude first.")
     status: Status = Field(description="`estimated` where a conicity is published at some amplitude.")
     code_version: str
     input_digest: str

@@ -90,12 +90,16 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "Parameter": {"value", "std"},  # their unit is in a field beside them
         "Sensor": {"noise_density", "limit"},
         "RecordingCounts": {"frames", "used", "unused", "lost", "marked"},
+        "SignatureAnswer": {"novelty"},  # a ratio of stds
+        "StateOfWear": {"probability"},
+        "UsedEntry": {"weight"},
         "RecordingWindows": {"made", "pending", "estimated", "refused"},
     }
     counts = {"axle", "axles", "baseline", "gaps", "id", "n_windows", "number", "passes", "status", "version"}
     counts |= {"interval", "windows", "faulty_windows", "hunting_windows", "implausible_windows", "rejected_recordings"}
     counts |= {"rejected_reasons", "reasons", "more_than", "member_count", "open_member_count", "numbers"}
     counts |= {"on_evaluations", "off_evaluations", "clear_seen"}
+    counts |= {"geometry_baseline", "left_out", "library_sections", "library_wheelsets", "n_periods", "n_wheelsets"}
     counts |= {"bogie", "urgency_rank", "visit", "size_bytes", "status_code"}
     counts |= {"compared", "covered", "considered", "on_file", "measurements"}  # of measurements
     counts |= {"attempts", "past_findings", "recent_findings", "other_vehicles", "windows_left_out"}

@@ -56,7 +56,7 @@ def test_every_command_of_the_page_runs(place: Place) -> None:
     assert place.windows() == right
     jobs = re.findall(r"^\| `(\w+)` \| \d+ [sh] \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     assert jobs.pop() == "purge"  # which has a command of its own
-    assert len(jobs) == 7
+    assert len(jobs) == 9
     for name in jobs:
         place(f"treadwatch estimate --job {name}")
     assert place.windows() == right
