@@ -203,7 +203,10 @@ def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
 
 def _without(covariance: FloatArray, slope: FloatArray, variance: float) -> FloatArray:
     """Return a covariance less that of an error of the logarithm of the conicity; still positive definite."""
-    most = LARGEST_SHARE / float(slope @ np.linalg.solve(covariance, slope))
+    seen = float(slope @ np.linalg.solve(covariance, slope))
+    if not seen > 0.0:
+        return covariance  # all conicities are alike: there is no slope
+    most = LARGEST_SHARE / seen
     return np.asarray(covariance - min(variance, most) * np.outer(slope, slope))
 
 
