@@ -17,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 from rich.console import Console
 from rich.table import Table
 
-from bench.report import BenchRow
+from bench.report import COLUMNS, BenchRow
 from bench.results_page import markdown_table, write_page
 
 NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend")
@@ -75,7 +75,6 @@ TITLES = {
     "idle": "A run of all jobs with nothing new",
     "logs": "Log files to decoded arrays",
 }
-COLUMNS = ("what", "measured", "reach", "met")
 
 
 def main() -> int:
@@ -91,7 +90,7 @@ def main() -> int:
         rows = []
         for row in run():
             console.print(f"{row.what}: {row.measured}", highlight=False, soft_wrap=True)
-            rows.append((row.what, row.measured, row.reach, "yes" if row.met else "NO"))
+            rows.append(row.cells)
             short += not row.met
         for cells in rows:
             table.add_row(*cells)

@@ -16,13 +16,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 
 from api.comparison.trial import Recorded, opened, receive
 from api.factory import open_store
 from bench.process_tree import cpu_of_tree
-from bench.report import BenchRow
-from bench.results_page import markdown_table, write_page
+from bench.report import BenchRow, printed
+from bench.results_page import ended
 from bench.sustained import APPLICATION_AT
 from bench.worker_load import Workload, workload
 from estimation.errors import TreadwatchError
@@ -31,7 +30,7 @@ from estimation.jobs.job import run_job
 from estimation.values.runs import JobTrigger
 from fleet_db.storage import SqlStorage
 
-COLUMNS, TITLE = ("what", "measured", "reach", "met"), "Cost of a wheelset by the size of the fleet"
+TITLE = "Cost of a wheelset by the size of the fleet"
 AXLES, REACH_EXPONENT = 4, 1.05
 VEHICLES = (10, 100, 1000)
 
@@ -152,16 +151,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--minutes", type=float, default=3.0, help="of a journey (3)")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/fleet_sizes.md")
     options = parser.parse_args(arguments)
-    console, table = Console(), []
     with tempfile.TemporaryDirectory(prefix="treadwatch-fleet-sizes-") as name:
         folder = Path(name)
         (folder / "load").mkdir()
-        load = workload(folder / "load", 1, options.minutes)
-        for row in rows(folder, load, sorted(options.vehicles)):
-            cells = (row.what, row.measured, row.reach, "yes" if row.met else "NO")
-            console.print("  ".join(cells), highlight=False, soft_wrap=True)
-            table.append(cells)
-    if options.write_docs:
-        command = " ".join(["python -m bench fleet_sizes", *arguments])
-        write_page("fleet_sizes", TITLE, command, [markdown_table(COLUMNS, table)])
-    return 1 if any(cells[-1] == "NO" for cells in table) else 0
+        found = printed(rows(folder, workload(folder / "load", 1, options.minutes), sorted(options.vehicles)))
+    command = " ".join(["python -m bench fleet_sizes", *arguments]) if options.write_docs else None
+    return ended(found, "fleet_sizes", TITLE, command)

@@ -20,14 +20,13 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
-from rich.console import Console
 from sqlalchemy import Engine, event
 
 from api.comparison.trial import Recorded, opened, receive
 from bench.pipeline_rival import rival_s_per_frame
 from bench.process_tree import cpu_of_tree, tree
-from bench.report import BenchRow
-from bench.results_page import markdown_table, write_page
+from bench.report import BenchRow, printed
+from bench.results_page import ended
 from bench.worker_load import Workload, workload
 from estimation.errors import TreadwatchError
 from estimation.jobs.catalogue import ALL_JOBS
@@ -36,7 +35,6 @@ from estimation.values.runs import JobTrigger
 from ingest.frames import take
 from ingest.logs import read_log, write_blf
 
-COLUMNS = ("what", "measured", "reach", "met")
 CORES, HOUR_S, AXLES = 2, 3600.0, 4
 REACH_FRAMES, REACH_RATIO, REACH_HOUR_S, REACH_GIB = 1e6, 20.0, 1.5, 4.0
 GIB = 2**30
@@ -196,14 +194,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--chunk", type=float, nargs="+", default=[900.0, 60.0], help="length of a chunk, s (900 60)")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/pipeline.md")
     options = parser.parse_args(arguments)
-    console, table = Console(), []
+    found = []
     for chunk_s in options.chunk:
         with tempfile.TemporaryDirectory() as folder:
-            for row in rows(Path(folder), options.vehicles, options.minutes, chunk_s):
-                cells = (row.what, row.measured, row.reach, "yes" if row.met else "NO")
-                console.print("  ".join(cells), highlight=False, soft_wrap=True)
-                table.append(cells)
-    if options.write_docs:
-        text = markdown_table(COLUMNS, table)
-        write_page("pipeline", "From chunks to alerts", "python -m bench pipeline --write-docs", [text])
-    return 1 if any(cells[-1] == "NO" for cells in table) else 0
+            found += printed(rows(Path(folder), options.vehicles, options.minutes, chunk_s))
+    command = " ".join(["python -m bench pipeline", *arguments]) if options.write_docs else None
+    return ended(found, "pipeline", "From chunks to alerts", command)

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from bench.report import COLUMNS, BenchRow
+
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 LIBRARIES = ("numpy", "scipy")
 
@@ -50,6 +52,23 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: 
     rule = ["---:" if column in right else "---" for column in range(len(header))]
     cells = [[cell.replace("|", "\\|") for cell in row] for row in (header, rule, *rows)]
     return "\n".join(f"| {' | '.join(row)} |" for row in cells)
+
+
+def ended(rows: Sequence[BenchRow], name: str, title: str, command: str | None) -> int:
+    """Write the page of a bench where a command is given for it; return 1 where a row falls short.
+
+    Parameters
+    ----------
+    rows
+        All that was measured.
+    name, title
+        Of the page.
+    command
+        What writes it, as it is typed; None for no page.
+    """
+    if command is not None:
+        write_page(name, title, command, [markdown_table(COLUMNS, [row.cells for row in rows])])
+    return 0 if all(row.met for row in rows) else 1
 
 
 def machine() -> str:

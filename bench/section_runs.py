@@ -22,8 +22,8 @@ from rich.console import Console
 from api.comparison.trial import Recorded, deploy, opened, receive, record
 from api.factory import open_store
 from api.settings import Settings
-from bench.report import BenchRow
-from bench.results_page import markdown_table, write_page
+from bench.report import BenchRow, printed
+from bench.results_page import ended
 from bench.worker_load import fleet
 from estimation.errors import TreadwatchError
 from estimation.jobs.catalogue import ALL_JOBS
@@ -31,10 +31,10 @@ from estimation.jobs.job import run_job
 from estimation.values.runs import JobTrigger
 from ingest.simulator.scenario_file import read_scenario
 
-COLUMNS = ("what", "measured", "reach", "met")
 TITLE = "A section over many runs"
 REACH_ESTIMATIONS, REACH_EXPONENT = 1.3, 1.05
 QUIET_S = 600.0  # interval of the job of the alignment
+FEWEST_RUNS = 2  # that an exponent needs
 FIRST_RUNS = 5  # left out of the exponent: they compile, and there is no alignment yet
 
 
@@ -148,13 +148,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--minutes", type=float, default=5.0, help="of a journey (5)")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/section_runs.md")
     options = parser.parse_args(arguments)
-    console, table = Console(), []
+    if options.vehicles * options.campaigns < FIRST_RUNS + FEWEST_RUNS:
+        parser.error(f"{FIRST_RUNS + FEWEST_RUNS} journeys of all vehicles or more are needed for an exponent")
     with tempfile.TemporaryDirectory(prefix="treadwatch-section-runs-") as folder:
-        for row in rows(Path(folder), options.vehicles, options.campaigns, options.minutes):
-            cells = (row.what, row.measured, row.reach, "yes" if row.met else "NO")
-            console.print("  ".join(cells), highlight=False, soft_wrap=True)
-            table.append(cells)
-    if options.write_docs:
-        command = " ".join(["python -m bench section_runs", *arguments])
-        write_page("section_runs", TITLE, command, [markdown_table(COLUMNS, table)])
-    return 1 if any(cells[-1] == "NO" for cells in table) else 0
+        found = printed(rows(Path(folder), options.vehicles, options.campaigns, options.minutes))
+    command = " ".join(["python -m bench section_runs", *arguments]) if options.write_docs else None
+    return ended(found, "section_runs", TITLE, command)

@@ -23,15 +23,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from sqlalchemy import func, select
 
 from api.comparison.trial import opened
 from api.settings import Settings
 from api.workers.pool import ProcessPool
 from bench.process_tree import cpu_of_tree, memory_of_tree
-from bench.report import BenchRow
-from bench.results_page import markdown_table, write_page
+from bench.report import BenchRow, printed
+from bench.results_page import ended
 from bench.worker_load import Workload, workload
 from estimation.errors import TreadwatchError
 from estimation.jobs import estimate_windows, refresh_alignment
@@ -43,7 +42,7 @@ from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from tests.postgres_server import SAFE, stoppable_server
 
-COLUMNS, TITLE = ("what", "measured", "reach", "met"), "Chunks to bin tables, without a pause"
+TITLE = "Chunks to bin tables, without a pause"
 CHUNKS = table_of(ChunkRow)
 CORES, WAITING = 2, 12
 """Of the reach; chunks that wait to be taken or decoded at any time."""
@@ -250,16 +249,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--journey", type=float, default=10.0, help="minutes of a chunk (10)")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/sustained.md too")
     options = parser.parse_args(arguments)
-    console, table = Console(), []
     with tempfile.TemporaryDirectory(prefix="treadwatch-sustained-") as name, stoppable_server(SAFE) as server:
         folder = Path(name)
         (folder / "load").mkdir()
-        load = workload(folder / "load", 1, options.journey, server.url)
-        for row in rows(folder, load, options.minutes):
-            cells = (row.what, row.measured, row.reach, "yes" if row.met else "NO")
-            console.print("  ".join(cells), highlight=False, soft_wrap=True)
-            table.append(cells)
-    if options.write_docs:
-        command = " ".join(["python -m bench sustained", *arguments])
-        console.print(f"wrote {write_page('sustained', TITLE, command, [markdown_table(COLUMNS, table)])}")
-    return 1 if any(cells[-1] == "NO" for cells in table) else 0
+        found = printed(rows(folder, workload(folder / "load", 1, options.journey, server.url), options.minutes))
+    command = " ".join(["python -m bench sustained", *arguments]) if options.write_docs else None
+    return ended(found, "sustained", TITLE, command)

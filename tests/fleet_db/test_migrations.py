@@ -246,6 +246,27 @@ def test_sentences_of_an_earlier_version_get_codes(empty_url: str, engine: Engin
         assert [window.start_ns for window in unit.windows.ready(10, [])] == [0, 2]
 
 
+def test_sections_with_windows_of_an_earlier_version_are_known_whether_they_are_on_file_or_not(
+    empty_url: str, engine: Engine
+) -> None:
+    config = Config()
+    config.set_main_option("script_location", str(SCRIPTS))
+    with engine.begin() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0037")
+        old_row(connection, "fleets", code="F")
+        old_row(connection, "vehicles", code="V", fleet="F", axles=1)
+        old_row(connection, "wheelsets", serial="W", fleet="F")
+        for number, code in ((1, "S"), (-1, "GONE"), (2, "NEW")):  # -1 is on no bus: the section was voided
+            old_row(connection, "track_sections", code=code, number=number, rail_profile="60E1")
+        for start, section in enumerate(("S", "S", None, "GONE")):
+            old_row(connection, "windows", wheelset="W", start_ns=start, vehicle="V", axle=1, track_section=section,
+                    length_ns=1, state="pending", reason="")  # fmt: skip
+    assert upgrade(empty_url) == head()
+    with SqlStorage(engine, Path("unused")).read() as unit:
+        assert unit.section_looks.touched() == {"S": 1, "GONE": 1}
+
+
 def test_no_trend_of_an_earlier_version_was_recorded_before_the_one_that_it_follows(
     empty_url: str, engine: Engine
 ) -> None:

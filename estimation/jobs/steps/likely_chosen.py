@@ -1,7 +1,7 @@
 """Windows that will probably stand for their roll-up: what they say of the rolling radius is summed with their tables.
 
 A roll-up chooses the windows of the smallest digests. To which one a window will belong is decided later; the newest
-one of its wheelset tells what digests are small there.
+one of its wheelset shows which digests are small there.
 """
 
 from __future__ import annotations

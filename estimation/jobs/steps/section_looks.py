@@ -18,7 +18,7 @@ def section_news(unit: UnitOfWork, context: JobContext, stage: str) -> dict[str,
 
     A look at a section rests on its windows, their positions and the epochs that hold them, which are counted as they
     change (``fleet_db.changes``), and on what is compared here: its record, its alignments and layouts, classes and
-    settings.
+    settings. Sections that are not on file any more count by their windows alone.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ def section_news(unit: UnitOfWork, context: JobContext, stage: str) -> dict[str,
     standing = unit.tracks.standings()
     on_file = {section.code: f"{section!r} {standing.get(section.code)!r}" for section in unit.tracks.sections()}
     now = {
-        code: SectionLook(_digest(f"{known} {common}"), touched.get(code, 0))
-        for code, known in {NO_SECTION: "", **on_file}.items()
+        code: SectionLook(_digest(f"{on_file.get(code, '')} {common}"), touched.get(code, 0))
+        for code in {NO_SECTION, *touched, *on_file}
     }
     return {code: look for code, look in now.items() if seen.get(code) != look}
 

@@ -12,12 +12,16 @@ depends_on: str | None = None
 
 
 def upgrade() -> None:
-    """Add both tables."""
+    """Add both tables, with every section that windows are on, whether it is still on file or not."""
     op.create_table(
         "section_changes",
         sa.Column("section", sa.String(64), nullable=False),
         sa.Column("touched", sa.BigInteger(), nullable=False),
         sa.PrimaryKeyConstraint("section", name=op.f("pk_section_changes")),
+    )
+    op.execute(
+        "INSERT INTO section_changes (section, touched) SELECT DISTINCT track_section, 1 FROM windows"
+        " WHERE track_section IS NOT NULL"
     )
     op.create_table(
         "section_looks",

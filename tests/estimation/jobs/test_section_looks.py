@@ -5,18 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from alignment_job import QUIET, counts, put, register, surveyed
+from paper_class import paper_class
 
 from bench.standing_clock import StandingClock
+from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.jobs import estimate_windows, refresh_alignment
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.section_looks import section_news
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Reprofiling
+from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.track import TrackLayout
 from estimation.values.windows import WindowState
+from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.stores.registry_history import RecordKey
 
 STAGES = ("refresh_alignment", "estimate_windows")
 SETTINGS = JobSettings()
@@ -81,6 +87,39 @@ def _wait(unit: SqlUnitOfWork) -> None:
     unit.windows.requeue_axle("V0", 1, first_window(unit)[1])
 
 
+def _move_axle(unit: SqlUnitOfWork) -> None:
+    unit.registry.add_vehicle(replace(unit.registry.vehicle("V0"), axle_offsets_m=(1.0,)))
+
+
+def _remount(unit: SqlUnitOfWork) -> None:
+    unit.registry.add_mounting(Mounting("W0", "V0", 1, 0, None, 0.0, 0.0, reversed=True))
+
+
+def _radius(unit: SqlUnitOfWork) -> None:
+    unit.registry.add_wheelset(replace(unit.registry.wheelset("W0"), nominal_radius_m=0.44))
+
+
+def _measure(unit: SqlUnitOfWork) -> None:
+    unit.registry.add_measured_profiles(MeasuredProfiles("W0", 1, 10.0, wheel_profile("P8"), wheel_profile("P8"), 5e-5))
+
+
+def _layout(unit: SqlUnitOfWork) -> None:
+    unit.tracks.add_layout(TrackLayout("S1", 0, np.array([0.0, 2900.0]), np.zeros(2), np.zeros(2)))
+
+
+def _put_epoch(unit: SqlUnitOfWork) -> None:
+    unit.epochs.put(unit.epochs.list("S1")[0], [])
+
+
+def _put_found(unit: SqlUnitOfWork) -> None:
+    unit.epochs.put_found("S1", 1, None)
+
+
+def _put_table(unit: SqlUnitOfWork) -> None:
+    record, table, _ = next(unit.tables.stream("W0", 0, None))
+    unit.tables.put(*record.key, table, None, record.content_digest)
+
+
 def _start_again(unit: SqlUnitOfWork) -> None:
     unit.epochs.start_again("S1")
 
@@ -95,7 +134,27 @@ def test_at_rest_no_section_is_looked_at_and_nothing_is_written(
     assert estimate_windows.run(context_of(at_rest)) == QUIET
 
 
-@pytest.mark.parametrize("change", [_mark, _forget, _remove, _turn, _survey, _rename, _wait, _start_again])
+@pytest.mark.parametrize(
+    "change",
+    [
+        _mark,
+        _forget,
+        _remove,
+        _turn,
+        _move_axle,
+        _remount,
+        _radius,
+        _measure,
+        _survey,
+        _layout,
+        _rename,
+        _wait,
+        _put_epoch,
+        _put_found,
+        _put_table,
+        _start_again,
+    ],
+)
 def test_whatever_happens_on_a_section_it_is_looked_at_again_and_the_other_is_not(
     at_rest: SqlStorage, change: Callable[[SqlUnitOfWork], None]
 ) -> None:
@@ -107,6 +166,26 @@ def test_whatever_happens_on_a_section_it_is_looked_at_again_and_the_other_is_no
 def test_a_window_is_news_on_the_section_it_is_on_and_on_the_one_it_was_on(at_rest: SqlStorage) -> None:
     put(at_rest, [0], section="S2")  # the same times
     assert [found - {""} for found in news(at_rest)] == [{"S1", "S2"}, {"S1", "S2"}]
+
+
+def test_windows_on_a_section_that_is_no_longer_on_file_are_looked_at(at_rest: SqlStorage) -> None:
+    with at_rest.write() as unit:
+        unit.corrections.void(RecordKey(RecordKind.SECTION, "S1"), Decision("ada", "never was", 1))
+    for _ in range(2):
+        counts(at_rest, "estimate_windows")
+    assert "S1" in news(at_rest, "other")[1]
+
+
+def test_another_class_and_other_settings_look_at_all(at_rest: SqlStorage) -> None:
+    others = replace(SETTINGS, estimation=replace(SETTINGS.estimation, interval_km=SETTINGS.estimation.interval_km + 1))
+    with at_rest.read() as unit:
+        changed = replace(context_of(at_rest), settings=others)
+        assert set(section_news(unit, changed, "estimate_windows")) == {"", "S1", "S2"}
+    metro = paper_class("metro")
+    softer = replace(metro, parameters=replace(metro.parameters, yaw_stiffness=0.9 * metro.parameters.yaw_stiffness))
+    with at_rest.write() as unit:
+        unit.registry.add_vehicle_class(softer, 2)
+    assert news(at_rest)[1] == {"", "S1", "S2"}
 
 
 def test_another_version_of_the_numerics_looks_at_all(at_rest: SqlStorage) -> None:
