@@ -65,6 +65,7 @@ NAMING_NOTHING = frozenset(
         "alert_kind",
         "alert_severity",
         "as_of",
+        "at",
         "condition",
         "cursor",
         "file_name",

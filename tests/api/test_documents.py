@@ -35,7 +35,7 @@ def test_every_reason_code_has_a_meaning_and_a_remedy() -> None:
         (DOCS / name).read_text()
         for name in (
             *("troubleshooting.md", "sections.md", "quarantine.md", "plausibility.md", "worklist.md", "recordings.md"),
-            *("measured-against-estimated.md", "purged-windows.md"),
+            *("measured-against-estimated.md", "purged-windows.md", "second-opinions.md"),
         )
     )
     assert {code for code in ReasonCode if not re.search(rf"^\|.*`{code}`", pages, re.MULTILINE)} == set()
