@@ -91,7 +91,7 @@ def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, cam
         The track is too short for the run.
     """
     rng = generator(scenario.seed, Stream.SPEED, scenario.vehicles.index(vehicle), campaign)
-    speed = _speed(scenario, rng)
+    speed = _speed(scenario, rng)[: round(scenario.duration(vehicle) / STEP) + 1]
     if scenario.sessions.whole_section:
         speed, distance = _across(scenario, vehicle, speed)
         return _run(scenario, vehicle, campaign, speed, distance)

@@ -244,7 +244,7 @@ def _write(
     path.parent.mkdir(parents=True, exist_ok=True)
     write_blf(path, batch)
     whole = scenario.sessions.whole_section
-    seconds = 1e-9 * float(batch.t_ns[-1] - batch.t_ns[0]) if whole else scenario.sessions.duration
+    seconds = 1e-9 * float(batch.t_ns[-1] - batch.t_ns[0]) if whole else scenario.duration(vehicle)
     seconds *= len(vehicle.wheelsets)
     return Recording(vehicle.code, campaign + 1, path, len(batch), seconds, truths)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -79,6 +80,7 @@ class VehiclePlan:
     max_speed: float  # m/s
     axle_offsets: tuple[float, ...]  # m behind the position reference
     wheelsets: tuple[WheelsetPlan, ...]
+    longest_run: float = math.inf  # s, where its runs end before those of the others
 
 
 def usual_offsets(axles: int, bogie: BogieParameters | None = None) -> tuple[float, ...]:
@@ -329,6 +331,10 @@ class Scenario:
                 return plan
         known = ", ".join(plan.code for plan in self.vehicles)
         raise ScenarioError(f"no vehicle {code!r} in scenario {self.name!r}; there are {known}", field="vehicle")
+
+    def duration(self, vehicle: VehiclePlan) -> float:
+        """Return how long a run of ``vehicle`` is at most, s."""
+        return min(self.sessions.duration, vehicle.longest_run)
 
     def odometer(self, campaign: int) -> float:
         """Return the vehicles' odometer, m, at the start of ``campaign`` (from 0)."""

@@ -88,6 +88,14 @@ class ScenarioTable(InputTable):
         return self
 
     @model_validator(mode="after")
+    def _check_runs(self) -> Self:
+        for index, vehicle in enumerate(self.vehicles):
+            if vehicle.minutes_each is not None and self.sessions.whole_section:
+                reason = "runs over the whole section are not shorter for one vehicle"
+                raise field_error(reason, "vehicles", index, "minutes_each")
+        return self
+
+    @model_validator(mode="after")
     def _check_bogies(self) -> Self:
         bogie = self.dynamics.bogie_plan()
         if bogie is None:

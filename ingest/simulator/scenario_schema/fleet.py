@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -139,6 +140,7 @@ class VehicleTable(InputTable):
     vehicle_class: Text = Field(alias="class")
     max_speed_km_h: float = Field(gt=0.0, le=400.0)
     axle_offsets_m: IncreasingNumbers | None = None
+    minutes_each: float | None = Field(default=None, gt=0.0)
     wheelsets: list[WheelsetTable] = Field(min_length=1, max_length=MAX_AXLES)
 
     @model_validator(mode="after")
@@ -178,4 +180,5 @@ class VehicleTable(InputTable):
             max_speed=KM_PER_HOUR * self.max_speed_km_h,
             axle_offsets=self.offsets(bogie),
             wheelsets=tuple(wheelset.plan(folder, radius) for wheelset in self.wheelsets),
+            longest_run=math.inf if self.minutes_each is None else 60.0 * self.minutes_each,
         )

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scenario_text import SMALL
 
 from estimation.errors import ScenarioError
+from ingest.simulator.campaign import scenario_track, vehicle_run
+from ingest.simulator.motion import STEP
 from ingest.simulator.scenario import FaultKind
 from ingest.simulator.scenario_file import builtin_scenarios, load_scenario, read_scenario
 
@@ -40,6 +43,16 @@ def test_a_scenario_is_si_inside(tmp_path: Path) -> None:
     assert scenario.at_odometer_ns(scenario.odometer(1)) == scenario.start_ns(vehicle, 1)
 
 
+def test_the_runs_of_one_vehicle_may_be_shorter(tmp_path: Path) -> None:
+    usual = read_scenario(write(tmp_path, SMALL))
+    shorter = read_scenario(write(tmp_path, SMALL.replace("[[vehicles]]", "[[vehicles]]\nminutes_each = 0.1", 1)))
+    track = scenario_track(usual)
+    long, short = (vehicle_run(one, track, one.vehicles[0], 0) for one in (usual, shorter))
+    assert STEP * (len(long.speed) - 1) == pytest.approx(12.0)
+    assert STEP * (len(short.speed) - 1) == pytest.approx(6.0)
+    np.testing.assert_array_equal(short.speed, long.speed[: len(short.speed)])
+
+
 @pytest.mark.parametrize("name", ["demo", "demo_single", "live", "mems", "paper"])
 def test_built_in_scenarios_are_good(name: str) -> None:
     assert name in builtin_scenarios()
@@ -54,6 +67,7 @@ BAD = [
         "unknown",
     ),
     ("[fleet]", '[fleet]\ncolour = "red"', "fleet.colour", "unknown"),
+    ("[[vehicles]]", "[[vehicles]]\nminutes_each = 0", "vehicles[0].minutes_each", "outside"),
     ("seed = 5", "seeds = 5", "seed", "missing"),
     ("seed = 5", "seed = -5", "seed", "outside"),
     ("seed = 5", "seed = 5.5", "seed", "whole number"),
@@ -104,6 +118,14 @@ def test_a_line_is_found_among_repeated_tables(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError) as refused:
         read_scenario(write(tmp_path, text))
     assert refused.value.line == line_of(text, "initial_wear_mm = 99")
+
+
+def test_runs_over_the_whole_section_are_not_shortened(tmp_path: Path) -> None:
+    whole = SMALL.replace("minutes_each = 0.2", "whole_section = true")
+    text = whole.replace("[[vehicles]]", "[[vehicles]]\nminutes_each = 0.1", 1)
+    with pytest.raises(ScenarioError, match="whole section") as refused:
+        read_scenario(write(tmp_path, text))
+    assert refused.value.field == "vehicles[0].minutes_each"
 
 
 @pytest.mark.parametrize(("content", "words"), [("= 3", "no TOML"), ("name = 'x'", "missing")])
