@@ -1,4 +1,4 @@
-"""Years of a fleet in a minute: recordings come in campaign by campaign, and the jobs run after each.
+"""Years of fleets in a minute: recordings come in campaign by campaign, and the jobs run after each.
 
 The clock stands at the evening of each campaign, so that what is stored (receipts, geometries, trends, alerts raised
 and closed) has the times it would have had.
@@ -46,6 +46,14 @@ class ReplayClock:
         return self.now
 
 
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """A fleet as planned, and its recordings, registry and truth."""
+
+    scenario: Scenario
+    report: FleetReport
+
+
 def ending_now(scenario: Scenario, now_ns: int) -> Scenario:
     """Return the scenario moved in time so that its last campaign was the day before ``now_ns``."""
     last = max(scenario.start_ns(vehicle, scenario.sessions.campaigns - 1) for vehicle in scenario.vehicles)
@@ -53,17 +61,15 @@ def ending_now(scenario: Scenario, now_ns: int) -> Scenario:
     return replace(scenario, sessions=replace(scenario.sessions, start_ns=scenario.sessions.start_ns + days * DAY_NS))
 
 
-def replay(settings: Settings, scenario: Scenario, report: FleetReport, console: Console) -> Table:
+def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) -> Table:
     """Receive and estimate the whole history; return what was done, as a table.
 
     Parameters
     ----------
     settings
         Of the demo's deployment.
-    scenario
-        What was simulated.
-    report
-        Recordings, registry and truth of the simulation.
+    fleets
+        What was simulated; the campaigns of the first fleet are replayed first.
     console
         Where progress is shown.
 
@@ -82,21 +88,23 @@ def replay(settings: Settings, scenario: Scenario, report: FleetReport, console:
         TextColumn("{task.fields[what]}"),
         TimeElapsedColumn(),
     )
-    clock = ReplayClock(scenario.sessions.start_ns - DAY_NS)
+    clock = ReplayClock(min(fleet.scenario.sessions.start_ns for fleet in fleets) - DAY_NS)
     with closing(open_store(settings)) as storage, Progress(*columns, console=console) as progress:
-        contents = read_registry(report.registry)
-        _register(storage, contents, clock.now_ns())
+        contents = [read_registry(fleet.report.registry) for fleet in fleets]
+        for one in contents:
+            _register(storage, one, clock.now_ns())
         context = replace(job_context(settings, storage), clock=clock)
         receiver = _receiver(settings, storage, clock)
         receiver.reassembler.work_off()  # the registry is new, and there is no recording yet
-        campaigns = _by_campaign(report)
+        campaigns = [(end, received) for fleet in fleets for end, received in _by_campaign(fleet)]
         bar = progress.add_task("", total=len(campaigns), what="")
         tally = _Tally()
-        for campaign in sorted(campaigns):
-            clock.now = max(clock.now, _end_of_day(scenario, campaign))
-            _reprofile(storage, contents, clock.now)
+        for end_ns, received in campaigns:
+            clock.now = max(clock.now, end_ns)
+            for one in contents:
+                _reprofile(storage, one, clock.now)
             progress.update(bar, what="receiving")
-            tally.receive(receiver, campaigns[campaign])
+            tally.receive(receiver, received)
             for job in scheduled_jobs(settings):
                 progress.update(bar, what=job.name)
                 tally.run(job, context)
@@ -177,11 +185,12 @@ def _reprofile(storage: SqlStorage, contents: RegistryContents, until_ns: int) -
                 unit.registry.add_reprofiling(reprofiling)
 
 
-def _by_campaign(report: FleetReport) -> dict[int, list[Recording]]:
+def _by_campaign(fleet: Simulated) -> list[tuple[int, list[Recording]]]:
+    """Return when each campaign has come in, and its recordings, in order."""
     campaigns: defaultdict[int, list[Recording]] = defaultdict(list)
-    for recording in report.recordings:
+    for recording in fleet.report.recordings:
         campaigns[recording.campaign].append(recording)
-    return campaigns
+    return [(_end_of_day(fleet.scenario, campaign), campaigns[campaign]) for campaign in sorted(campaigns)]
 
 
 def _end_of_day(scenario: Scenario, campaign: int) -> int:

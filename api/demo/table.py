@@ -52,8 +52,8 @@ class WheelsetLine:
         return self.low <= self.true <= self.high
 
 
-def lines(service: ServiceAddress, truth: Path) -> list[WheelsetLine]:
-    """Ask the REST API for every wheelset, its geometry, trend and open alerts; the most urgent first.
+def lines(service: ServiceAddress, truth: Path, fleet: str) -> list[WheelsetLine]:
+    """Ask the REST API for every wheelset of a fleet, its geometry, trend and open alerts; the most urgent first.
 
     Parameters
     ----------
@@ -61,10 +61,19 @@ def lines(service: ServiceAddress, truth: Path) -> list[WheelsetLine]:
         The API.
     truth
         The simulator's side file.
+    fleet
+        Code of the fleet.
     """
-    true = {item["serial"]: item["campaigns"] for item in json.loads(truth.read_text(encoding="utf-8"))["wheelsets"]}
-    serials = [item["serial"] for item in get(service, "/v1/wheelsets?sort=urgency&limit=1000")["items"]]
+    true = true_campaigns(truth)
+    query = urllib.parse.urlencode({"fleet": fleet, "sort": "urgency", "limit": 1000})
+    serials = [item["serial"] for item in get(service, f"/v1/wheelsets?{query}")["items"]]
     return [_line(service, serial, true[serial]) for serial in serials]
+
+
+def true_campaigns(truth: Path) -> dict[str, list[dict[str, Any]]]:
+    """Return the true campaigns of each wheelset of the simulator's side file."""
+    wheelsets = json.loads(truth.read_text(encoding="utf-8"))["wheelsets"]
+    return {item["serial"]: item["campaigns"] for item in wheelsets}
 
 
 def get(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSON

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote
 
@@ -14,9 +15,10 @@ from api import logs
 from api.access.caller import EVERYTHING
 from api.access.making import Wanted
 from api.demo.own_rules import with_rules
-from api.demo.replay import ending_now, replay
+from api.demo.replay import Simulated, ending_now, replay
+from api.demo.second_opinions import second_opinions
 from api.demo.service import free_port, serving
-from api.demo.table import ServiceAddress, get, lines, tables
+from api.demo.table import ServiceAddress, get, lines, tables, true_campaigns
 from api.demo.track import track_lines
 from api.settings import Settings, load_settings
 from api.terminal.keys import make_stored_key
@@ -24,8 +26,11 @@ from api.terminal.simulate import simulate_with_progress
 from estimation.errors import StorageError
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import upgrade
+from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 
+BESIDE = {"demo": ("demo_autumn",)}
+"""Scenarios that are shown beside a built-in one."""
 MARKER = "made-by-treadwatch-demo"
 
 
@@ -50,10 +55,9 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     """
     began = time.monotonic()
     console = Console()
-    plan = ending_now(load_scenario(scenario), time.time_ns())
+    plans = [ending_now(load_scenario(name), time.time_ns()) for name in (scenario, *BESIDE.get(scenario, ()))]
     _recreate(folder)
-    recordings, data = folder / "recordings", folder / "data"
-    settings = load_settings(data_dir=data)
+    settings = load_settings(data_dir=folder / "data")
     embedded = {
         "database_url": None,
         "database_host": None,
@@ -62,26 +66,21 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
         "log_level": "warning",
     }
     settings = settings.model_copy(update=embedded)
-    settings = with_rules(settings, plan.name, folder)
+    settings = with_rules(settings, plans[0].name, folder)
     settings = settings.model_copy(update={"docs": "open"})  # on this machine alone, and a browser sends no key there
     logs.configure(settings)
-    console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
-    report = simulate_with_progress(plan, recordings, console)
+    fleets = [_simulated(plan, folder / "recordings" / plan.fleet_code, console) for plan in plans]
     upgrade(settings.url)
-    console.print(replay(settings, plan, report, console))
+    console.print(replay(settings, fleets, console))
     key = _own_key(settings)
     # chosen only now: another process may have taken the port during the minutes before
     with serving(settings.model_copy(update={"port": free_port(settings.host, port)})) as url:
         service = ServiceAddress(url, key)
-        found = lines(service, report.truth)
-        for table in tables(found, console):
-            console.print(table)
-        for sentence in track_lines(service):
-            console.print(sentence, highlight=False)
-        covered = [line.covers for line in found if line.covers is not None]
+        covered = _print_findings(service, fleets, console)
         console.print(
-            f"{sum(covered)} of {len(covered)} intervals cover; {report.frames:,} CAN frames, "
-            f"{report.wheelset_seconds / 3600:.1f} wheelset-hours; table after {time.monotonic() - began:.0f} s",
+            f"{sum(covered)} of {len(covered)} intervals cover; {sum(fleet.report.frames for fleet in fleets):,} CAN"
+            f" frames, {sum(fleet.report.wheelset_seconds for fleet in fleets) / 3600:.1f} wheelset-hours; table after"
+            f" {time.monotonic() - began:.0f} s",
             highlight=False,
         )
         if keep_serving:
@@ -90,6 +89,29 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
             stopping = threading.Event()
             stop_on_signals(stopping)
             stopping.wait()
+
+
+def _simulated(plan: Scenario, out: Path, console: Console) -> Simulated:
+    console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
+    return Simulated(plan, simulate_with_progress(plan, out, console))
+
+
+def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], console: Console) -> list[bool]:
+    """Print what the API says of each fleet and of its track; return of each interval whether it covers."""
+    covered: list[bool] = []
+    for number, fleet in enumerate(fleets):
+        truth = fleet.report.truth
+        found = lines(service, truth, fleet.scenario.fleet_code)
+        if number == 0:
+            for table in tables(found, console):
+                console.print(table)
+        covered += [line.covers for line in found if line.covers is not None]
+        for opinion in second_opinions(service, fleet.scenario, true_campaigns(truth)):
+            console.print(opinion.text, highlight=False)
+            covered += [] if opinion.covers is None else [opinion.covers]
+    for sentence in track_lines(service):
+        console.print(sentence, highlight=False)
+    return covered
 
 
 def _recreate(folder: Path) -> None:
@@ -118,8 +140,9 @@ def _print_urls(service: ServiceAddress, console: Console) -> None:
     if service.key is not None:
         console.print(f"  {url}/#key={service.key}", highlight=False, soft_wrap=True)
         console.print(f"  export TREADWATCH_KEY={service.key}", highlight=False, soft_wrap=True)
-    alerts = get(service, "/v1/alerts?open=true&limit=1")["items"]
-    serial = alerts[0]["wheelset"] if alerts else get(service, "/v1/wheelsets?limit=1")["items"][0]["serial"]
+    alerts = get(service, "/v1/alerts?open=true&limit=1000")["items"]
+    serials = [alert["wheelset"] for alert in alerts if alert["wheelset"] is not None]
+    serial = serials[0] if serials else get(service, "/v1/wheelsets?limit=1")["items"][0]["serial"]
     serial = quote(serial, safe="")
     section = quote(get(service, "/v1/track-sections?limit=1")["items"][0]["code"], safe="")
     for path, what in (
@@ -128,6 +151,7 @@ def _print_urls(service: ServiceAddress, console: Console) -> None:
         (f"/v1/wheelsets/{serial}/geometry", "its bin table and conicity"),
         (f"/v1/wheelsets/{serial}/trend", "its wear trend and forecast"),
         (f"/v1/track-sections/{section}/alignments", "versions of the track's alignment"),
+        (f"/v1/track-sections/{section}/adhesion", "friction along it"),
         ("/v1/alerts/feed", "what maintenance systems poll"),
         ("/v1/jobs", "what the scheduled jobs did"),
     ):
