@@ -27,7 +27,7 @@ from ingest.simulator.drawn_fleet import vehicle_parameters
 from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.sensors import Channel
-from ingest.simulator.surface import friction_factor
+from ingest.simulator.surface import friction_factor, with_stretches
 from ingest.simulator.survey import surveyed
 from ingest.simulator.track import TrackTruth
 
@@ -72,7 +72,9 @@ class Fleet:
 
 def true_friction(scenario: Scenario, track: TrackTruth, campaign: int, distance: FloatArray) -> FloatArray:
     """Return the true coefficient of friction (n,) at distances (n,), m, in a campaign (from 0)."""
-    factor = friction_factor(scenario.running, scenario.seed, campaign) * scenario.running.creep.friction
+    running = scenario.running
+    factor = min(friction_factor(running, scenario.seed, campaign) * running.creep.friction, 1.0)
+    track = with_stretches(track, running, campaign, factor)
     if track.surface is None:
         return np.full(len(distance), factor)
     return np.asarray(factor * np.interp(distance, track.s, track.surface.friction))

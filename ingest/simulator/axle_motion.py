@@ -18,7 +18,7 @@ from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
 from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
-from ingest.simulator.surface import friction_factor
+from ingest.simulator.surface import friction_factor, with_stretches
 from ingest.simulator.table_range import displacement_limit, first_climb, gauge_grid
 from ingest.simulator.track import TrackTruth
 from ingest.simulator.wear import GeometryTruth, WornContact, truth_of, wear_at, worn_contact
@@ -110,6 +110,7 @@ def axle_motions(
     start = float(run.distance[0]) - run.vehicle.axle_offsets[axles[0]]
     contacts = [averaged(table, scenario.running.contact_half_width) for table in found]
     gear = running_gear(scenario, run, axles)
+    track = with_stretches(track, scenario.running, run.campaign, gear.creep.friction)
     if scenario.bogie is None and scenario.running.plain:
         alone = replace(gear.parameters, nominal_radius=gear.nominal_radii[0])
         motions: tuple[WheelsetMotion, ...] = (simulate_wheelset(alone, contacts[0], track, run.speed, start),)

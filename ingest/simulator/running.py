@@ -19,6 +19,16 @@ class FrictionPlan:
 
 
 @dataclass(frozen=True, slots=True)
+class FrictionStretch:
+    """Rails of another friction between two distances from a campaign on: leaves that fell, a leaking lubricator."""
+
+    begin: float  # m along the section
+    end: float
+    friction: float  # coefficient, whatever that of other places and campaigns is
+    from_campaign: int = 1  # counted from 1
+
+
+@dataclass(frozen=True, slots=True)
 class RunningPlan:
     """What is physically more than one wheelset on linear creep and level track; the defaults add nothing."""
 
@@ -30,6 +40,7 @@ class RunningPlan:
     traction: bool = False  # whether axles pull and brake as the speed changes
     driven_axles: tuple[int, ...] = ()  # from 1; empty: all
     contact_half_width: float = 0.0  # m of lateral displacement over which the contact is averaged
+    stretches: tuple[FrictionStretch, ...] = ()  # of another friction; where they overlap the last one holds
 
     @property
     def changes_the_track(self) -> bool:

@@ -96,6 +96,18 @@ class ScenarioTable(InputTable):
         return self
 
     @model_validator(mode="after")
+    def _check_stretches(self) -> Self:
+        length, last = self.section.length_m, self.sessions.campaigns
+        for i, stretch in enumerate(self.creep.stretches):
+            if length is not None and stretch.to_m > length:
+                reason = f"{stretch.to_m:g} is outside the range: at most {length:g}, the length of the section"
+                raise field_error(reason, "creep", "stretches", i, "to_m")
+            if stretch.from_campaign > last:
+                reason = f"{stretch.from_campaign} is outside the range: at most {last}"
+                raise field_error(reason, "creep", "stretches", i, "from_campaign")
+        return self
+
+    @model_validator(mode="after")
     def _check_bogies(self) -> Self:
         bogie = self.dynamics.bogie_plan()
         if bogie is None:
@@ -179,6 +191,7 @@ class ScenarioTable(InputTable):
             traction=self.traction is not None,
             driven_axles=() if self.traction is None else tuple(self.traction.driven_axles),
             contact_half_width=MM * self.wheels.contact_half_width_mm,
+            stretches=tuple(stretch.plan() for stretch in self.creep.stretches),
         )
 
 

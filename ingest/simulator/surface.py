@@ -12,11 +12,12 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from ingest.simulator.irregularity import Waves, superpose
 from ingest.simulator.random_streams import Stream, generator
-from ingest.simulator.running import FrictionPlan, RunningPlan
+from ingest.simulator.running import FrictionPlan, FrictionStretch, RunningPlan
 from ingest.simulator.track import Surface, TrackTruth
 
 RAIL_DISTANCE = 1.5  # m, over which cross level is measured (EN 13848-1)
 LEAST_LOAD = 0.2  # of the mean: wheels stay on the rails
+STRETCH_END = 5.0  # m at each end of a stretch over which friction changes to that of the stretch
 
 
 def with_surface(track: TrackTruth, plan: RunningPlan, seed: int) -> TrackTruth:
@@ -85,6 +86,38 @@ def friction_factor(plan: RunningPlan, seed: int, campaign: int) -> float:
     if plan.friction is None or plan.friction.campaign_std == 0.0:
         return 1.0
     return float(np.exp(plan.friction.campaign_std * generator(seed, Stream.FRICTION, campaign).standard_normal()))
+
+
+def with_stretches(track: TrackTruth, plan: RunningPlan, campaign: int, mean_friction: float) -> TrackTruth:
+    """Return the track of one campaign: with the stretches of another friction that there are by then.
+
+    Parameters
+    ----------
+    track
+        With what is drawn along it.
+    plan
+        With the stretches.
+    campaign
+        From 0.
+    mean_friction
+        What the friction of the track is over, in that campaign.
+    """
+    there = [one for one in plan.stretches if campaign + 1 >= one.from_campaign]
+    if not there:
+        return track
+    flat = np.ones(len(track.s))
+    surface = track.surface or Surface(np.zeros(len(track.s)), flat, flat)
+    friction = surface.friction
+    for one in there:
+        inside = _inside(one, track.s)
+        friction = friction + inside * (one.friction / mean_friction - friction)
+    return replace(track, surface=replace(surface, friction=friction))
+
+
+def _inside(stretch: FrictionStretch, s: FloatArray) -> FloatArray:
+    """Return 1 in a stretch and 0 beside it (n,), smooth at both ends so that the spline of the track is."""
+    depth = np.clip(np.minimum(s - stretch.begin, stretch.end - s) / STRETCH_END, 0.0, 1.0)
+    return np.asarray(depth * depth * (3.0 - 2.0 * depth))
 
 
 def _drawn(track: TrackTruth, waves: Waves, rng: np.random.Generator, key: str) -> FloatArray:

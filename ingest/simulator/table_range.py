@@ -43,7 +43,8 @@ def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
     recipe = scenario.section.recipe
     _, widest = track.gauge_range()
     more = _rounded_up(0.5 * max(widest, 0.0))
-    if recipe is None or not recipe.plain or scenario.files or track.surface is not None:
+    varied = track.surface is not None or bool(scenario.running.stretches)
+    if recipe is None or not recipe.plain or scenario.files or varied:
         return ROUGH_LIMIT + more
     if recipe.gauge_std > 0.0:
         wide = GAUGE_LIMIT + more

@@ -116,7 +116,7 @@ class Deployment:
     def run_jobs(self) -> list[JobRun]:
         context = job_context(self.settings, self.storage)
         runs = run_all(replace(context, clock=self.clock), JobTrigger.CLI)
-        assert [run.outcome for run in runs] == ["succeeded"] * 5, runs
+        assert {run.outcome for run in runs} == {"succeeded"}, runs
         return runs
 
     def campaign_over(self, recordings: Sequence[Recording]) -> None:

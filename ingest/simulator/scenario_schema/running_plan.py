@@ -9,9 +9,11 @@ from pydantic import AfterValidator, Field, model_validator
 from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
 from ingest.simulator.creep_laws import Creep, CreepLaw
 from ingest.simulator.irregularity import Waves
-from ingest.simulator.running import FrictionPlan
+from ingest.simulator.running import FrictionPlan, FrictionStretch
 from ingest.simulator.scenario_schema.units import MM
+from ingest.simulator.surface import STRETCH_END
 
+SHORTEST_STRETCH = 2.0 * STRETCH_END  # m: its friction is reached somewhere
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
 _LAWS = {law.name.lower(): law for law in CreepLaw}
 
@@ -20,6 +22,26 @@ def _law(text: str) -> str:
     if text not in _LAWS:
         raise field_error(f"{text!r} is none of {', '.join(_LAWS)}")
     return text
+
+
+class StretchTable(InputTable):
+    """``[[creep.stretches]]``."""
+
+    from_m: NotNegative
+    to_m: Positive
+    friction: Share
+    from_campaign: int = Field(default=1, ge=1)
+
+    @model_validator(mode="after")
+    def _check_length(self) -> Self:
+        if self.to_m < self.from_m + SHORTEST_STRETCH:
+            reason = f"{self.to_m:g} m must be {SHORTEST_STRETCH:g} m or more behind 'from_m', {self.from_m:g} m"
+            raise field_error(reason, "to_m")
+        return self
+
+    def plan(self) -> FrictionStretch:
+        """Return the stretch."""
+        return FrictionStretch(self.from_m, self.to_m, self.friction, self.from_campaign)
 
 
 class CreepTable(InputTable):
@@ -35,6 +57,7 @@ class CreepTable(InputTable):
     slip_factor: Share = 1.0
     sliding_friction_share: Share = 1.0
     sliding_decay_s_m: NotNegative = 0.0
+    stretches: list[StretchTable] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _check_friction(self) -> Self:

@@ -13,10 +13,10 @@ from estimation.errors import ScenarioError
 from ingest.simulator.axle_motion import averaged, axle_motions, contact_of, running_gear, wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.creep_laws import CreepLaw
-from ingest.simulator.running import FrictionPlan, RunningPlan
+from ingest.simulator.running import FrictionPlan, FrictionStretch, RunningPlan
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
-from ingest.simulator.surface import friction_along
+from ingest.simulator.surface import STRETCH_END, friction_along, with_stretches
 
 RUNNING = """[creep]
 law = "vermeulen_johnson"
@@ -34,6 +34,13 @@ std_mm = 2.0
 [section.load_variation]
 std_percent = 10.0
 [fleet]"""
+
+STRETCH = """[[creep.stretches]]
+from_m = 250.0
+to_m = 400.0
+friction = 0.05
+from_campaign = 2
+[wheels]"""
 
 
 def scenario_of(folder: Path, text: str) -> Scenario:
@@ -81,6 +88,9 @@ def test_what_is_not_drawn_leaves_track_and_motion_as_they_are(tmp_path: Path) -
         ("highest_friction = 0.5", "highest_friction = 0.5\nfriction = 0.3", "cannot be given beside its limits"),
         ("highest_friction = 0.5", "highest_friction = 0.5\nslip_factor = 0.3", "has no effect without law = 'polach'"),
         ("driven_axles = [2]", "driven_axles = [9]", "there is no axle 9"),
+        ("[wheels]", STRETCH.replace("to_m = 400.0", "to_m = 9999.0"), r"'creep.stretches\[0\].to_m': 9999 is outside"),
+        ("[wheels]", STRETCH.replace("to_m = 400.0", "to_m = 259.0"), "259 m must be 10 m or more behind 'from_m'"),
+        ("[wheels]", STRETCH.replace("campaign = 2", "campaign = 3"), "3 is outside the range: at most 2"),
     ],
 )
 def test_impossible_running_is_refused(tmp_path: Path, old: str, new: str, reason: str) -> None:
@@ -94,6 +104,35 @@ def test_friction_is_spread_evenly_between_its_limits_and_changes_over_its_corre
     np.testing.assert_allclose(counts / len(mu), 0.25, atol=0.03)
     assert np.corrcoef(mu[:-4], mu[4:])[0, 1] > 0.99  # 1 m
     assert abs(np.corrcoef(mu[:-200], mu[200:])[0, 1]) < 0.1  # 50 m
+
+
+@pytest.mark.parametrize("running", [RUNNING, '[creep]\nlaw = "vermeulen_johnson"\n[wheels]\n[fleet]'])
+def test_a_stretch_has_its_friction_from_its_campaign_on_and_nothing_else_changes(tmp_path: Path, running: str) -> None:
+    text = SMALL.replace("[fleet]", running)
+    (tmp_path / "without").mkdir()
+    without = scenario_of(tmp_path / "without", text)
+    scenario = scenario_of(tmp_path, text.replace("[wheels]", STRETCH))
+    track, vehicle, plan = scenario_track(scenario), scenario.vehicles[0], scenario.running
+    assert plan.stretches == (FrictionStretch(250.0, 400.0, 0.05, 2),)
+    runs = [vehicle_run(scenario, track, vehicle, campaign) for campaign in (0, 1)]
+    means = [running_gear(scenario, run, (0,)).creep.friction for run in runs]
+    assert with_stretches(track, plan, 0, means[0]) is track
+    leaves = with_stretches(track, plan, 1, means[1]).surface
+    assert leaves is not None
+    inside = (track.s >= 250.0 + STRETCH_END) & (track.s <= 400.0 - STRETCH_END)
+    beside = (track.s <= 250.0) | (track.s >= 400.0)
+    np.testing.assert_allclose(means[1] * leaves.friction[inside], 0.05, rtol=1e-12)
+    before = np.ones(len(track.s)) if track.surface is None else track.surface.friction
+    np.testing.assert_array_equal(leaves.friction[beside], before[beside])
+    assert means[1] * leaves.friction.min() >= 0.05 - 1e-12
+    assert abs(np.diff(leaves.friction)).max() < 0.2
+    for campaign, alike in ((0, True), (1, False)):
+        ran = [wheelset_motion(one, track, runs[campaign], 0) for one in (without, scenario)]
+        assert (np.abs(ran[0].yaw - ran[1].yaw).max() < 1e-9) == alike  # tables of another range differ in last bits
+    doubled = replace(plan, stretches=(*plan.stretches, FrictionStretch(350.0, 500.0, 0.3)))
+    later = with_stretches(track, doubled, 1, means[1]).surface
+    assert later is not None
+    assert means[1] * later.friction[np.searchsorted(track.s, [300.0, 380.0])] == pytest.approx([0.05, 0.3])
 
 
 def test_contacts_of_finite_size_smooth_the_table_and_keep_a_cone(tmp_path: Path) -> None:
