@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -105,10 +105,10 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
                 _reprofile(storage, one, clock.now)
             progress.update(bar, what="receiving")
             tally.receive(receiver, received)
-            for job in scheduled_jobs(settings):
-                progress.update(bar, what=job.name)
-                tally.run(job, context)
+            tally.run_jobs(scheduled_jobs(settings), context, lambda job: progress.update(bar, what=job))
             progress.update(bar, advance=1)
+        clock.now += HOUR_NS  # the runs after: windows on low friction are estimated again without it
+        tally.run_jobs(scheduled_jobs(settings), context, lambda job: progress.update(bar, what=job))
         progress.update(bar, what="done")
     return tally.table()
 
@@ -129,6 +129,11 @@ class _Tally:
             self.add("receive", {"recordings": 1, "windows": receipt.windows_changed}, 0.0)
             self.add("receive", {k: v for k, v in receipt.record.counts.items() if k in SHOWN}, 0.0)
         self.seconds["receive"] += time.monotonic() - began
+
+    def run_jobs(self, jobs: Sequence[Job], context: JobContext, show: Callable[[str], None]) -> None:
+        for job in jobs:
+            show(job.name)
+            self.run(job, context)
 
     def run(self, job: Job, context: JobContext) -> None:
         began = time.monotonic()

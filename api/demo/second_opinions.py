@@ -44,7 +44,8 @@ def second_opinions(
         if found is not None:
             yield found
     for alert in get(service, "/v1/alerts?kind=low_adhesion&open=true&limit=1000")["items"]:
-        yield SecondOpinion(_low(service, alert["track_section"]), None)
+        if alert["track_section"] == scenario.section.code:
+            yield SecondOpinion(f"{_low(service, scenario.section.code)}; true {_true_friction(scenario)}", None)
 
 
 def _by_signature(
@@ -74,6 +75,11 @@ def _by_signature(
     )
 
 
+def _true_friction(scenario: Scenario) -> str:
+    stretches = [f"{one.friction:.2f} at {one.begin:g} to {one.end:g} m" for one in scenario.running.stretches]
+    return ", ".join([*stretches, f"{scenario.running.creep.friction:.2f} elsewhere"])
+
+
 def _low(service: ServiceAddress, section: str) -> str:
     found = get(service, f"/v1/track-sections/{urllib.parse.quote(section, safe='')}/adhesion")
     parts = []
@@ -81,4 +87,4 @@ def _low(service: ServiceAddress, section: str) -> str:
         inside = [one for one in found["places"] if stretch["from_m"] <= one["from_m"] < stretch["to_m"]]
         known = [one["friction_1"]["value"] for one in inside if one["friction_1"]["value"] is not None]
         parts.append(f"{stretch['from_m']:g} to {stretch['to_m']:g} m, friction {min(known):.2f} to {max(known):.2f}")
-    return f"track {section}: low adhesion at {'; '.join(parts)} ({found['windows']} windows); alert in the feed"
+    return f"track {section}: alert of low adhesion in the feed, at {'; '.join(parts)}"

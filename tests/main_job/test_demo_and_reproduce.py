@@ -43,6 +43,30 @@ def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path)
     assert (tmp_path / "own" / "data" / "treadwatch.sqlite").is_file()
 
 
+def test_the_demo_shows_a_signature_where_geometry_is_silent_and_low_adhesion(tmp_path: Path) -> None:
+    arguments = ("demo", "--once", "--scenario", "demo_autumn", "--folder", "own", "--port", "0")
+    done = in_a_process(*arguments, cwd=tmp_path, columns=400)
+    assert done.returncode == 0, done.stderr
+    signature = re.search(
+        r"WS-2041: no geometry .*says (\d\.\d{3}) \[(\d\.\d{3}), (\d\.\d{3})\], true (\d\.\d{3})", done.stdout
+    )
+    assert signature is not None, done.stdout
+    value, low, high, true = map(float, signature.groups())
+    assert abs(value - true) < 0.02
+    assert low - 0.01 < true < high + 0.01
+    adhesion = re.search(
+        r"KM21: alert of low adhesion in the feed, at (\d+) to (\d+) m, friction (\S+) to", done.stdout
+    )
+    assert adhesion is not None, done.stdout
+    begin, end, friction = map(float, adhesion.groups())
+    assert abs(begin - 2400.0) <= 100.0
+    assert abs(end - 2800.0) <= 100.0
+    assert abs(friction - 0.08) < 0.04
+    found = re.search(r"(\d+) of 13 intervals cover", done.stdout)
+    assert found is not None
+    assert int(found.group(1)) >= 12
+
+
 @pytest.mark.parametrize("kind", ["folder", "file", "link"])
 def test_the_demo_refuses_what_is_not_its_own(treadwatch: Run, tmp_path: Path, kind: str) -> None:
     precious = tmp_path / "precious"
