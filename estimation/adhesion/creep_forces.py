@@ -20,6 +20,7 @@ import numpy as np
 from estimation.adhesion import smoother_kernels as kernels
 from estimation.adhesion.gear_equations import AXLE
 from estimation.adhesion.stationary_filter import FilterParameters, StationaryFilter, stationary_filter
+from estimation.adhesion.vibration import without_vibration
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
 from estimation.motion.parameters import SignalParameters
@@ -54,6 +55,7 @@ class ContactForces:
     roll: FloatArray  # (n,) rad
     known: BoolArray  # (n,) samples that were measured
     innovation: float  # largest mean square of a channel's innovations over what was expected
+    smoothed: bool = False  # without vibration of the axle boxes, and what is as fast
 
     def __post_init__(self) -> None:
         n = len(self.known)
@@ -93,11 +95,11 @@ def contact_forces(
     if not found[0]:
         return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
     values = np.full((axles, len(_NAMED), len(usable)), np.nan)
-    worst = 0.0
+    worst, vibrating = 0.0, False
     for parts in zip(*found, strict=True):
-        smoothed, innovation = _smoothed(windows, parts, vehicle_class, parameters.filter)
-        values[:, :, parts[0].part] = smoothed
-        worst = max(worst, innovation)
+        found_here = _smoothed(windows, parts, vehicle_class, parameters.filter)
+        values[:, :, parts[0].part] = found_here.named
+        worst, vibrating = max(worst, found_here.innovation), vibrating or found_here.vibrating
     if not (np.isfinite(worst) and worst <= parameters.most_innovation):
         return Reason(
             ReasonCode.DIVERGED,
@@ -105,29 +107,40 @@ def contact_forces(
             f" most {np.sqrt(parameters.most_innovation):.1f} times are believed; check class and sensors",
         )
     return tuple(
-        ContactForces(contact, moment, yaw_rate, roll, usable, worst) for contact, moment, yaw_rate, roll in values
+        ContactForces(contact, moment, yaw_rate, roll, usable, worst, vibrating)
+        for contact, moment, yaw_rate, roll in values
     )
 
 
 _NAMED = ("contact", "moment", "yaw_rate", "roll")
 
 
+@dataclass(frozen=True, slots=True)
+class _Smoothed:
+    named: FloatArray  # (a, 4, m)
+    innovation: float  # largest mean square of a channel's
+    vibrating: bool
+
+
 def _smoothed(
     windows: Sequence[Window], parts: Sequence[IntegratedSegment], vehicle_class: VehicleClass, known: FilterParameters
-) -> tuple[FloatArray, float]:
-    """Return the named signals (a, 4, m) of a segment, and the largest mean square of its innovations."""
+) -> _Smoothed:
+    """Return the named signals of a segment."""
     p, first = vehicle_class.parameters, parts[0]
     speed = float(first.speed.mean())
     made = stationary_filter(vehicle_class, windows[0].sample_interval_s, speed, known)
     rolls = [remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts]
     roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts]
     measurements = np.zeros((len(first.speed), len(made.measured)))
-    measurements[:, : made.accelerations] = _accelerations(windows, parts, rolls).T
+    accelerations, vibrating = without_vibration(
+        _accelerations(windows, parts, rolls), first.known, windows[0].sample_interval_s, slice(0, 2 * made.axles, 2)
+    )
+    measurements[:, : made.accelerations] = accelerations.T
     measurements[:, -made.axles :] = p.nominal_radius * np.stack(roll_rates, axis=1) / first.speed[:, None]
     states, innovations = smoothed_states(made, measurements, first.known, first.speed)
     squares = (innovations[first.known, : made.accelerations] / made.innovation_std[: made.accelerations]) ** 2
     named = [_named(made, states, axle, one, rolls[axle], roll_rates[axle], p) for axle, one in enumerate(parts)]
-    return np.stack(named), float(squares.mean(axis=0).max())
+    return _Smoothed(np.stack(named), float(squares.mean(axis=0).max()), vibrating)
 
 
 def smoothed_states(

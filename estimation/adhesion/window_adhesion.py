@@ -22,6 +22,7 @@ from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import VehicleClass
 
 FORCE_ERROR = 0.05  # std of an rms force beside springs and load: what the filter makes of it; docs/results/adhesion.md
+SMOOTHED_ERROR = 0.06  # the same where vibration was taken out, and with it what is as fast
 LATERAL_ERROR = 0.10  # of the lateral creep, whose gravitational part follows from profiles
 USED_QUANTILE = 0.99
 FEWEST_SAMPLES = 500
@@ -78,7 +79,8 @@ def window_adhesion(
     if found.valid.sum() < FEWEST_SAMPLES:
         few = Reason(ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {FEWEST_SAMPLES} are needed")
         return refused(*of_window, few)
-    forces_found = _forces(found, angles, parameters.vehicle_class, vehicle.half_contact_distance)
+    error = float(np.hypot(FORCE_ERROR, SMOOTHED_ERROR)) if forces.smoothed else FORCE_ERROR
+    forces_found = _forces(found, angles, parameters.vehicle_class, vehicle.half_contact_distance, error)
     distance = inputs.correction.at(window.distance)
     sums = None if isinstance(angles, Reason) else friction_sums(found, motion, distance, curve, vehicle)
     return WindowAdhesion(
@@ -102,14 +104,18 @@ class _Forces:
 
 
 def _forces(
-    found: CreepSignals, angles: ContactAngles | Reason, vehicle_class: VehicleClass, half_contact_distance: float
+    found: CreepSignals,
+    angles: ContactAngles | Reason,
+    vehicle_class: VehicleClass,
+    half_contact_distance: float,
+    force_error: float,
 ) -> _Forces:
     """Return the rms of forces, and the adhesion that was used."""
     spring = vehicle_class.std_of("yaw_stiffness")
     load = float(np.hypot(vehicle_class.std_of("load"), vehicle_class.std_of("lateral_stiffness")))
     contact, moment = (_rms(values[found.valid]) for values in (found.contact, found.moment))
-    contact_force = with_interval(contact, contact * float(np.hypot(FORCE_ERROR, load)))
-    yaw_creep = with_interval(moment, moment * float(np.hypot(FORCE_ERROR, spring)))
+    contact_force = with_interval(contact, contact * float(np.hypot(force_error, load)))
+    yaw_creep = with_interval(moment, moment * float(np.hypot(force_error, spring)))
     if isinstance(angles, Reason):
         unknown = Estimate.unknown(angles, 1.0)
         return _Forces(contact_force, unknown, yaw_creep, unknown)
