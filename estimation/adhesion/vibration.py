@@ -15,7 +15,7 @@ from estimation.values.arrays import BoolArray, FloatArray
 BAND_HZ = 12.0
 """End of the band that is kept."""
 VIBRATING = 0.25
-"""Rms of what a lateral acceleration has above the band, m/s2: contact jumps make up to 0.1, axle boxes 0.5 and more."""
+"""Rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make."""
 HALF_LENGTH_S = 0.12
 """Of the low-pass, on each side."""
 
