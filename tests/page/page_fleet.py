@@ -8,6 +8,9 @@ import api_fleet
 import measured_fleet
 
 from estimation.storage import Storage
+from estimation.values.adhesion import CellFriction, SectionAdhesion
+from estimation.values.quantities import Estimate
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 
 MARKUP = "<img src=x onerror=document.title='hacked'>"
@@ -33,3 +36,11 @@ def populate(storage: Storage) -> None:
         )
         unit.geometries.put(replace(geometry, wheelset=KNOWN, baseline=0, geometry=at_3_mm))
         unit.trends.put(replace(api_fleet.trend_record(api_fleet.RECORDED, 0.25), wheelset=KNOWN, baseline=0))
+        unit.adhesion.put_section(adhesion(), "test", api_fleet.RECORDED)
+
+
+def adhesion() -> SectionAdhesion:
+    """Return low friction at one place of S-1, and a lower bound at the next."""
+    bound = Estimate.unknown(Reason(ReasonCode.CREEP_TOO_SMALL, "at least 0.23"), 8.0)
+    low, more = CellFriction(3, api_fleet.estimate(0.0625), 0.05, 0.99, 8), CellFriction(4, bound, 0.23, 0.01, 8)
+    return SectionAdhesion("S-1", api_fleet.START, api_fleet.START + api_fleet.DAY, 24, (low, more), ((150.0, 200.0),))

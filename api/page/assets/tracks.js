@@ -6,6 +6,7 @@ import { age, moment, number, words } from "./format.js";
 import { live } from "./live.js";
 import { empty } from "./states.js";
 import { table } from "./table.js";
+import { frictionPanel, railsPanel } from "./track_findings.js";
 
 const BAND = 1.959964; // half of a normal 95 % interval, in standard deviations
 const second = (...content) => el("span", { class: "second" }, ...content);
@@ -44,10 +45,11 @@ export async function track({ params, signal, title }) {
   title(`Section ${params.code}`);
   const path = `/v1/track-sections/${segment(params.code)}`;
   const load = async () => {
-    const [section, versions, alignment, report] = await Promise.all([
+    const [section, versions, alignment, report, adhesion, rails] = await Promise.all([
       getIfAny(path, signal), getAll(`${path}/alignments?limit=1000`, signal).catch(missing), getIfAny(`${path}/alignment`, signal), getIfAny(`${path}/alignment-report`, signal),
+      getIfAny(`${path}/adhesion`, signal), getIfAny(`${path}/rails`, signal),
     ]);
-    return { section, versions, alignment, report };
+    return { section, versions, alignment, report, adhesion, rails };
   };
   return el("div", { data: { back: "#/tracks" } }, live({ load, show, signal, everyS: 300, what: "Loading the section" }));
 }
@@ -57,7 +59,7 @@ function missing(error) {
   throw error;
 }
 
-function show({ section, versions, alignment, report }) {
+function show({ section, versions, alignment, report, adhesion, rails }) {
   if (section === null) return empty("There is no such track section.");
   const head = el(
     "div", { class: "view-head" }, el("h1", {}, `Section ${section.code}`),
@@ -69,7 +71,7 @@ function show({ section, versions, alignment, report }) {
     alignment === null
       ? el("section", { class: "panel" }, empty("No alignment yet.", report?.reason ?? "It is neither surveyed nor estimated."))
       : el("section", { class: "panel" }, charts(alignment)),
-    el("div", { class: "grid" }, versionsPanel(versions), reportPanel(report)),
+    el("div", { class: "grid" }, frictionPanel(adhesion), railsPanel(rails), versionsPanel(versions), reportPanel(report)),
   ];
 }
 

@@ -5,6 +5,7 @@ import { estimate, km, lastData } from "./format.js";
 import { live } from "./live.js";
 import { conicityChart, occupancy, radiusChart } from "./wheelset_curves.js";
 import { eventsOf, loadWheelset, newestMileage } from "./wheelset_data.js";
+import { opinionsPanel } from "./wheelset_opinions.js";
 import { alertsPanel, eventsPanel, fact, fitPanel, measurementsPanel, panel, qualityPanel } from "./wheelset_panels.js";
 import { forecast, trendChart } from "./wheelset_trend.js";
 
@@ -26,7 +27,7 @@ function whole(found, changed) {
       panel("conicity", "Conicity", conicityChart(found)), panel("difference", "Rolling radius difference", radiusChart(found, "rolling_radius_difference_mm")),
       panel("trend-mileage", "Trend by mileage", trend || found.intervals.length ? trendChart(found, "mileage") : noTrend()),
       panel("trend-date", "Trend by date", trend || found.intervals.length ? trendChart(found, "date") : noTrend())),
-    measurementsPanel(found),
+    opinionsPanel(found), measurementsPanel(found),
     el("div", { class: "grid" },
       panel("sum", "Rolling radius sum", radiusChart(found, "rolling_radius_sum_mm")),
       geometry === null ? null : panel("occupancy", "Bin occupancy", occupancy(found)),
