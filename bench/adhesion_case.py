@@ -92,7 +92,7 @@ def score(scenario: Scenario, folder: Path) -> AdhesionScore:
     s = np.arange(fleet.track.s[0], fleet.track.s[-1], STEP)
     stored = StoredPasses(scenario.section.code, tuple(passes), s, fleet.friction(0, s), _length(fleet))
     write_passes(path_of(folder, scenario.name, scenario.seed), stored)
-    found = section_adhesion(scenario.section.code, passes, FrictionParameters())
+    found = section_adhesion(scenario.section.code, passes, FrictionParameters(), stored.length)
     if found is None:
         return done
     friction = compare(found, stored)

@@ -28,7 +28,7 @@ class FrictionScore:
 
 def judge(stored: StoredPasses, parameters: FrictionParameters | None = None) -> FrictionScore:
     """Pool the passes of a case and compare with the truth."""
-    found = section_adhesion(stored.section, stored.passes, parameters or FrictionParameters())
+    found = section_adhesion(stored.section, stored.passes, parameters or FrictionParameters(), stored.length)
     return FrictionScore() if found is None else compare(found, stored)
 
 

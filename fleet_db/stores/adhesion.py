@@ -93,6 +93,17 @@ class AdhesionStore:
         )
         return self._windows(select(OF_WINDOWS).where(*chosen))
 
+    def starts_with_sums(self, section: str, from_ns: int, to_ns: int) -> Sequence[int]:
+        """Return when the windows of a section began within ``[from_ns, to_ns]`` whose sums of friction are kept."""
+        chosen = (
+            OF_WINDOWS.c.track_section == section,
+            OF_WINDOWS.c.start_ns >= from_ns,
+            OF_WINDOWS.c.start_ns <= to_ns,
+            OF_WINDOWS.c.with_sums,
+        )
+        statement = select(OF_WINDOWS.c.start_ns).where(*chosen).distinct().order_by(OF_WINDOWS.c.start_ns)
+        return list(self.connection.execute(statement).scalars())
+
     def forget_sums(self, section: str, before_ns: int) -> int:
         """Remove the sums of friction of the windows of a section that begin before a time; return of how many.
 

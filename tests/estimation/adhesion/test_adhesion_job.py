@@ -21,6 +21,7 @@ from estimation.adhesion.friction import FrictionParameters
 from estimation.jobs import evaluate_alerts, refresh_adhesion
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext, run_job
+from estimation.jobs.steps.pooled_friction import pool_ends
 from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import AlertEventKind, AlertScope
 from estimation.values.quantities import Status
@@ -138,9 +139,9 @@ def test_rest_answers_friction_and_the_alert_links_to_it(deployed: Deployed) -> 
 
 
 def test_as_few_spans_as_hold_all_times_are_pooled() -> None:
-    assert refresh_adhesion.pool_ends([1, 5, 9, 30, 31], 8) == [9, 31]
-    assert refresh_adhesion.pool_ends([1, 5, 10, 30, 31], 8) == [1, 10, 31]
-    assert refresh_adhesion.pool_ends([], 8) == []
+    assert pool_ends([1, 5, 9, 30, 31], 8) == [9, 31]
+    assert pool_ends([1, 5, 10, 30, 31], 8) == [1, 10, 31]
+    assert pool_ends([], 8) == []
 
 
 def test_later_runs_leave_low_friction_out_and_then_rest(deployed: Deployed) -> None:
