@@ -80,7 +80,8 @@ def window_adhesion(
         return refused(*of_window, few)
     forces_found = _forces(found, angles, parameters.vehicle_class, vehicle.half_contact_distance)
     distance = inputs.correction.at(window.distance)
-    sums = None if isinstance(angles, Reason) else friction_sums(found, motion, distance, curve, vehicle)
+    of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)
+    sums = None if isinstance(angles, Reason) else friction_sums(*of_samples)
     return WindowAdhesion(
         *of_window,
         Status.ESTIMATED,

@@ -18,7 +18,7 @@ from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_findin
 from estimation.alerts.section_alerts import section_transition
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns
+from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.jobs.steps.section_looks import NO_SECTION, note_sections, section_news
 from estimation.jobs.steps.window_creep import creep_of_windows
 from estimation.storage import UnitOfWork
@@ -97,7 +97,7 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
         last = unit.adhesion.section(section)
         passes = unit.adhesion.of_section(section, to_ns - pooled_ns(rule), to_ns)
         fleets = sorted({unit.registry.vehicle(code).fleet for code in {one.vehicle for one in passes}})
-        length = unit.tracks.section(section).length_m
+        length = section_length(unit, section)
     found = section_adhesion(section, passes, friction_parameters(rule), length)
     if found is None:
         return {}

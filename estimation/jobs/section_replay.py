@@ -14,7 +14,7 @@ from estimation.alerts.life_cycle import close
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
 from estimation.alerts.section_alerts import section_transition
-from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends, pooled_ns
+from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.storage import UnitOfWork
 from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import Alert, CloseReason, Condition
@@ -35,7 +35,7 @@ def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple
         From and to, ns UTC of the vehicles' clocks.
     """
     rule = book.rule(LowAdhesionRule)
-    pooled, length = pooled_ns(rule), unit.tracks.section(section).length_m
+    pooled, length = pooled_ns(rule), section_length(unit, section)
     standing: dict[str, Alert] = {}
     closed: list[Alert] = []
     for to_ns in pool_ends(unit.adhesion.starts_with_sums(section, *span), pooled):

@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 
 from estimation.adhesion.friction import FrictionParameters
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
+from estimation.storage import UnitOfWork
 
 HOUR_NS = 3_600_000_000_000
 
@@ -30,6 +31,19 @@ def friction_parameters(rule: LowAdhesionRule) -> FrictionParameters:
         In force.
     """
     return FrictionParameters(low=rule.raise_friction, likely=rule.raise_probability)
+
+
+def section_length(unit: UnitOfWork, section: str) -> float:
+    """Return the length of a section, m; 0 of one that is not on file any more: it has no places.
+
+    Parameters
+    ----------
+    unit
+        A transaction that reads.
+    section
+        Code.
+    """
+    return next((one.length_m for one in unit.tracks.sections() if one.code == section), 0.0)
 
 
 def pool_ends(starts: Collection[int], length_ns: int) -> Sequence[int]:

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from oracles.creep_excess import creep_excess
 
 from estimation.adhesion.friction import LEARNT, FrictionParameters, low_stretches, section_adhesion, section_friction
-from estimation.adhesion.saturation import creep_excess
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
-from ingest.simulator.creep_laws import Creep, CreepLaw, share_of_linear
 
 KNOWN = FrictionParameters()
 NONE = Estimate.unknown(Reason(ReasonCode.OTHER, ""))
@@ -48,14 +47,6 @@ def a_pass(
 
 
 TRUE = (0.35, 0.3, 0.28, 0.3, 0.12, 0.08, 0.08, 0.12, 0.3, 0.35, 0.3, 0.28)
-
-
-def test_the_excess_is_the_law_of_the_simulator_solved_for_the_linear_force() -> None:
-    law = Creep(CreepLaw.VERMEULEN_JOHNSON, 0.3).constants()
-    linear = np.linspace(1.0, 2000.0, 50)
-    share = np.array([share_of_linear(law, one, 1000.0, 0.0) for one in linear])
-    np.testing.assert_allclose(1.0 / share - 1.0, creep_excess(share * linear / 1000.0), rtol=1e-6, atol=1e-9)
-    assert creep_excess(np.array([0.0, 5.0])) == pytest.approx([0.0, creep_excess(np.array([0.98]))[0]], abs=1e-5)
 
 
 def test_friction_is_found_where_creep_shows_it_and_low_stretches_with_it() -> None:
