@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from api import estimator_kernel_runs, ingest_kernel_runs
-from estimation.adhesion.saturation_kernels import add_saturated
+from estimation.adhesion.saturation_kernels import add_saturated, excess_table
 from estimation.adhesion.smoother_kernels import filter_forward, smooth_back
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
@@ -160,7 +160,8 @@ def _saturation() -> Iterator[FloatArray]:
     rng = np.random.default_rng(13)
     saturated = np.zeros((2, 4, 3))
     forces = rng.standard_normal((3, 5)) * np.array([[2000.0], [3000.0], [800.0]])
-    add_saturated(rng.standard_normal((3, 5)), forces, np.array([0, 0, 1, 1, 0]), np.array([9e3, 3e3, 1e3]), saturated)
+    bounds, place = np.array([9e3, 3e3, 1e3]), np.array([0, 0, 1, 1, 0])
+    add_saturated(excess_table(), rng.standard_normal((3, 5)), forces, place, bounds, saturated)
     yield saturated
 
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from estimation.adhesion.creep_forces import ContactForces
 from estimation.adhesion.gravity import ContactAngles
-from estimation.adhesion.saturation_kernels import add_saturated
+from estimation.adhesion.saturation_kernels import add_saturated, excess_table
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, FrictionSums
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
@@ -155,7 +155,7 @@ def friction_sums(
     squares = np.stack([_summed(values, index, len(cells)) for values in products], axis=1)
     saturated = np.zeros((len(cells), 4, len(INVERSE)))
     forces = np.stack([0.5 * moment / p.half_contact_distance, 0.5 * signals.lateral[good], signals.spin[good]])
-    add_saturated(np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
+    add_saturated(excess_table(), np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
     kept = counts * step * sample_interval_s >= FEWEST_S
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
 

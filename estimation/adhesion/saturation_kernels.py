@@ -8,36 +8,60 @@ u mu N = 3 (1 - (1 - t)^(1/3)) mu N. To first order it exceeds T by t/3 of it.
 from __future__ import annotations
 
 import math
+from functools import cache
+
+import numpy as np
 
 from estimation.compiled import compiled
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
 
 SHARE_ROUNDS = 3  # of spin and saturation, each of which decides on the other
 MOST_UTILISATION = 0.98  # near 1 the creepage is beyond all bounds
 LEAST_UTILISATION = 1e-6
+STEPS = 4096  # of the table of excesses
+
+
+@cache
+def excess_table() -> FloatArray:
+    """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,).
+
+    It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
+    """
+    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), LEAST_UTILISATION)
+    return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (STEPS + 1,), name="excess")
 
 
 @compiled(nogil=True)
-def excess_at(utilisation: float) -> float:
-    """Return linear over true creep force of a wheel less 1: 0 without slip, 2 at full slip.
+def excess_at(table: FloatArray, utilisation: float) -> float:
+    """Return linear over true creep force of a wheel less 1.
 
     Parameters
     ----------
+    table
+        (4097,) of :func:`excess_table`.
     utilisation
         T/(mu N), not negative; of more than 0.98 the excess at 0.98.
     """
-    t = min(max(utilisation, LEAST_UTILISATION), MOST_UTILISATION)
-    return 3.0 * (1.0 - math.pow(1.0 - t, 1.0 / 3.0)) / t - 1.0
+    at = min(utilisation / MOST_UTILISATION, 1.0) * STEPS
+    below = min(int(at), STEPS - 1)
+    return float(table[below] + (at - below) * (table[below + 1] - table[below]))
 
 
 @compiled(nogil=True)
 def add_saturated(
-    signals: FloatArray, forces: FloatArray, place: IntArray, bounds: FloatArray, saturated: FloatArray
+    table: FloatArray,
+    signals: FloatArray,
+    forces: FloatArray,
+    place: IntArray,
+    bounds: FloatArray,
+    saturated: FloatArray,
 ) -> None:
     """Add the sums of g e, g g, g q and g x, g = q times the mean excess of both wheels, to each place and friction.
 
     Parameters
     ----------
+    table
+        (4097,) of :func:`excess_table`.
     signals
         (3, n) e, q and x.
     forces
@@ -60,7 +84,7 @@ def add_saturated(
                 own = spin / (1.0 + excess)
                 left = math.sqrt(along * along + (lateral + own) * (lateral + own))
                 right = math.sqrt(along * along + (lateral - own) * (lateral - own))
-                excess = 0.5 * (excess_at(left / bounds[k]) + excess_at(right / bounds[k]))
+                excess = 0.5 * (excess_at(table, left / bounds[k]) + excess_at(table, right / bounds[k]))
             g = q * excess
             sums[0, k] += g * e
             sums[1, k] += g * g
