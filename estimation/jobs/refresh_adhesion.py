@@ -28,6 +28,7 @@ from estimation.values.look import SectionLook
 from estimation.values.quarantine import SubjectKind
 from estimation.values.windows import WindowKey, WindowMark, WindowState
 
+Stretches = Sequence[tuple[float, float]]
 STAGE = "refresh_adhesion"
 BATCH = 64  # windows committed together
 KEPT_NS = 31 * 24 * HOUR_NS  # for which the sums of windows are kept, beyond the longest span that is pooled
@@ -103,10 +104,11 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
         return {}
     pooled = _Pooled(found, passes, fleets)
     with context.storage.write() as unit:
-        before = {one.key: _on(unit, one) for one in passes}
+        before = _low_stretches(unit, section, passes)
         if not unit.adhesion.put_section(found, context.code_version, context.clock.now_ns()):
             return {}
-        again = [one for one in passes if touched(one, before[one.key]) != touched(one, _on(unit, one))]
+        after = _low_stretches(unit, section, passes)
+        again = [one for one in passes if touched(one, before[one.start_ns]) != touched(one, after[one.start_ns])]
         marks = [WindowMark(*one.key, WindowState.PENDING) for one in _estimated(unit, again)]
         unit.windows.mark_all(marks)
         if last is None or found.to_ns >= last.to_ns:
@@ -115,10 +117,10 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
     return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
 
 
-def _on(unit: UnitOfWork, one: WindowAdhesion) -> Sequence[tuple[float, float]]:
-    """Return the stretches of low friction of a window's section at its time."""
-    found = None if one.track_section is None else unit.adhesion.section(one.track_section, one.start_ns)
-    return () if found is None else found.low_stretches
+def _low_stretches(unit: UnitOfWork, section: str, passes: Sequence[WindowAdhesion]) -> Mapping[int, Stretches]:
+    """Return the stretches of low friction of a section at the times of its passes."""
+    found = {start_ns: unit.adhesion.section(section, start_ns) for start_ns in {one.start_ns for one in passes}}
+    return {start_ns: () if one is None else one.low_stretches for start_ns, one in found.items()}
 
 
 def _estimated(unit: UnitOfWork, passes: Sequence[WindowAdhesion]) -> Sequence[WindowAdhesion]:
