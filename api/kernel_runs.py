@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from api import estimator_kernel_runs, ingest_kernel_runs
+from estimation.adhesion.saturation_kernels import add_saturated, excess_table
 from estimation.adhesion.smoother_kernels import filter_forward, smooth_back
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
@@ -131,8 +132,8 @@ def _bin_tables() -> Iterator[FloatArray]:
 def _creep_filter() -> Iterator[FloatArray]:
     rng = np.random.default_rng(12)
     samples, n, m = 6, 5, 4
-    transition, measured = 0.3 * rng.standard_normal((n, n)), rng.standard_normal((m, n))
-    gain, back = 0.1 * rng.standard_normal((n, m)), 0.2 * rng.standard_normal((n, n))
+    transition, measured = 0.3 * rng.standard_normal((n, n)), rng.standard_normal((n, m))
+    gain, back = 0.1 * rng.standard_normal((m, n)), 0.2 * rng.standard_normal((n, n))
     fixed = {name: frozen_array(value, value.shape, name=name) for name, value in
              (("transition", transition), ("measured", measured), ("gain", gain), ("back", back))}  # fmt: skip
     measurements = frozen_array(rng.standard_normal((samples, m)), (samples, m), name="measurements")
@@ -153,6 +154,15 @@ def _creep_filter() -> Iterator[FloatArray]:
     )
     smooth_back(fixed["back"], predicted, filtered)
     yield from (predicted, filtered, innovations)
+
+
+def _saturation() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(13)
+    saturated = np.zeros((2, 4, 3))
+    forces = rng.standard_normal((3, 5)) * np.array([[2000.0], [3000.0], [800.0]])
+    bounds, place = np.array([9e3, 3e3, 1e3]), np.array([0, 0, 1, 1, 0])
+    add_saturated(excess_table(), rng.standard_normal((3, 5)), forces, place, bounds, saturated)
+    yield saturated
 
 
 def _rolling_radius() -> Iterator[FloatArray]:
@@ -344,6 +354,7 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _moments,
     _bin_tables,
     _creep_filter,
+    _saturation,
     _rolling_radius,
     _smoothing_spline,
     _exact_sums,

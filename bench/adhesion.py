@@ -2,7 +2,8 @@
 
 Every row is a scenario file in ``bench/adhesion_scenarios``; every seed of it is simulated and estimated by the pure
 functions that the jobs use (``adhesion_case``). Results are appended to ``--out`` after every case, a line of JSON
-each, and what is there is not run again.
+each, and what is there is not run again. The passes of each case stay in ``--sums``: ``--again`` pools them anew, which
+judges a change of pooling or decision in seconds.
 """
 
 from __future__ import annotations
@@ -10,12 +11,14 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from bench.adhesion_stored import path_of, read_passes
 from bench.adhesion_table import CHOICE_COLUMNS, FRICTION_COLUMNS, choice_rows, friction_rows, summary
 from bench.report import BenchRow
 from bench.results_page import markdown_table, write_page
@@ -34,7 +37,9 @@ def main(arguments: Sequence[str]) -> int:
     options = _options(arguments)
     console = Console(width=None if Console().is_terminal else 200)
     cases = _stored(options.out)
-    if not options.print_only:
+    if options.again:
+        cases = _again(cases, options.sums)
+    elif not options.print_only:
         _run(options, cases, console)
     rows = summary(cases)
     tables: tuple[tuple[Sequence[str], Sequence[tuple[str, ...]]], ...] = (
@@ -65,15 +70,13 @@ def _stored(path: Path) -> list[dict[str, Any]]:
 
 
 def _run(options: argparse.Namespace, cases: list[dict[str, Any]], console: Console) -> None:
-    from bench.adhesion_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
-
     have = {(case["row"], case["seed"]) for case in cases}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     for seed in options.seeds:
         for row in options.rows:
             if (row, seed) in have:
                 continue
-            case = json.loads(json.dumps(score(with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed)).as_json()))
+            case = json.loads(json.dumps(_case(row, seed, options.sums)))
             cases.append(case)
             with options.out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(case) + "\n")
@@ -81,11 +84,30 @@ def _run(options: argparse.Namespace, cases: list[dict[str, Any]], console: Cons
             console.print(f"{row} seed {seed}: {found}", highlight=False)
 
 
+def _case(row: str, seed: int, sums: Path) -> dict[str, object]:
+    from bench.adhesion_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
+
+    return score(with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed), sums).as_json()
+
+
+def _again(cases: Sequence[dict[str, Any]], sums: Path) -> list[dict[str, Any]]:
+    """Return the cases with the friction that their stored passes give now."""
+    from bench.adhesion_friction import judge  # noqa: PLC0415 - as above
+
+    done = []
+    for case in cases:
+        path = path_of(sums, case["row"], case["seed"])
+        done.append(case | asdict(judge(read_passes(path))) if path.exists() else case)
+    return done
+
+
 def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench adhesion", description=__doc__)
     parser.add_argument("--seeds", type=seed_range, default=[0], help="as in 0-19 or 3 (default: 0)")
     parser.add_argument("--rows", type=_rows, default=list(ROWS), help="names, with commas between (default: all)")
     parser.add_argument("--out", type=Path, default=Path("bench-results/adhesion.jsonl"), help="lines of JSON")
+    parser.add_argument("--sums", type=Path, default=Path("bench-results/adhesion-sums"), help="folder of the passes")
+    parser.add_argument("--again", action="store_true", help="run no case, pool the passes of those in --out anew")
     parser.add_argument("--print-only", action="store_true", help="print the tables of what --out holds")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/adhesion.md")
     return parser.parse_args(arguments)

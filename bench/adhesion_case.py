@@ -6,10 +6,13 @@ import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from bench.adhesion_fleet import Fleet, SensedWindow, simulate
+from bench.adhesion_friction import STEP, compare
+from bench.adhesion_stored import StoredPasses, path_of, write_passes
 from estimation.adhesion.creep_forces import ContactForces, ForceParameters, contact_forces
 from estimation.adhesion.friction import FrictionParameters, section_adhesion
 from estimation.adhesion.friction_sums import creep_signals
@@ -22,7 +25,7 @@ from estimation.motion.parameters import Gates, SignalParameters, WindowParamete
 from estimation.motion.window_motion import window_motion
 from estimation.tables.bin_table import bin_parameters, fill_cells, merge_all
 from estimation.values.adhesion import WindowAdhesion
-from estimation.values.arrays import FloatArray, runs
+from estimation.values.arrays import FloatArray
 from estimation.values.geometry import FilledCells, WheelsetGeometry
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
@@ -30,9 +33,6 @@ from estimation.values.track import TrackSectionRecord
 from ingest.simulator.axle_motion import contact_of, true_geometry
 from ingest.simulator.scenario import Scenario
 
-LOW = 0.15
-WITHIN = 200.0  # m from the start of a stretch within which it is to be found
-STEP = 1.0  # m
 AMPLITUDES = np.arange(4, 13) * 0.25e-3  # m
 TRIMMED_S = 1.0
 
@@ -78,8 +78,8 @@ class AdhesionScore:
         return asdict(self)
 
 
-def score(scenario: Scenario) -> AdhesionScore:
-    """Simulate a scenario and compare what is estimated with the truth."""
+def score(scenario: Scenario, folder: Path) -> AdhesionScore:
+    """Simulate a scenario and compare what is estimated with the truth; keep its passes in a folder."""
     fleet = simulate(scenario)
     done = AdhesionScore(scenario.name, scenario.seed)
     parameters = _parameters(fleet)
@@ -87,25 +87,17 @@ def score(scenario: Scenario) -> AdhesionScore:
     geometries = _geometries(fleet.windows, motions, parameters)
     done.conicity_all = _conicity_errors(scenario, fleet, geometries)
     passes = list(_passes(fleet, motions, parameters, geometries, done))
-    found = section_adhesion(scenario.section.code, passes, FrictionParameters())
-    if found is None or scenario.running.friction is None:
+    if scenario.running.friction is None:
         return done
-    for cell in found.cells:
-        along = fleet.friction(0, np.arange(cell.from_m, cell.to_m + STEP, STEP))
-        done.cells.append(
-            {
-                "from": cell.from_m,
-                "mean": float(along.mean()),
-                "least": float(along.min()),
-                "value": cell.friction.value,
-                "low": cell.friction.low,
-                "high": cell.friction.high,
-                "at_least": cell.at_least,
-                "probability": cell.low_probability,
-                "passes": cell.passes,
-            }
-        )
-    _score_stretches(fleet, done, found.low_stretches)
+    s = np.arange(fleet.track.s[0], fleet.track.s[-1], STEP)
+    stored = StoredPasses(scenario.section.code, tuple(passes), s, fleet.friction(0, s), _length(fleet))
+    write_passes(path_of(folder, scenario.name, scenario.seed), stored)
+    found = section_adhesion(scenario.section.code, passes, FrictionParameters(), stored.length)
+    if found is None:
+        return done
+    friction = compare(found, stored)
+    done.cells, done.stretches = friction.cells, friction.stretches
+    done.found, done.alarms = friction.found, friction.alarms
     left_out = [away_from_low_adhesion(one.window, found.low_stretches) for one in fleet.windows]
     again = [
         one if isinstance(one, Reason) else window_motion(one, fleet.alignment, parameters[one.wheelset])
@@ -232,16 +224,6 @@ def _score_forces(
     done.innovations.append(force.innovation)
 
 
-def _score_stretches(fleet: Fleet, done: AdhesionScore, flagged: Sequence[tuple[float, float]]) -> None:
-    """Compare the stretches of low friction that are found with the true ones, where the fleet passed."""
-    passed = [float(cell["from"] or 0.0) for cell in done.cells if cell["value"] is not None or cell["at_least"]]
-    length = fleet.scenario.section.recipe.length if fleet.scenario.section.recipe is not None else max(passed)
-    s = np.arange(max(min(passed), 0.0), min(max(passed), length), STEP)
-    friction = fleet.friction(0, s)
-    for first, behind in runs(friction < LOW):
-        begin, end = float(s[first]), float(s[behind - 1])
-        done.stretches.append((begin, end))
-        reach = (begin, min(begin + WITHIN, max(end, begin + STEP)))
-        done.found.append(any(a <= reach[1] and b >= reach[0] for a, b in flagged))
-    for a, b in flagged:
-        done.alarms.append((a, b, float(fleet.friction(0, np.arange(a, b + STEP, STEP)).min())))
+def _length(fleet: Fleet) -> float:
+    recipe = fleet.scenario.section.recipe
+    return fleet.track.length if recipe is None else recipe.length

@@ -19,8 +19,10 @@ from api.settings import load_settings
 from api.times import from_rfc3339, to_rfc3339
 from estimation.alerts.rules.book import RuleBook
 from estimation.errors import InputError, NotFoundError
+from estimation.jobs.refresh_adhesion import KEPT_NS
 from estimation.jobs.rules_difference import Change, Difference, differences
-from estimation.jobs.rules_replay import NOT_REPLAYED, history_of, replayed
+from estimation.jobs.rules_replay import DAY_NS, NOT_REPLAYED, history_of, replayed
+from estimation.jobs.section_replay import section_replayed
 from estimation.values.alerts import Alert
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
@@ -67,8 +69,8 @@ def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> 
         listed = [one for changes in found.values() for one in changes if one.change is not Change.SAME]
         console.print(_table(listed) if listed else "no alert differs")
     console.print(
-        f"not replayed: {' and '.join(NOT_REPLAYED)}, rejected recordings, grouping into fleet alerts; nothing was "
-        "written",
+        f"not replayed: {' and '.join(NOT_REPLAYED)}, rejected recordings, grouping into fleet alerts; low_adhesion "
+        f"where windows keep their sums of friction, {KEPT_NS // DAY_NS} days; nothing was written",
         highlight=False,
     )
 
@@ -97,9 +99,10 @@ def _check_codes(unit: SqlUnitOfWork, book: RuleBook, fleet: str | None, console
 def _replayed(
     storage: SqlStorage, books: tuple[RuleBook, RuleBook], span: tuple[int, int], fleet: str | None
 ) -> Mapping[str, Sequence[Difference]]:
-    """Return the differences by wheelset."""
+    """Return the differences by wheelset, and by section and fleet."""
     with storage.read() as unit:
         serials = [one.serial for one in unit.registry.wheelsets() if fleet in (None, one.fleet)]
+        sections = [one.code for one in unit.tracks.sections()]
     columns = (
         SpinnerColumn(),
         TextColumn("replaying the rules"),
@@ -115,7 +118,18 @@ def _replayed(
             before = replayed(history, books[0], span)
             after = before if books[1] is books[0] else replayed(history, books[1], span)
             found[serial] = differences(before, after)
+        for section in sections:
+            with storage.read() as unit:
+                before = _of_fleet(section_replayed(unit, section, books[0], span), fleet)
+                same = books[1] is books[0]
+                after = before if same else _of_fleet(section_replayed(unit, section, books[1], span), fleet)
+            for one in sorted({alert.fleet for alert in (*before, *after)}):
+                found[f"{section} {one}"] = differences(_of_fleet(before, one), _of_fleet(after, one))
     return found
+
+
+def _of_fleet(alerts: Sequence[Alert], fleet: str | None) -> list[Alert]:
+    return [one for one in alerts if fleet in (None, one.fleet)]
 
 
 def _summary(found: Mapping[str, Sequence[Difference]]) -> Table:
@@ -136,12 +150,12 @@ def _summary(found: Mapping[str, Sequence[Difference]]) -> Table:
 def _table(listed: Sequence[Difference]) -> Table:
     """Return the alerts in order; where some differ, with the change and the dates by the rules in force."""
     differ = any(one.change is not Change.SAME for one in listed)
-    columns = ("wheelset", "kind", "severity", "opened", "closed")
+    columns = ("wheelset or section", "kind", "severity", "opened", "closed")
     table = Table(*(("change", *columns, "in force") if differ else columns), box=box.SIMPLE_HEAD, pad_edge=False)
     for one in listed:
         alert = _either(one)
         dates = ("", "") if one.after is None else (_day(alert.opened_ns), _day(alert.closed_ns))
-        row = [alert.wheelset, alert.kind, alert.severity.value, *dates]
+        row = [alert.wheelset or alert.track_section, alert.kind, alert.severity.value, *dates]
         before = "" if one.before is None else f"{_day(one.before.opened_ns)} - {_day(one.before.closed_ns)}"
         table.add_row(*([one.change.value, *row, before] if differ else row))
     return table

@@ -164,10 +164,14 @@ def smoothed_states(
     varying = AXLE * np.arange(made.axles) + 1
     per_speed = -made.measured[-1, varying[-1]] / made.scale[varying[-1]]
     excess = (per_speed - 1.0 / speed) * made.scale[varying[-1]]
+    transition, measured, gain, back = (
+        frozen_array(matrix.T, matrix.T.shape, name="columns")
+        for matrix in (made.transition, made.measured, made.gain, made.back)
+    )
     kernels.filter_forward(
-        made.transition,
-        made.measured,
-        made.gain,
+        transition,
+        measured,
+        gain,
         frozen_array(measurements, (samples, m), name="measurements"),
         frozen_array(known, (samples,), np.bool_, name="known"),
         varying,
@@ -176,7 +180,7 @@ def smoothed_states(
         filtered,
         innovations,
     )
-    kernels.smooth_back(made.back, predicted, filtered)
+    kernels.smooth_back(back, predicted, filtered)
     return filtered * made.scale, innovations
 
 

@@ -5,8 +5,8 @@ By Eq. 2 with linear creep the yaw moment M of the creep forces and the yaw rate
     R_lin = -(r0/(l f11)) M - (2 l r0/V) psi'
 
 Where friction bounds the forces, more creepage is needed for the same moment: R exceeds R_lin by q (1/share - 1), with
-q = -(r0/(l f11)) M and 1/share - 1 of ``saturation``. The wheelset's own curve h(y - d) says what R is. M is in phase
-with the yaw angle, y - d some quarter of a wave behind: an error of the curve's slope is estimated beside.
+q = -(r0/(l f11)) M and 1/share - 1 of ``saturation_kernels``. The wheelset's own curve h(y - d) says what R is. M is in
+phase with the yaw angle, y - d some quarter of a wave behind: an error of the curve's slope is estimated beside.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ import numpy.typing as npt
 
 from estimation.adhesion.creep_forces import ContactForces
 from estimation.adhesion.gravity import ContactAngles
-from estimation.adhesion.saturation import creep_excess
+from estimation.adhesion.saturation_kernels import add_saturated, excess_table
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, FrictionSums
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
 from estimation.values.motion import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
-SHARE_ROUNDS = 3  # of spin and saturation, each of which decides on the other
-FEWEST_SAMPLES = 100  # of a place
+SUMMED_S = 0.012  # between samples that are summed: creep changes within some 20 ms
+FEWEST_S = 0.4  # of a place
 SHORTEST_S = 5.0  # of a stretch of samples
 TRIMMED_S = 1.0  # at each of its ends
 
@@ -61,22 +61,6 @@ class CreepSignals:
         spin = share * self.spin
         lateral = np.stack([0.5 * self.lateral + spin, 0.5 * self.lateral - spin])
         return np.asarray(np.hypot(0.5 * self.moment / half_contact_distance, lateral))
-
-    def excess(self, half_contact_distance: float, bound: float) -> FloatArray:
-        """Return linear over true creep force less 1, the mean of both wheels (n,).
-
-        Parameters
-        ----------
-        half_contact_distance
-            l, m.
-        bound
-            mu N of a wheel, N.
-        """
-        found = np.zeros(len(self.valid))
-        for _ in range(SHARE_ROUNDS):
-            utilisation = self.resultants(half_contact_distance, 1.0 / (1.0 + found)) / bound
-            found = creep_excess(utilisation).mean(axis=0)
-        return found
 
 
 def creep_signals(
@@ -138,8 +122,9 @@ def friction_sums(
     distance: FloatArray,
     curve: tuple[FloatArray, FloatArray],
     vehicle: VehicleParameters,
+    sample_interval_s: float,
 ) -> FrictionSums:
-    """Return the sums of a window by place.
+    """Return the sums of a window by place, over samples that are ``SUMMED_S`` apart or what is next below.
 
     Parameters
     ----------
@@ -153,24 +138,25 @@ def friction_sums(
         (b,) centres of bins of y - d, m, and (b,) rL - rR there, m, NaN where it is not known.
     vehicle
         Of the wheelset.
+    sample_interval_s
+        Between samples, s.
     """
-    p = vehicle
-    expected = _on_curve(motion.displacement, *curve)
-    f11 = p.longitudinal_creep_coefficient / motion.stiffness_ratio
-    q = -p.nominal_radius / (p.half_contact_distance * f11) * signals.moment
-    e = expected - signals.linear_difference
-    good = np.flatnonzero(signals.valid & np.isfinite(e) & np.isfinite(signals.lateral) & np.isfinite(distance))
+    p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
+    difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
+    known = signals.valid & np.isfinite(difference) & np.isfinite(signals.lateral) & np.isfinite(distance)
+    good = np.flatnonzero(known[::step]) * step
     place = np.floor(distance[good] / CELL_LENGTH).astype(np.int64)
     cells, index, counts = np.unique(place, return_inverse=True, return_counts=True)
-    e, q, x = e[good], q[good], motion.displacement[good]
+    f11 = p.longitudinal_creep_coefficient / motion.stiffness_ratio
+    moment = signals.moment[good]
+    e, x = difference[good], motion.displacement[good]
+    q = -p.nominal_radius / (p.half_contact_distance * f11) * moment
     products = (e * e, e * q, q * q, e * x, q * x, x * x)
     squares = np.stack([_summed(values, index, len(cells)) for values in products], axis=1)
     saturated = np.zeros((len(cells), 4, len(INVERSE)))
-    for k, inverse in enumerate(INVERSE):
-        g = q * signals.excess(p.half_contact_distance, 0.5 * p.load / inverse)[good]
-        for row, other in enumerate((e, g, q, x)):
-            saturated[:, row, k] = _summed(g * other, index, len(cells))
-    kept = counts >= FEWEST_SAMPLES
+    forces = np.stack([0.5 * moment / p.half_contact_distance, 0.5 * signals.lateral[good], signals.spin[good]])
+    add_saturated(excess_table(), np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
+    kept = counts * step * sample_interval_s >= FEWEST_S
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
 
 

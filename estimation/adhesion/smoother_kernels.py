@@ -26,7 +26,7 @@ def filter_forward(
     Parameters
     ----------
     transition, measured, gain
-        (n, n), (m, n) and (n, m) of the filter.
+        (n, n), (n, m) and (m, n): columns of the matrices of the filter.
     measurements
         (s, m).
     known
@@ -46,33 +46,35 @@ def filter_forward(
         filtered[i] = state
         innovations[i] = 0.0
         if known[i]:
-            multiply(measured, state, innovations[i])
+            add_product(measured, state, innovations[i])
             for j in range(measurements.shape[1]):
                 innovations[i, j] = measurements[i, j] - innovations[i, j]
             for a in range(len(varying)):
                 innovations[i, first + a] -= excess[i] * state[varying[a]]
-            multiply(gain, innovations[i], correction)
+            correction[:] = 0.0
+            add_product(gain, innovations[i], correction)
             for k in range(n):
                 filtered[i, k] += correction[k]
-        multiply(transition, filtered[i], state)
+        state[:] = 0.0
+        add_product(transition, filtered[i], state)
 
 
 @compiled(nogil=True)
-def multiply(matrix: FloatArray, vector: FloatArray, product: FloatArray) -> None:
-    """Write the product (n,) of a matrix (n, m) and a vector (m,); every sum goes in the order of its terms.
+def add_product(columns: FloatArray, vector: FloatArray, product: FloatArray) -> None:
+    """Add the product (n,) of a matrix and a vector (m,); every sum goes in the order of its terms.
 
     Parameters
     ----------
-    matrix, vector
-        (n, m) and (m,).
+    columns
+        (m, n) columns of the matrix: n sums are formed side by side.
+    vector
+        (m,).
     product
-        (n,) written.
+        (n,) changed.
     """
-    for k in range(len(matrix)):
-        total = 0.0
-        for j in range(len(vector)):
-            total += matrix[k, j] * vector[j]
-        product[k] = total
+    for j in range(len(vector)):
+        for k in range(len(product)):
+            product[k] += columns[j, k] * vector[j]
 
 
 @compiled(nogil=True)
@@ -82,7 +84,7 @@ def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -
     Parameters
     ----------
     back
-        (n, n) of the smoother.
+        (n, n) columns of the matrix of the smoother.
     predicted
         (s, n) states before each sample.
     filtered
@@ -93,6 +95,4 @@ def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -
     for i in range(samples - 2, -1, -1):
         for k in range(n):
             gained[k] = filtered[i + 1, k] - predicted[i + 1, k]
-        for k in range(n):
-            for j in range(n):
-                filtered[i, k] += back[k, j] * gained[j]
+        add_product(back, gained, filtered[i])

@@ -82,7 +82,8 @@ def window_adhesion(
     error = float(np.hypot(FORCE_ERROR, SMOOTHED_ERROR)) if forces.smoothed else FORCE_ERROR
     forces_found = _forces(found, angles, parameters.vehicle_class, vehicle.half_contact_distance, error)
     distance = inputs.correction.at(window.distance)
-    sums = None if isinstance(angles, Reason) else friction_sums(found, motion, distance, curve, vehicle)
+    of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)
+    sums = None if isinstance(angles, Reason) else friction_sums(*of_samples)
     return WindowAdhesion(
         *of_window,
         Status.ESTIMATED,

@@ -8,16 +8,17 @@ again without. The newest hours decide on the alert.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from estimation.adhesion.friction import FrictionParameters, section_adhesion
+from estimation.adhesion.friction import section_adhesion
 from estimation.adhesion.left_out import touched
 from estimation.alerts.life_cycle import close
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
 from estimation.alerts.section_alerts import section_transition
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.jobs.steps.section_looks import NO_SECTION, note_sections, section_news
 from estimation.jobs.steps.window_creep import creep_of_windows
 from estimation.storage import UnitOfWork
@@ -27,9 +28,9 @@ from estimation.values.look import SectionLook
 from estimation.values.quarantine import SubjectKind
 from estimation.values.windows import WindowKey, WindowMark, WindowState
 
+Stretches = Sequence[tuple[float, float]]
 STAGE = "refresh_adhesion"
 BATCH = 64  # windows committed together
-HOUR_NS = 3_600_000_000_000
 KEPT_NS = 31 * 24 * HOUR_NS  # for which the sums of windows are kept, beyond the longest span that is pooled
 
 
@@ -47,7 +48,7 @@ def run(context: JobContext) -> Mapping[str, int]:
             continue
         with isolation.alone(SubjectKind.SECTION, section):
             starts = _windows(context, section, counts)
-            for to_ns in pool_ends(starts, _pooled_ns(context)):
+            for to_ns in pool_ends(starts, pooled_ns(context.settings.rules.rule(LowAdhesionRule))):
                 counts.update(_section(context, section, to_ns))
             with context.storage.read() as unit:
                 seen = not unit.adhesion.unlooked(section)
@@ -58,27 +59,6 @@ def run(context: JobContext) -> Mapping[str, int]:
     note_sections(context, STAGE, done)
     counts["quarantined"] = isolation.quarantined
     return counts
-
-
-def _pooled_ns(context: JobContext) -> int:
-    return round(context.settings.rules.rule(LowAdhesionRule).pooled_hours * HOUR_NS)
-
-
-def pool_ends(starts: Collection[int], length_ns: int) -> Sequence[int]:
-    """Return the ends of as few spans as hold all times, oldest first; the last ends with the newest.
-
-    Parameters
-    ----------
-    starts
-        Times, ns.
-    length_ns
-        Of a span, both ends included.
-    """
-    ends: list[int] = []
-    for start in sorted(set(starts), reverse=True):
-        if not ends or ends[-1] - start > length_ns:
-            ends.append(start)
-    return ends[::-1]
 
 
 def _windows(context: JobContext, section: str, counts: Counter[str]) -> set[int]:
@@ -114,20 +94,21 @@ class _Pooled:
 def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]:
     """Store the friction of a section, its alerts, and what follows for its windows."""
     rule = context.settings.rules.rule(LowAdhesionRule)
-    parameters = FrictionParameters(low=rule.raise_friction, likely=rule.raise_probability)
     with context.storage.read() as unit:
         last = unit.adhesion.section(section)
-        passes = unit.adhesion.of_section(section, to_ns - _pooled_ns(context), to_ns)
+        passes = unit.adhesion.of_section(section, to_ns - pooled_ns(rule), to_ns)
         fleets = sorted({unit.registry.vehicle(code).fleet for code in {one.vehicle for one in passes}})
-    found = section_adhesion(section, passes, parameters)
+        length = section_length(unit, section)
+    found = section_adhesion(section, passes, friction_parameters(rule), length)
     if found is None:
         return {}
     pooled = _Pooled(found, passes, fleets)
     with context.storage.write() as unit:
-        before = {one.key: _on(unit, one) for one in passes}
+        before = _low_stretches(unit, section, passes)
         if not unit.adhesion.put_section(found, context.code_version, context.clock.now_ns()):
             return {}
-        again = [one for one in passes if touched(one, before[one.key]) != touched(one, _on(unit, one))]
+        after = _low_stretches(unit, section, passes)
+        again = [one for one in passes if touched(one, before[one.start_ns]) != touched(one, after[one.start_ns])]
         marks = [WindowMark(*one.key, WindowState.PENDING) for one in _estimated(unit, again)]
         unit.windows.mark_all(marks)
         if last is None or found.to_ns >= last.to_ns:
@@ -136,10 +117,10 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
     return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
 
 
-def _on(unit: UnitOfWork, one: WindowAdhesion) -> Sequence[tuple[float, float]]:
-    """Return the stretches of low friction of a window's section at its time."""
-    found = None if one.track_section is None else unit.adhesion.section(one.track_section, one.start_ns)
-    return () if found is None else found.low_stretches
+def _low_stretches(unit: UnitOfWork, section: str, passes: Sequence[WindowAdhesion]) -> Mapping[int, Stretches]:
+    """Return the stretches of low friction of a section at the times of its passes."""
+    found = {start_ns: unit.adhesion.section(section, start_ns) for start_ns in {one.start_ns for one in passes}}
+    return {start_ns: () if one is None else one.low_stretches for start_ns, one in found.items()}
 
 
 def _estimated(unit: UnitOfWork, passes: Sequence[WindowAdhesion]) -> Sequence[WindowAdhesion]:

@@ -85,13 +85,18 @@ class AdhesionStore:
         return next(iter(self._windows(select(OF_WINDOWS).where(*same))), None)
 
     def of_section(self, section: str, from_ns: int, to_ns: int) -> Sequence[WindowAdhesion]:
-        """Return the creep of the windows of a section that begin within ``[from_ns, to_ns]``, by time and wheelset."""
-        chosen = (
-            OF_WINDOWS.c.track_section == section,
-            OF_WINDOWS.c.start_ns >= from_ns,
-            OF_WINDOWS.c.start_ns <= to_ns,
-        )
-        return self._windows(select(OF_WINDOWS).where(*chosen))
+        """Return the creep of the windows of a section that begin within ``[from_ns, to_ns]``, by time and wheelset.
+
+        A window whose samples or section are others by now is left out until it has been looked at again.
+        """
+        within = (OF_WINDOWS.c.start_ns >= from_ns, OF_WINDOWS.c.start_ns <= to_ns)
+        return self._windows(_standing(select(OF_WINDOWS), section).where(*within))
+
+    def starts_with_sums(self, section: str, from_ns: int, to_ns: int) -> Sequence[int]:
+        """Return when the windows of a section began within ``[from_ns, to_ns]`` whose sums of friction are kept."""
+        start_ns = OF_WINDOWS.c.start_ns
+        chosen = _standing(select(start_ns).distinct(), section).where(start_ns >= from_ns, start_ns <= to_ns)
+        return list(self.connection.execute(chosen.where(OF_WINDOWS.c.with_sums).order_by(start_ns)).scalars())
 
     def forget_sums(self, section: str, before_ns: int) -> int:
         """Remove the sums of friction of the windows of a section that begin before a time; return of how many.
@@ -179,6 +184,15 @@ class AdhesionStore:
 
 def _window(row: Row[Any]) -> WindowAdhesion:
     return unpack_window_adhesion(row.packed, where=f"creep of window {row.wheelset}@{row.start_ns}")
+
+
+def _standing(statement: Select[Any], section: str) -> Select[Any]:
+    """Return a statement for the creep of windows of a section, of the samples that they have."""
+    return statement.select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(
+        OF_WINDOWS.c.track_section == section,
+        WINDOWS.c.track_section == section,
+        WINDOWS.c.content_digest == OF_WINDOWS.c.content_digest,
+    )
 
 
 def _not_looked_at(section: str) -> Select[Any]:

@@ -108,28 +108,40 @@ class _Batch:
     def _forces(self, record: WindowRecord, window: Window, assumed: Assumed) -> ContactForces | Reason:
         """Return the forces on the wheelset of a window; those of its gear are kept for the other axle."""
         vehicle_class = assumed.windows.vehicle_class
-        gear = self._gear(record, window, assumed)
-        if isinstance(gear, Reason):
-            return gear
-        key = tuple((one.wheelset, one.start_ns) for one in gear)
+        key = self._gear(record, assumed)
+        if isinstance(key, Reason):
+            return key
         if self.gear is None or self.gear[0] != key:
+            gear = self._loaded(key, window, assumed)
+            if isinstance(gear, Reason):
+                return gear
             self.gear = key, contact_forces(gear, vehicle_class, assumed.windows.signals, ForceParameters())
         forces = self.gear[1]
         return forces if isinstance(forces, Reason) else forces[key.index(record.key)]
 
-    def _gear(self, record: WindowRecord, window: Window, assumed: Assumed) -> tuple[Window, ...] | Reason:
+    def _gear(self, record: WindowRecord, assumed: Assumed) -> tuple[WindowKey, ...] | Reason:
         """Return the windows of the running gear of a window, front axle first."""
         axle = assumed.windows.vehicle_class.partner(record.axle)
         if axle is None:
-            return (window,)
+            return (record.key,)
         mounting = self.inputs.vehicles.mounting_at(record.vehicle, axle, record.start_ns)
-        known = None if mounting is None else self.inputs.records.get((mounting.wheelset, record.start_ns))
-        if known is None:
+        if mounting is None or (mounting.wheelset, record.start_ns) not in self.inputs.records:
             return Reason(ReasonCode.FRAME_UNKNOWN, f"the other axle of the bogie, axle {axle}, has no window")
-        partner = self.loader.load(known, assumed.windows.vehicle_class)
-        if isinstance(partner, Reason):
-            return partner
-        return (window, partner) if record.axle < axle else (partner, window)
+        other = (mounting.wheelset, record.start_ns)
+        return (record.key, other) if record.axle < axle else (other, record.key)
+
+    def _loaded(self, keys: tuple[WindowKey, ...], window: Window, assumed: Assumed) -> tuple[Window, ...] | Reason:
+        """Return the windows of a running gear; one of them is at hand."""
+        loaded = []
+        for key in keys:
+            one = window
+            if key != (window.wheelset, window.start_ns):
+                found = self.loader.load(self.inputs.records[key], assumed.windows.vehicle_class)
+                if isinstance(found, Reason):
+                    return found
+                one = found
+            loaded.append(one)
+        return tuple(loaded)
 
     def _geometry(self, wheelset: str) -> GeometryRecord | None:
         if wheelset not in self.geometries:

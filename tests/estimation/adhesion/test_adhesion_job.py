@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import asyncio
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
+from adhesion_fleet import EstimatedFleet
 
-from api.comparison.trial import deploy, opened, receive, record, run_jobs
+from api.comparison.trial import copied, opened, run_jobs
 from api.factory import create_app
 from api.settings import Settings
 from bench.adhesion_fleet import true_friction
 from estimation.adhesion.friction import FrictionParameters
+from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.jobs import evaluate_alerts, refresh_adhesion
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext, run_job
+from estimation.jobs.section_replay import section_replayed
+from estimation.jobs.steps.pooled_friction import pool_ends
 from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import AlertEventKind, AlertScope
 from estimation.values.quantities import Status
@@ -30,9 +33,6 @@ from estimation.values.windows import WindowState
 from fleet_db.storage import SqlStorage
 from ingest.simulator.campaign import scenario_track
 from ingest.simulator.scenario import Scenario
-from ingest.simulator.scenario_file import load_scenario
-
-SCENARIO = Path(__file__).parents[3] / "bench" / "adhesion_scenarios" / "low.toml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,17 +46,11 @@ class Deployed:
 
 
 @pytest.fixture(scope="module")
-def deployed() -> Iterator[Deployed]:
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        text = SCENARIO.read_text(encoding="utf-8").replace("length_m = 10000.0", "length_m = 2000.0")
-        (folder / "s.toml").write_text(text.replace("vehicles = 4", "vehicles = 2"), encoding="utf-8")
-        scenario = load_scenario(folder / "s.toml")
-        settings = deploy(scenario, folder / "deployed")
-        receive(record(scenario, folder / "cache", workers=1), settings)
-        with opened(settings) as (storage, context):
-            run_jobs(context, ALL_JOBS)
-            yield Deployed(scenario, settings, storage, context)
+def deployed(estimated_fleet: EstimatedFleet, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Deployed]:
+    settings = copied(estimated_fleet.settings, tmp_path_factory.mktemp("deployed"))
+    with opened(settings) as (storage, context):
+        run_jobs(context, ALL_JOBS)
+        yield Deployed(estimated_fleet.scenario, settings, storage, context)
 
 
 def section_of(deployed: Deployed) -> SectionAdhesion:
@@ -138,9 +132,9 @@ def test_rest_answers_friction_and_the_alert_links_to_it(deployed: Deployed) -> 
 
 
 def test_as_few_spans_as_hold_all_times_are_pooled() -> None:
-    assert refresh_adhesion.pool_ends([1, 5, 9, 30, 31], 8) == [9, 31]
-    assert refresh_adhesion.pool_ends([1, 5, 10, 30, 31], 8) == [1, 10, 31]
-    assert refresh_adhesion.pool_ends([], 8) == []
+    assert pool_ends([1, 5, 9, 30, 31], 8) == [9, 31]
+    assert pool_ends([1, 5, 10, 30, 31], 8) == [1, 10, 31]
+    assert pool_ends([], 8) == []
 
 
 def test_later_runs_leave_low_friction_out_and_then_rest(deployed: Deployed) -> None:
@@ -176,6 +170,20 @@ def test_every_time_stays_in_some_hours_and_few_are_kept(deployed: Deployed) -> 
         newest = unit.adhesion.section(found.track_section)
     assert newest is not None
     assert newest.to_ns == last
+
+
+def test_replay_gives_the_alert_on_file_and_other_rules_give_theirs(deployed: Deployed) -> None:
+    code, span = deployed.scenario.section.code, (0, 2**62)
+    strict = RuleBook((LowAdhesionRule(raise_friction=0.02),))
+    off = RuleBook((LowAdhesionRule(enabled=False),))
+    with deployed.storage.read() as unit:
+        (alert,) = unit.alerts.open_of_section(code, "low_adhesion")
+        (again,) = section_replayed(unit, code, RuleBook(), span)
+        assert section_replayed(unit, code, strict, span) == []
+        assert section_replayed(unit, code, off, span) == []
+        assert section_replayed(unit, code, RuleBook(), (0, 1)) == []
+    assert (again.kind, again.fleet, again.track_section) == (alert.kind, alert.fleet, alert.track_section)
+    assert again.evidence["stretches"] == alert.evidence["stretches"]
 
 
 def test_sums_are_forgotten_and_forces_stay(deployed: Deployed) -> None:

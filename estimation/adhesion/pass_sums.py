@@ -1,0 +1,91 @@
+"""The sums of all passes of a section as arrays with an entry for every place of every pass, in order of place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.values.adhesion import INVERSE, WindowAdhesion
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
+
+
+@dataclass(frozen=True, slots=True)
+class PassSums:
+    """n entries at c places, of v vehicles and w wheelsets."""
+
+    squares: FloatArray  # (n, 6) as in ``FrictionSums``
+    saturated: FloatArray  # (n, 4, k)
+    place: IntArray  # (n,) index of the place, rising
+    vehicle: IntArray  # (n,) index
+    wheelset: IntArray  # (n,) index
+    cells: IntArray  # (c,) numbers of the places
+
+    def __post_init__(self) -> None:
+        n = len(self.place)
+        object.__setattr__(self, "squares", frozen_array(self.squares, (n, 6), name="squares"))
+        object.__setattr__(self, "saturated", frozen_array(self.saturated, (n, 4, len(INVERSE)), name="saturated"))
+        for name in ("place", "vehicle", "wheelset"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), np.int64, name=name))
+        object.__setattr__(self, "cells", frozen_array(self.cells, (len(self.cells),), np.int64, name="cells"))
+
+    @property
+    def counts(self) -> IntArray:
+        """How many passes there are of each place, (c,)."""
+        return np.bincount(self.place, minlength=len(self.cells)).astype(np.int64)
+
+    def by_place(self, values: FloatArray) -> FloatArray:
+        """Return the sums of values of entries, (n,) or (n, k), over each place, (c,) or (c, k).
+
+        Parameters
+        ----------
+        values
+            (n,) or (n, k) of any unit.
+        """
+        first = np.searchsorted(self.place, np.arange(len(self.cells)))
+        return np.asarray(np.add.reduceat(values, first, axis=0), np.float64)
+
+    def at(self, inverse: FloatArray) -> FloatArray:
+        """Return the saturated sums (4, n) at 1/mu of the places, linear between those that are kept.
+
+        Parameters
+        ----------
+        inverse
+            (c,) 1/mu.
+        """
+        high = np.clip(np.searchsorted(INVERSE, inverse), 1, len(INVERSE) - 1)
+        part = (inverse - INVERSE[high - 1]) / (INVERSE[high] - INVERSE[high - 1])
+        entries = np.arange(len(self.place))
+        low_values = self.saturated[entries, :, high[self.place] - 1]
+        high_values = self.saturated[entries, :, high[self.place]]
+        return np.asarray((low_values + part[self.place, None] * (high_values - low_values)).T)
+
+
+def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
+    """Return the sums of passes; None where none says anything.
+
+    Parameters
+    ----------
+    passes
+        Of one section.
+    """
+    ordered = sorted(passes, key=lambda one: one.key)
+    known = [(one, one.sums) for one in ordered if one.sums is not None and len(one.sums.cells)]
+    if not known:
+        return None
+    lengths = [len(sums.cells) for _, sums in known]
+    cells, place = np.unique(np.concatenate([sums.cells for _, sums in known]), return_inverse=True)
+    order = np.argsort(place, kind="stable")
+    vehicle, wheelset = (
+        np.repeat(np.unique(names, return_inverse=True)[1], lengths)
+        for names in ([one.vehicle for one, _ in known], [one.wheelset for one, _ in known])
+    )
+    return PassSums(
+        np.concatenate([sums.squares for _, sums in known])[order],
+        np.concatenate([sums.saturated for _, sums in known])[order],
+        place[order],
+        vehicle[order],
+        wheelset[order],
+        cells,
+    )

@@ -1,0 +1,63 @@
+"""Step: over which spans of time the passes of a section are pooled, and with which limits."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from estimation.adhesion.friction import FrictionParameters
+from estimation.alerts.rules.low_adhesion import LowAdhesionRule
+from estimation.storage import UnitOfWork
+
+HOUR_NS = 3_600_000_000_000
+
+
+def pooled_ns(rule: LowAdhesionRule) -> int:
+    """Return how long passes are pooled, ns.
+
+    Parameters
+    ----------
+    rule
+        In force.
+    """
+    return round(rule.pooled_hours * HOUR_NS)
+
+
+def friction_parameters(rule: LowAdhesionRule) -> FrictionParameters:
+    """Return the limits of a rule as the friction of a section is found with them.
+
+    Parameters
+    ----------
+    rule
+        In force.
+    """
+    return FrictionParameters(low=rule.raise_friction, likely=rule.raise_probability)
+
+
+def section_length(unit: UnitOfWork, section: str) -> float:
+    """Return the length of a section, m; 0 of one that is not on file any more: it has no places.
+
+    Parameters
+    ----------
+    unit
+        A transaction that reads.
+    section
+        Code.
+    """
+    return next((one.length_m for one in unit.tracks.sections() if one.code == section), 0.0)
+
+
+def pool_ends(starts: Collection[int], length_ns: int) -> Sequence[int]:
+    """Return the ends of as few spans as hold all times, oldest first; the last ends with the newest.
+
+    Parameters
+    ----------
+    starts
+        Times, ns.
+    length_ns
+        Of a span, both ends included.
+    """
+    ends: list[int] = []
+    for start in sorted(set(starts), reverse=True):
+        if not ends or ends[-1] - start > length_ns:
+            ends.append(start)
+    return ends[::-1]

@@ -1,0 +1,66 @@
+"""The chain along the places: against the sum over all courses, with jumps, behind gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from estimation.adhesion.along_track import GRID, AlongParameters, along_track
+from estimation.values.adhesion import INVERSE
+from estimation.values.arrays import FloatArray
+
+KNOWN = AlongParameters(3.3, 3.0, 0.45, 0.2, 0.05)
+
+
+def misfits_of(inverse: FloatArray, std: float) -> FloatArray:
+    """Return the misfits (c, k) of Gaussian measurements (c,) of 1/mu."""
+    return np.asarray(((INVERSE - inverse[:, None]) / std) ** 2)
+
+
+def density(values: FloatArray, mean: FloatArray | float, std: float) -> FloatArray:
+    return np.asarray(np.exp(-0.5 * ((values - mean) / std) ** 2))
+
+
+def test_three_places_are_the_sum_over_all_courses() -> None:
+    inverse, width = np.array([3.0, 6.0, 7.5]), np.gradient(GRID)
+    prior = density(GRID, 3.3, 3.0) * width
+    prior /= prior.sum()
+    step = density(np.log(GRID)[:, None], np.log(GRID), 0.2)
+    step = 0.95 * step / step.sum(axis=1, keepdims=True) + 0.05 * prior
+    first, second, third = (density(GRID, one, float(np.hypot(0.3, 0.45))) for one in inverse)
+    courses = np.einsum("a,ab,bc,a,b,c->abc", prior, step, step, first, second, third)
+    courses /= courses.sum()
+    found = along_track(np.arange(3), misfits_of(inverse, 0.3), KNOWN)
+    for place, axes in enumerate(((1, 2), (0, 2), (0, 1))):
+        marginal = courses.sum(axis=axes)
+        mean = float(marginal @ GRID)
+        assert found.mean[place] == pytest.approx(mean, abs=0.02)
+        assert found.std[place] == pytest.approx(np.sqrt(marginal @ GRID**2 - mean**2), rel=0.05)
+
+
+def test_places_behind_a_gap_and_places_that_begin_anew_stand_alone() -> None:
+    inverse = np.array([3.0, 9.0])
+    alone = [along_track(np.array([0]), misfits_of(inverse[[place]], 0.5), KNOWN) for place in (0, 1)]
+    gap = along_track(np.array([0, 2]), misfits_of(inverse, 0.5), KNOWN)
+    assert gap.mean == pytest.approx([one.mean[0] for one in alone], rel=1e-12)
+    anew = along_track(np.array([0, 1]), misfits_of(inverse, 0.5), AlongParameters(3.3, 3.0, 0.45, 0.2, 1.0))
+    assert anew.mean == pytest.approx(gap.mean, rel=1e-9)
+
+
+def test_a_sharp_end_stays_where_it_is_and_noise_gets_less() -> None:
+    rng = np.random.default_rng(4)
+    true = np.repeat([3.0, 12.0, 3.0], 12)
+    alone, along = [], []
+    for _ in range(40):
+        measured = true + 0.6 * rng.standard_normal(len(true))
+        found = along_track(np.arange(len(true)), misfits_of(measured, 0.4), KNOWN).mean
+        assert (found[:12] < 6.67).all()
+        assert (found[12:24] > 6.67).all()
+        assert (found[24:] < 6.67).all()
+        alone.append(measured - true)
+        along.append(found - true)
+    assert np.std(along) < 0.75 * np.std(alone)
+
+
+def test_what_is_known_of_the_chain_is_pinned() -> None:
+    assert (len(GRID), GRID[0], GRID[-1]) == (160, 1.0, pytest.approx(1.0 / 0.035))
