@@ -21,7 +21,7 @@ from estimation.contact.rail_wear import RailWear
 from estimation.values.arrays import FloatArray
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.profile_files import rails_of
-from ingest.simulator.scenario import DAY_NS, Scenario, SectionPlan
+from ingest.simulator.scenario import DAY_NS, Scenario, SectionPlan, VehicleErrors
 from ingest.simulator.scenario_file import load_scenario
 
 TEMPLATE = Path(__file__).parent / "rails_scenarios" / "sections.toml"
@@ -44,7 +44,7 @@ class BenchSection:
         return self.scenario.section
 
 
-def sections_of(seed: int, *, surveyed: bool = True) -> tuple[BenchSection, ...]:
+def sections_of(seed: int, *, surveyed: bool = True, drawn: bool = False) -> tuple[BenchSection, ...]:
     """Return the sections of a seed: rails as on file, worn heads, another gauge, rails as new that nobody knows.
 
     Parameters
@@ -53,8 +53,13 @@ def sections_of(seed: int, *, surveyed: bool = True) -> tuple[BenchSection, ...]
         Of the fleet, and of what its rails are.
     surveyed
         Whether the alignments are on file.
+    drawn
+        Whether springs and masses of the vehicles, and the creep on each section, are off from those on file.
     """
     fleet = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None)
+    if drawn:
+        codes = tuple(vehicle.code for vehicle in fleet.vehicles)
+        fleet = replace(fleet, vehicle_errors=VehicleErrors(seed=seed, fleet=codes))
     rng = np.random.default_rng([seed, 14])
     wear = RailWear(rng.uniform(0.3e-3, 0.7e-3), rng.uniform(-1e-3, 3e-3), rng.uniform(22e-3, 28e-3))
     gauge = float(rng.choice([-1.0, 1.0]) * rng.uniform(1e-3, 2e-3))
