@@ -65,14 +65,29 @@ def sections_of(seed: int, *, surveyed: bool = True, drawn: bool = False) -> tup
     gauge = float(rng.choice([-1.0, 1.0]) * rng.uniform(1e-3, 2e-3))
     rails: tuple[tuple[RailWear | None, float], ...] = ((None, 0.0), (wear, 0.0), (None, gauge), (None, 0.0))
     return tuple(
-        BenchSection(_on_section(fleet, place, runs, *of_rails, surveyed=surveyed), of_rails != (None, 0.0))
+        BenchSection(on_section(fleet, place, runs, *of_rails, surveyed=surveyed), of_rails != (None, 0.0))
         for place, (runs, of_rails) in enumerate(zip(RUNS, rails, strict=True))
     )
 
 
-def _on_section(
+def on_section(
     fleet: Scenario, place: int, runs: Sequence[str], wear: RailWear | None, gauge: float, *, surveyed: bool
 ) -> Scenario:
+    """Return a fleet as it runs on one of several sections.
+
+    Parameters
+    ----------
+    fleet
+        The fleet, on the section of the template.
+    place
+        Number of the section, from 0.
+    runs
+        Codes of the vehicles that run there.
+    wear, gauge
+        Of its rails; m.
+    surveyed
+        Whether its alignment is on file.
+    """
     recipe = fleet.section.recipe
     assert recipe is not None
     section = replace(

@@ -20,9 +20,7 @@ from estimation.values.reasons import Reason, ReasonCode
 
 NS_PER_YEAR = 365.25 * 86_400e9
 NO_REFERENCE_WHEEL = Reason(ReasonCode.PROFILE_UNKNOWN, "the conicity of the wheel as designed is not known here")
-NEXT_TO_JUMP = Reason(
-    ReasonCode.REFERENCE_WHEEL_JUMPS, "the wheel as designed is next to a contact jump at this amplitude"
-)
+NEXT_TO_JUMP = Reason(ReasonCode.CONTACT_JUMP_NEAR, "the wheel as designed is next to a contact jump at this amplitude")
 NOT_CONVERGED = Reason(ReasonCode.NOT_CONVERGED, "wheels and rails were not parted: the iteration did not converge")
 
 
@@ -133,6 +131,8 @@ def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
     """
     solution = part(component.two_way(), parameters)
     refused = None if solution.converged else NOT_CONVERGED
+    if refused is None and _is_steep(component, wheel.on_reference, parameters):
+        refused = NEXT_TO_JUMP
     if refused is None and solution.interaction > parameters.most_interaction:
         text = f"neither wheel nor rail explains {solution.interaction:.3f} of the conicities at this amplitude"
         refused = Reason(ReasonCode.RAILS_INTERACT, text)
@@ -240,7 +240,7 @@ class _Publisher:
             return self.component.level_open
         if not np.isfinite(self._design):
             return NO_REFERENCE_WHEEL
-        if self._steep_on_file(key):
+        if _is_steep(self.component, self.wheel.of(key.section), self.parameters):
             return NEXT_TO_JUMP
         cells = self.component.two_way()
         theta = self.solution.wheel[cells.wheel[cells.rail == place]]
@@ -249,12 +249,6 @@ class _Publisher:
             return None
         text = f"the conicity of the wheel as designed is outside that of the wheels that run there by {apart:.3f}"
         return Reason(ReasonCode.REFERENCE_WHEEL_APART, text)
-
-    def _steep_on_file(self, key: RailKey) -> bool:
-        """Whether the conicity of the wheel as designed, on rails as on file, changes steeply about this amplitude."""
-        amplitude, most = self.component.cells[0].amplitude, self.parameters.steepest
-        curves = (self.wheel.on_reference, self.wheel.of(key.section))
-        return any(bool(next_to_jump(curve, amplitude, most)[self.component.k]) for curve in curves)
 
     def _of_known(self, key: RailKey, wheelsets: int, windows: int) -> RailAt:
         """Return what is said of rails that are as on file: nothing has been measured of them."""
@@ -328,6 +322,11 @@ class _Publisher:
             serials[cell.rail].add(cell.wheel.wheelset)
             windows[cell.rail] += cell.windows
         return {key: (len(serials[key]), windows[key]) for key in serials}
+
+
+def _is_steep(component: Component, curve: FloatArray, parameters: RailsParameters) -> bool:
+    """Whether the conicity (k,) of the wheel as designed, on rails as on file, changes steeply about the amplitude."""
+    return bool(next_to_jump(curve, component.cells[0].amplitude, parameters.steepest)[component.k])
 
 
 def _exactly(value: float, windows: int) -> Estimate:

@@ -1,8 +1,8 @@
 """Sections that are named as known, compared with each other: their rails cannot be as on file where they differ.
 
 Each is taken as unknown in turn, its level held by the others. Where its rails then add to the conicity of the wheel as
-designed, or of the fleet's mean wheel, beyond doubt, one of them is not what it is named. Of three or more that is the one
-that is furthest from the others; of two nobody knows which, so that neither holds the level.
+designed, or of the fleet's mean wheel, beyond doubt, one of them is not what it is named. Of three or more that is the
+one that is furthest from the others; of two nobody knows which, so that neither holds the level.
 """
 
 from __future__ import annotations

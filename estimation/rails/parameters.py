@@ -48,7 +48,7 @@ class RailsParameters:
     """
 
     slope_std: float = 0.3
-    interaction: float = 0.008
+    interaction: float = 0.005
     interaction_weight: float = 4.0
     farthest: float = 0.03
     steepest: float = 0.03

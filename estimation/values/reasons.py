@@ -256,9 +256,9 @@ class ReasonCode(StrEnum):
         "What rails add differs from wheel to wheel there, as next to contact jumps: they cannot be parted.",
     )
     TOO_FEW_WHEELSETS = "too_few_wheelsets", "Too few wheelsets connect the section to its reference."
-    REFERENCE_WHEEL_JUMPS = (
-        "reference_wheel_jumps",
-        "The wheel as designed is next to a contact jump there: nothing follows for it from worn wheels.",
+    CONTACT_JUMP_NEAR = (
+        "contact_jump_near",
+        "The wheel as designed is next to a contact jump there: wheels and rails cannot be parted.",
     )
     TONNAGE_UNKNOWN = (
         "tonnage_unknown",
