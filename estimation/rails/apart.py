@@ -111,8 +111,8 @@ def _refuse_rises(levels: Sequence[AtAmplitude], state: RailsState) -> None:
     keys = sorted({key for level in levels for key in level.rails})
     for key in keys:
         curve = np.array([level.rails[key].solved for level in levels])
-        for k in np.flatnonzero(on_rise(curve, state.amplitude, state.parameters.steepest)):
-            level = levels[k]
+        rising = on_rise(curve, state.amplitude, state.parameters.steepest)
+        for level in (one for one, rises in zip(levels, rising, strict=True) if rises):
             if level.rails[key].reference_wheel.value is not None:
                 level.rails[key] = level.rails[key].without_reference_wheel(NEXT_TO_JUMP)
                 level.trends.pop(key.section, None)

@@ -6,16 +6,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from alignment_job import DAY_NS, LENGTH, NAMES, counts, put, register, surveyed
 from one_database import on_sqlite
 from section_runs import RUNS, SECONDS
 from smooth_wheelset import mems_windows, run
 
+from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
+from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import RailsSettings
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps import rail_cells
+from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Storage
 from estimation.values.quantities import Estimate
@@ -242,6 +246,11 @@ def test_a_known_section_that_is_not_on_file_is_said(received: Storage, caplog: 
 
 @on_sqlite
 def test_known_sections_that_contradict_each_other_hold_nothing(received: Storage) -> None:
+    with received.write() as unit:
+        for number in EVERYWHERE:
+            for window in turned_on_worn_rails(number):  # 0.14 more than on S1
+                unit.windows.put(replace(window, start_ns=window.start_ns + DAY_NS), 11.0, 2)
+    estimate(received)
     assert refresh(received, named("S1", "S2"))["known_refused"] == 2
     for section in ("S1", "S2"):
         assert reason_of(received, section) is ReasonCode.KNOWN_RAILS_DIFFER
@@ -288,28 +297,12 @@ def test_a_wheelset_that_nobody_said_was_turned_takes_nobody_in(received: Storag
 
 
 @on_sqlite
-def test_the_trend_by_traffic_needs_the_traffic(received: Storage) -> None:
-    for days in (200, 400):
-        put(received, EVERYWHERE, day=days)
-        for number in EVERYWHERE:
-            put_worn(received, number, days)
-    estimate(received)
-    found = []
-    for tonnage in (None, 40.0):
-        with received.write() as unit:
-            section = unit.tracks.section("S2")
-            unit.tracks.add_section(replace(section, tonnage_mgt_per_year=tonnage))
-        refresh(received)
-        with received.read() as unit:
-            record = unit.rails.of_section("S2")
-        assert record is not None
-        assert record.trend is not None
-        found.append(record.trend)
-    unknown, known = found
-    assert unknown.periods == 3
-    assert unknown.per_100_mgt.reason is not None
-    assert unknown.per_100_mgt.reason.code is ReasonCode.TONNAGE_UNKNOWN
-    assert known.per_year == unknown.per_year
-    assert known.per_year.low is not None
-    assert known.per_year.low < 0.0 < (known.per_year.high or 0.0)
-    assert known.per_100_mgt.low == pytest.approx(2.5 * known.per_year.low)
+def test_the_traffic_on_file_is_what_the_trend_is_given_by(received: Storage) -> None:
+    refresh(received)
+    with received.write() as unit:
+        unit.tracks.add_section(replace(unit.tracks.section("S2"), tonnage_mgt_per_year=40.0))
+    context = JobContext(received, StandingClock(10**15), "test", KNOWN)
+    with received.read() as unit:
+        inputs = anchor_inputs(unit, unit.rails.cells(), context)
+        assert anchors(unit, inputs, np.array([3e-3])).tonnage == {"S2": 40.0}
+    assert refresh(received)["sections"] == 2  # it is solved again
