@@ -75,11 +75,11 @@ def _summary(results: Results) -> Rows:
     for anchor in (KNOWN, MEASURED):
         cases = _cases(results, anchor)
         if cases:
-            rows += _reached(anchor, cases, cover=False)
+            rows += _reached(anchor, cases)
     for anchor in (KNOWN, MEASURED):
         cases = _cases(results, anchor, "drawn")
         if cases:
-            rows += _reached(f"{anchor}, drawn vehicles", cases, cover=True)
+            rows += _reached(f"{anchor}, drawn vehicles", cases)
     today = _blamed(_cases(results, KNOWN), "today")
     if today:
         rows.append(("today: wheelset's mean error, 95 %", f"{_p95(today):.4f}", "", ""))
@@ -90,17 +90,15 @@ def _summary(results: Results) -> Rows:
     return rows
 
 
-def _reached(what: str, cases: Sequence[Any], *, cover: bool) -> Rows:
-    """Return errors and coverage; only vehicles that are drawn have all errors that intervals hold."""
+def _reached(what: str, cases: Sequence[Any]) -> Rows:
     rails, wheels, bias = _of_rails(cases), _of_wheels(cases, "apart"), _blamed(cases, "apart")
     if not rails or not wheels:
         return [(f"{what}: anything published", "no", "yes", "NO")]
-    reach = COVERS if cover else (COVERS[0], 1.0)
     return [
         _row(f"{what}: reference wheel per section, 95 %", _p95([one[0] for one in rails]), REACH_RAILS),
-        _cover(f"{what}: reference wheel, intervals cover", rails, reach),
+        _cover(f"{what}: reference wheel, intervals cover", rails),
         _row(f"{what}: wheelset's mean error, 95 %", _p95(bias), REACH_WHEELS),
-        _cover(f"{what}: wheelsets, intervals cover", wheels, reach),
+        _cover(f"{what}: wheelsets, intervals cover", wheels),
     ]
 
 
@@ -108,9 +106,9 @@ def _row(what: str, measured: float, reach: float) -> tuple[str, ...]:
     return what, f"{measured:.4f}", f"{reach:g}", "yes" if measured <= reach else "NO"
 
 
-def _cover(what: str, errors: Sequence[Error], reach: tuple[float, float]) -> tuple[str, ...]:
+def _cover(what: str, errors: Sequence[Error]) -> tuple[str, ...]:
     inside = sum(error[2] for error in errors)
-    share, (low, high) = inside / len(errors), reach
+    share, (low, high) = inside / len(errors), COVERS
     met = "yes" if low <= share <= high else "wide" if share > high else "NO"
     return what, f"{inside} of {len(errors)}: {100 * share:.1f} %", f"{100 * low:g}-{100 * high:g} %", met
 

@@ -95,7 +95,7 @@ def test_what_rails_add_is_nearly_a_straight_line_over_the_conicity_of_the_wheel
 
 
 def test_what_neither_wheel_nor_rail_explains_is_what_is_known_beforehand() -> None:
-    """Pins the idea of ``interaction`` of the model: three quarters of the rails leave less, away from contact jumps."""
+    """Pins ``interaction`` of the model: three quarters of the rails leave less, away from contact jumps."""
     wheels = [worn(wheel_profile("P8"), wear_course(WearFamily.P8_ON_56E1, 1e-4 * d)) for d in (1, 3, 5, 7)]
     new = rail_profile("56E1")
     rails = [(new, 1.433), (new, 1.434), (new, 1.436), (new, 1.437)]
