@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import hashlib
+import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, register, run_jobs
+from api.comparison.trial import (
+    ESTIMATION,
+    copied,
+    deploy,
+    opened,
+    receive,
+    record,
+    recording_key,
+    register,
+    run_jobs,
+)
+from api.settings import Settings
 from bench.rails_sections import KNOWN, BenchSection, reference_wheel, sections_of
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
@@ -33,7 +45,7 @@ MEASURED = 2  # wheelsets whose profiles are on file, where these hold the level
 Scored = dict[str, Any]
 
 
-def score(seed: int, cache: Path, *, surveyed: bool = True) -> list[Scored]:
+def score(seed: int, cache: Path, *, surveyed: bool = True, drawn: bool = False) -> list[Scored]:
     """Return a score for each way to hold the level, as JSON values.
 
     Parameters
@@ -41,43 +53,63 @@ def score(seed: int, cache: Path, *, surveyed: bool = True) -> list[Scored]:
     seed
         Of the fleet.
     cache
-        Folder that keeps recordings.
+        Folder that keeps recordings and deployments.
     surveyed
         Whether the alignments are on file.
+    drawn
+        Whether vehicles and creep are off from what is on file.
     """
-    sections = sections_of(seed, surveyed=surveyed)
-    recorded = [record(one.scenario, cache, workers=1) for one in sections]
+    sections = sections_of(seed, surveyed=surveyed, drawn=drawn)
     found: list[Scored] = []
-    for measured, anchors in ((0, ("known rails", "none")), (MEASURED, ("measured wheels",))):
-        began = time.perf_counter()
-        with (
-            tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder,
-            _received(sections, recorded, Path(folder), measured) as (storage, context),
-        ):
+    with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
+        settings = copied(received(sections, cache), Path(folder))
+        for measured, anchors in ((0, ("known rails", "none")), (MEASURED, ("measured wheels",))):
+            if measured:
+                register(whole_fleet(sections, measured), settings, Path(folder) / "measured")
+            with opened(settings) as (storage, context):
+                run_jobs(context, ESTIMATION)
+                found += [_scored(seed, sections, anchor, storage, context) for anchor in anchors]
+    head = {"surveyed": surveyed, "drawn": drawn}
+    return [head | one for one in found]
+
+
+def _scored(seed: int, sections: Sequence[BenchSection], anchor: str, storage: Storage, context: JobContext) -> Scored:
+    began = time.perf_counter()
+    settings = replace(context.settings, rails=RailsSettings(ANCHORS[anchor]))
+    run_jobs(replace(context, settings=settings), (refresh_rails.JOB,))
+    with storage.read() as unit:
+        scored = _stored(unit, sections)
+    return {"seed": seed, "anchor": anchor} | scored | {"seconds": time.perf_counter() - began}
+
+
+def received(sections: Sequence[BenchSection], cache: Path) -> Settings:
+    """Return a deployment in ``cache`` that has received and estimated the runs on all sections, made where missing.
+
+    Parameters
+    ----------
+    sections
+        Of one fleet.
+    cache
+        Folder that keeps recordings and deployments.
+    """
+    keys = " ".join(recording_key(one.scenario) for one in sections)
+    on_file = " ".join(repr((one.plan.surveyed, one.plan.tonnage)) for one in sections)
+    folder = cache / "deployed" / hashlib.sha256(f"{keys} {on_file}".encode()).hexdigest()[:20]
+    made = folder.with_suffix(".partial")
+    if not folder.exists():
+        shutil.rmtree(made, ignore_errors=True)
+        first = whole_fleet(sections)
+        settings = deploy(first, made)
+        for one in sections[1:]:
+            register(replace(first, section=one.plan, seed=one.scenario.seed), settings, made / one.plan.code)
+        for one in sections:
+            receive(record(one.scenario, cache, workers=1), settings)
+        with opened(settings) as (_, context):
             run_jobs(context, ESTIMATION)
-            for anchor in anchors:
-                settings = replace(context.settings, rails=RailsSettings(ANCHORS[anchor]))
-                run_jobs(replace(context, settings=settings), (refresh_rails.JOB,))
-                with storage.read() as unit:
-                    scored = _stored(unit, sections)
-                head = {"seed": seed, "anchor": anchor, "surveyed": surveyed}
-                found.append(head | scored | {"seconds": time.perf_counter() - began})
-    return found
-
-
-@contextmanager
-def _received(
-    sections: Sequence[BenchSection], recorded: Sequence[Any], folder: Path, measured: int
-) -> Iterator[tuple[Storage, JobContext]]:
-    """Yield store and jobs of a new deployment that has received the runs on all sections."""
-    first = whole_fleet(sections, measured)
-    settings = deploy(first, folder)
-    for one in sections[1:]:
-        register(replace(first, section=one.plan, seed=one.scenario.seed), settings, folder / one.plan.code)
-    for runs in recorded:
-        receive(runs, settings)
-    with opened(settings) as (storage, context):
-        yield storage, context
+        made.rename(folder)
+    return Settings(  # type: ignore[call-arg] # of pydantic-settings
+        data_dir=folder / "data", database_url=None, raw_store=None, _env_file=None
+    )
 
 
 def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario:

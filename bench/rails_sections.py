@@ -21,7 +21,7 @@ from estimation.contact.rail_wear import RailWear
 from estimation.values.arrays import FloatArray
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.profile_files import rails_of
-from ingest.simulator.scenario import DAY_NS, Scenario, SectionPlan
+from ingest.simulator.scenario import DAY_NS, Scenario, SectionPlan, VehicleErrors
 from ingest.simulator.scenario_file import load_scenario
 
 TEMPLATE = Path(__file__).parent / "rails_scenarios" / "sections.toml"
@@ -44,7 +44,7 @@ class BenchSection:
         return self.scenario.section
 
 
-def sections_of(seed: int, *, surveyed: bool = True) -> tuple[BenchSection, ...]:
+def sections_of(seed: int, *, surveyed: bool = True, drawn: bool = False) -> tuple[BenchSection, ...]:
     """Return the sections of a seed: rails as on file, worn heads, another gauge, rails as new that nobody knows.
 
     Parameters
@@ -53,21 +53,41 @@ def sections_of(seed: int, *, surveyed: bool = True) -> tuple[BenchSection, ...]
         Of the fleet, and of what its rails are.
     surveyed
         Whether the alignments are on file.
+    drawn
+        Whether springs and masses of the vehicles, and the creep on each section, are off from those on file.
     """
     fleet = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None)
+    if drawn:
+        codes = tuple(vehicle.code for vehicle in fleet.vehicles)
+        fleet = replace(fleet, vehicle_errors=VehicleErrors(seed=seed, fleet=codes))
     rng = np.random.default_rng([seed, 14])
     wear = RailWear(rng.uniform(0.3e-3, 0.7e-3), rng.uniform(-1e-3, 3e-3), rng.uniform(22e-3, 28e-3))
     gauge = float(rng.choice([-1.0, 1.0]) * rng.uniform(1e-3, 2e-3))
     rails: tuple[tuple[RailWear | None, float], ...] = ((None, 0.0), (wear, 0.0), (None, gauge), (None, 0.0))
     return tuple(
-        BenchSection(_on_section(fleet, place, runs, *of_rails, surveyed=surveyed), of_rails != (None, 0.0))
+        BenchSection(on_section(fleet, place, runs, *of_rails, surveyed=surveyed), of_rails != (None, 0.0))
         for place, (runs, of_rails) in enumerate(zip(RUNS, rails, strict=True))
     )
 
 
-def _on_section(
+def on_section(
     fleet: Scenario, place: int, runs: Sequence[str], wear: RailWear | None, gauge: float, *, surveyed: bool
 ) -> Scenario:
+    """Return a fleet as it runs on one of several sections.
+
+    Parameters
+    ----------
+    fleet
+        The fleet, on the section of the template.
+    place
+        Number of the section, from 0.
+    runs
+        Codes of the vehicles that run there.
+    wear, gauge
+        Of its rails; m.
+    surveyed
+        Whether its alignment is on file.
+    """
     recipe = fleet.section.recipe
     assert recipe is not None
     section = replace(

@@ -15,6 +15,7 @@ TITLE = "Wheel and rail apart"
 AMPLITUDES_MM = (1.0, 1.25, 1.5, 1.75, 2.0, 2.25, 2.5, 2.75, 3.0)
 KNOWN, MEASURED, NONE = "known rails", "measured wheels", "none"
 REACH_RAILS, REACH_WHEELS, COVERS = 0.02, 0.01, (0.92, 0.98)
+KINDS = ("exact", "drawn", "trend")
 Results = Mapping[str, Any]
 Error = tuple[float, float, bool]
 Rows = list[tuple[str, ...]]
@@ -29,8 +30,8 @@ class BenchTable:
     rows: Callable[[Results], Rows]
 
 
-def _cases(results: Results, anchor: str) -> list[Any]:
-    return [case for case in results["cases"] if case["anchor"] == anchor]
+def _cases(results: Results, anchor: str, kind: str = "exact") -> list[Any]:
+    return [case for case in results[kind] if case["anchor"] == anchor]
 
 
 def _of_rails(cases: Sequence[Any], place: int | None = None) -> list[Error]:
@@ -73,16 +74,12 @@ def _summary(results: Results) -> Rows:
     rows: Rows = []
     for anchor in (KNOWN, MEASURED):
         cases = _cases(results, anchor)
-        rails, wheels, bias = _of_rails(cases), _of_wheels(cases, "apart"), _blamed(cases, "apart")
-        if not rails or not wheels:
-            rows.append((f"{anchor}: anything published", "no", "yes", "NO"))
-            continue
-        rows += [
-            _row(f"{anchor}: reference wheel per section, 95 %", _p95([one[0] for one in rails]), REACH_RAILS),
-            _cover(f"{anchor}: reference wheel, intervals cover", rails),
-            _row(f"{anchor}: wheelset's mean error, 95 %", _p95(bias), REACH_WHEELS),
-            _cover(f"{anchor}: wheelsets, intervals cover", wheels),
-        ]
+        if cases:
+            rows += _reached(anchor, cases)
+    for anchor in (KNOWN, MEASURED):
+        cases = _cases(results, anchor, "drawn")
+        if cases:
+            rows += _reached(f"{anchor}, drawn vehicles", cases)
     today = _blamed(_cases(results, KNOWN), "today")
     if today:
         rows.append(("today: wheelset's mean error, 95 %", f"{_p95(today):.4f}", "", ""))
@@ -91,6 +88,18 @@ def _summary(results: Results) -> Rows:
     published = sum(error is not None for errors in refused for error in errors)
     rows.append(("no anchor: conicities of wheelsets published", str(published), "0", "yes" if not published else "NO"))
     return rows
+
+
+def _reached(what: str, cases: Sequence[Any]) -> Rows:
+    rails, wheels, bias = _of_rails(cases), _of_wheels(cases, "apart"), _blamed(cases, "apart")
+    if not rails or not wheels:
+        return [(f"{what}: anything published", "no", "yes", "NO")]
+    return [
+        _row(f"{what}: reference wheel per section, 95 %", _p95([one[0] for one in rails]), REACH_RAILS),
+        _cover(f"{what}: reference wheel, intervals cover", rails),
+        _row(f"{what}: wheelset's mean error, 95 %", _p95(bias), REACH_WHEELS),
+        _cover(f"{what}: wheelsets, intervals cover", wheels),
+    ]
 
 
 def _row(what: str, measured: float, reach: float) -> tuple[str, ...]:
@@ -143,6 +152,28 @@ def _findings(results: Results) -> Rows:
     return rows
 
 
+def _trends(results: Results) -> Rows:
+    """Return each fleet whose rails wear: the trend, its interval and the truth, by year and by traffic."""
+    rows: Rows = []
+    for one in results["trend"]:
+        if one["amplitude"] is None:
+            rows.append((str(one["seed"]), "", "none", "", "", ""))
+            continue
+        (value, low, high), true = one["per_100_mgt"], one["true_per_100_mgt"]
+        inside = low <= true <= high and one["per_year"][1] <= one["true_per_year"] <= one["per_year"][2]
+        rows.append(
+            (
+                str(one["seed"]),
+                f"{1e3 * one['amplitude']:g}",
+                f"{value:+.3f} ({low:+.3f} to {high:+.3f})",
+                f"{true:+.3f}",
+                f"{one['true_per_year']:+.3f}",
+                "yes" if inside else "no",
+            )
+        )
+    return rows
+
+
 TABLES = (
     BenchTable(TITLE, ("what", "measured", "reach", "met"), _summary),
     BenchTable(
@@ -154,6 +185,11 @@ TABLES = (
         "Is the excess of a section beyond the limit?",
         ("level held by", "rails", "sections", "yes", "no", "not known"),
         _findings,
+    ),
+    BenchTable(
+        "Rails that wear over 2.2 years: trend of the excess, level held by known rails",
+        ("fleet", "mm", "by 100 MGT", "true", "true, a year", "covered"),
+        _trends,
     ),
 )
 
@@ -171,12 +207,20 @@ def terminal_tables(results: Results) -> list[Table]:
 
 def page_body(results: Results) -> list[str]:
     """Return the same tables for a page of results."""
-    seeds = sorted({case["seed"] for case in results["cases"]})
-    derailed = results["derailed"]
-    head = f"Seeds {', '.join(map(str, seeds))}: each a fleet of 12 wheelsets on four surveyed sections."
-    if derailed:
-        head += f" Left out, because a wheelset climbs a rail: {', '.join(map(str, derailed))}."
-    body = [head]
+    body = [_head(results)]
     for one in TABLES:
         body += [f"{one.title}.", markdown_table(one.header, one.rows(results), range(1, len(one.header)))]
     return body
+
+
+def _head(results: Results) -> str:
+    exact, drawn = (_seeds(results, kind) for kind in KINDS[:2])
+    head = f"Seeds {exact}: each a fleet of 12 wheelsets on four surveyed sections."
+    if drawn:
+        head += f" Seeds {drawn} also with vehicles, and creep on each section, drawn about what is on file."
+    derailed = ", ".join(f"{seed} ({kind})" for kind, seed in results["derailed"])
+    return head + (f" Left out, because a wheelset climbs a rail: {derailed}." if derailed else "")
+
+
+def _seeds(results: Results, kind: str) -> str:
+    return ", ".join(map(str, sorted({case["seed"] for case in results[kind]})))

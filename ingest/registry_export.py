@@ -175,6 +175,8 @@ def _section(unit: SqlUnitOfWork, one: TrackSectionRecord, files: _Files) -> Ent
         "nominal_gauge_mm": thousandths(one.nominal_gauge_m),
         "length_m": one.length_m,
     }
+    if one.tonnage_mgt_per_year is not None:
+        entry["tonnage_mgt_per_year"] = one.tonnage_mgt_per_year
     registered = unit.tracks.registered(one.code)
     alignment = None if registered is None else unit.tracks.alignment(one.code, registered)
     if alignment is not None:

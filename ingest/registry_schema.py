@@ -25,6 +25,7 @@ MAX_AXLES = 8
 FIRST_YEAR, LAST_YEAR = 1900, 2200  # ns since 1970 end in 2262
 MOST_KM = 1e8
 FARTHEST_M = 1000.0  # of an axle from the reference point
+MOST_TONNAGE_MGT = 1000.0  # a year, on one section
 _DECIMALS = re.compile(r"[.,](\d+)")  # of a second
 PROFILES_STD_MM = 0.1  # of the lateral displacement that follows from measured profiles
 
@@ -225,6 +226,7 @@ class SectionEntry(InputTable):
     rail_inclination: float = Field(ge=0.0, le=0.5)
     nominal_gauge_mm: float = Field(ge=500.0, le=2000.0)
     length_m: float = Field(ge=1.0)
+    tonnage_mgt_per_year: float | None = Field(default=None, gt=0.0, le=MOST_TONNAGE_MGT)
     alignment: AlignmentEntry | None = None
     layout: LayoutEntry | None = None
     coordinates: LineEntry | None = None
@@ -239,6 +241,7 @@ class SectionEntry(InputTable):
             rail_inclination=self.rail_inclination,
             nominal_gauge_m=1e-3 * self.nominal_gauge_mm,
             length_m=self.length_m,
+            tonnage_mgt_per_year=self.tonnage_mgt_per_year,
         )
 
 

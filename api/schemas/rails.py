@@ -13,7 +13,7 @@ from api.times import Timestamp, to_rfc3339
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Status
 from estimation.values.rails import RailPart, RailsReference, SectionRailsRecord, WheelsetRailsRecord
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 
 MM = 1000.0
 NO_GEOMETRY = Estimate.unknown(Reason(ReasonCode.NO_GEOMETRY, "there is no geometry at this amplitude yet"))
@@ -54,6 +54,9 @@ class RailsTrend(Representation):
     """How fast the excess grows."""
 
     excess_per_year_1: Uncertain = Field(description="Growth of the excess in a year.")
+    excess_per_100_mgt_1: Uncertain = Field(
+        description="Growth of the excess with 100 million gross tonnes, where the traffic of the section is on file."
+    )
     amplitude_mm: float
     n_periods: int = Field(description="Number of periods behind it.")
 
@@ -71,6 +74,10 @@ class SectionRails(Representation):
     limit_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude below that is known.")
     periods: list[RailsPeriod] = Field(description="Oldest first.")
     trend: RailsTrend | None = Field(description="Null until there are enough periods.")
+    reason: str | None = Field(
+        description="Why the section holds no level though it is named as known; null where that does not apply."
+    )
+    reason_code: ReasonCode | None = Field(description="Its code.")
     code_version: str
     input_digest: str
     recorded_at: Timestamp
@@ -130,8 +137,13 @@ def section_rails(record: SectionRailsRecord) -> SectionRails:
         trend=None
         if trend is None
         else RailsTrend(
-            excess_per_year_1=uncertain(trend.per_year), amplitude_mm=trend.amplitude * MM, n_periods=trend.periods
+            excess_per_year_1=uncertain(trend.per_year),
+            excess_per_100_mgt_1=uncertain(trend.per_100_mgt),
+            amplitude_mm=trend.amplitude * MM,
+            n_periods=trend.periods,
         ),
+        reason=text_of(record.refused),
+        reason_code=code_of(record.refused),
         code_version=record.code_version,
         input_digest=record.input_digest,
         recorded_at=to_rfc3339(record.recorded_ns),

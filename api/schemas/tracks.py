@@ -36,6 +36,9 @@ class TrackSection(Representation):
     rail_inclination_1: float = Field(examples=[0.05])
     nominal_gauge_mm: float = Field(examples=[1435.0])
     length_m: float
+    tonnage_mgt_per_year: float | None = Field(
+        description="Traffic, million gross tonnes a year. Null: the registry does not say.", examples=[18.0]
+    )
     coordinates: list[LinePoint] | None = Field(description="WGS84. Null: positions are not checked by GNSS.")
     links: Links
 
@@ -152,6 +155,7 @@ def section(record: TrackSectionRecord) -> TrackSection:
         rail_inclination_1=record.rail_inclination,
         nominal_gauge_mm=record.nominal_gauge_m * MM,
         length_m=record.length_m,
+        tonnage_mgt_per_year=record.tonnage_mgt_per_year,
         coordinates=None if record.line is None else [_point(*point) for point in record.line],
         links={
             "self": own,

@@ -7,6 +7,7 @@ of them, where one of them or what holds their level is another.
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 
@@ -29,11 +30,12 @@ from estimation.values.rails import (
 )
 
 STAGE = "refresh_rails"
+_log = logging.getLogger(__name__)
 
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Make cells again where wheelsets have news, each committed on its own; then part wheels and rails if need be."""
-    counts: Counter[str] = Counter(wheelsets=0, cells=0, sections=0)
+    counts: Counter[str] = Counter(wheelsets=0, cells=0, sections=0, known_refused=0)
     isolation = Isolation(context, STAGE)
     with context.storage.read() as unit:
         seen, looks = unit.looks.of(STAGE), _looks(unit, context)
@@ -47,7 +49,7 @@ def run(context: JobContext) -> Mapping[str, int]:
         with isolation.alone(SubjectKind.WHEELSET, serial, changes):
             counts["cells"] += _refresh_cells(context, serial, look)
             counts["wheelsets"] += 1
-    counts["sections"] = _refresh_found(context)
+    counts.update(_refresh_found(context))
     counts["quarantined"] = isolation.quarantined
     return counts
 
@@ -73,24 +75,30 @@ def _refresh_cells(context: JobContext, serial: str, look: Look) -> int:
     return len(found.changed) + len(found.gone)
 
 
-def _refresh_found(context: JobContext) -> int:
-    """Part wheels and rails where that is not what is stored; return of how many sections something is said."""
+def _refresh_found(context: JobContext) -> Mapping[str, int]:
+    """Part wheels and rails where that is not what is stored; return of how many sections something is said.
+
+    Beside that, how many sections that are named as known hold no level.
+    """
     parameters = context.settings.rails.model
     with context.storage.read() as unit:
         cells = unit.rails.cells()
         inputs = anchor_inputs(unit, cells, context)
         digest = _digest(f"{[(one.wheel, one.rail, one.digest) for one in cells]!r} {inputs.text} {parameters!r}")
         if unit.rails.input_digest() == (digest, context.code_version):
-            return 0
+            return {"sections": 0, "known_refused": 0}
         usable = [one.cell for one in cells if one.cell is not None]
         amplitude = usable[0].amplitude if usable else np.array(context.settings.estimation.geometry.curve.amplitudes)
         held = anchors(unit, inputs, amplitude)
     found = result(update(init(parameters, amplitude), usable), held)
+    refused = {**dict.fromkeys(held.missing, "not on file"), **{code: str(why) for code, why in found.refused.items()}}
+    for code, why in sorted(refused.items()):
+        _log.warning("section %s is named as known, but holds no level: %s", code, why)
     sections = _section_records(found, held.wheel.profile, parameters, digest, context)
     wheelsets = _wheelset_records(found, digest, context)
     with context.storage.write() as unit:
         unit.rails.put_found(sections, wheelsets)
-    return len(sections)
+    return {"sections": len(sections), "known_refused": len(refused)}
 
 
 def _section_records(
@@ -117,6 +125,7 @@ def _section_records(
                 input_digest=digest,
                 code_version=context.code_version,
                 recorded_ns=context.clock.now_ns(),
+                refused=found.refused.get(section),
             )
         )
     return records

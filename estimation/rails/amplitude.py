@@ -131,6 +131,7 @@ def _components(
             k,
             anchors.known_rails,
             {cell.wheel: known[cell.wheel] for cell in own if cell.wheel in known},
+            anchors.level_open,
         )
         for own in found.values()
     ]

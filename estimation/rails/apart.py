@@ -12,6 +12,9 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.rails.amplitude import AtAmplitude, at_amplitude
+from estimation.rails.component import NEXT_TO_JUMP
+from estimation.rails.contact_jumps import on_rise
+from estimation.rails.known_rails import confirmed
 from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate
@@ -87,14 +90,32 @@ def result(state: RailsState, anchors: Anchors) -> RailsApart:
         What holds the level.
     """
     cells = [state.cells[key] for key in sorted(state.cells)]
-    levels = [at_amplitude(cells, k, anchors, state.parameters) for k in range(len(state.amplitude))]
+    held = confirmed(cells, state.amplitude, anchors, state.parameters)
+    levels = [at_amplitude(cells, k, held, state.parameters) for k in range(len(state.amplitude))]
+    _refuse_rises(levels, state)
     return RailsApart(
         amplitude=state.amplitude,
         rails=tuple(_rail_part(key, cells, levels) for key in sorted({cell.rail for cell in cells})),
         wheels=tuple(_wheel_part(key, cells, levels) for key in sorted({cell.wheel for cell in cells})),
-        trends=_trends(levels, state),
+        trends=_trends(levels, state, held),
         interaction=np.array([level.interaction for level in levels]),
+        refused=held.refused,
     )
+
+
+def _refuse_rises(levels: Sequence[AtAmplitude], state: RailsState) -> None:
+    """Take back what is said of the wheel as designed where its conicity, as found on some rails, is on a rise.
+
+    The trend of the section goes with it.
+    """
+    keys = sorted({key for level in levels for key in level.rails})
+    for key in keys:
+        curve = np.array([level.rails[key].solved for level in levels])
+        rising = on_rise(curve, state.amplitude, state.parameters.steepest)
+        for level in (one for one, rises in zip(levels, rising, strict=True) if rises):
+            if level.rails[key].reference_wheel.value is not None:
+                level.rails[key] = level.rails[key].without_reference_wheel(NEXT_TO_JUMP)
+                level.trends.pop(key.section, None)
 
 
 def _rail_part(key: RailKey, cells: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> RailPart:
@@ -131,13 +152,14 @@ def _strongest(references: Sequence[RailsReference | None]) -> RailsReference | 
     return next((one for one in RailsReference if one in references), None)
 
 
-def _trends(levels: Sequence[AtAmplitude], state: RailsState) -> Mapping[str, RailTrend]:
+def _trends(levels: Sequence[AtAmplitude], state: RailsState, anchors: Anchors) -> Mapping[str, RailTrend]:
     """Return the trend of each section at the largest amplitude up to that of the limit at which it is known."""
     found: dict[str, RailTrend] = {}
     for amplitude, level in zip(state.amplitude, levels, strict=True):
         if amplitude <= state.parameters.limit_amplitude + 1e-9:
             for section, (per_year, periods) in level.trends.items():
-                found[section] = RailTrend(per_year, float(amplitude), periods)
+                trend = RailTrend(per_year, float(amplitude), periods)
+                found[section] = trend.with_tonnage(anchors.tonnage.get(section))
     return found
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from estimation.geometry.conicity import LARGEST_STD
+from estimation.rails.contact_jumps import next_to_jump
 from estimation.rails.parameters import RailsParameters, ReferenceWheel
 from estimation.rails.two_way import Parted, TwoWay, part
 from estimation.values.arrays import FloatArray
@@ -18,11 +19,8 @@ from estimation.values.rails import KnownWheel, RailKey, RailsReference, Section
 from estimation.values.reasons import Reason, ReasonCode
 
 NS_PER_YEAR = 365.25 * 86_400e9
-LEVEL_OPEN = Reason(
-    ReasonCode.RAILS_LEVEL_OPEN,
-    "no section with known rails and no measured wheelset holds the level: only differences of sections are known",
-)
 NO_REFERENCE_WHEEL = Reason(ReasonCode.PROFILE_UNKNOWN, "the conicity of the wheel as designed is not known here")
+NEXT_TO_JUMP = Reason(ReasonCode.CONTACT_JUMP_NEAR, "the wheel as designed is next to a contact jump at this amplitude")
 NOT_CONVERGED = Reason(ReasonCode.NOT_CONVERGED, "wheels and rails were not parted: the iteration did not converge")
 
 
@@ -35,12 +33,18 @@ class RailAt:
     reference_wheel: Estimate
     excess: Estimate
     wheelsets: int
+    solved: float = float("nan")  # conicity of the wheel as designed, published or not; NaN on known rails
 
     @staticmethod
-    def unknown(reason: Reason) -> RailAt:
+    def unknown(reason: Reason, solved: float = float("nan")) -> RailAt:
         """Return that nothing is known, with the reason."""
         nothing = Estimate.unknown(reason)
-        return RailAt(None, nothing, nothing, nothing, 0)
+        return RailAt(None, nothing, nothing, nothing, 0, solved)
+
+    def without_reference_wheel(self, reason: Reason) -> RailAt:
+        """Return the same without the wheel as designed, for which nothing follows."""
+        nothing = Estimate.unknown(reason, self.reference_wheel.count)
+        return replace(self, reference_wheel=nothing, excess=nothing)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +68,7 @@ class Component:
     k: int  # number of the amplitude
     known_rails: frozenset[str]
     known_wheels: Mapping[WheelKey, KnownWheel]
+    level_open: Reason  # what is said where nothing holds the level
 
     @property
     def wheels(self) -> list[WheelKey]:
@@ -126,12 +131,15 @@ def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
     """
     solution = part(component.two_way(), parameters)
     refused = None if solution.converged else NOT_CONVERGED
+    if refused is None and _is_steep(component, wheel.on_reference, parameters):
+        refused = NEXT_TO_JUMP
     if refused is None and solution.interaction > parameters.most_interaction:
         text = f"neither wheel nor rail explains {solution.interaction:.3f} of the conicities at this amplitude"
         refused = Reason(ReasonCode.RAILS_INTERACT, text)
     if refused is not None:
+        solved, _ = solution.reference_wheel(float(wheel.on_reference[component.k]))
         return Answer(
-            {key: RailAt.unknown(refused) for key in component.rails},
+            {key: RailAt.unknown(refused, float(one)) for key, one in zip(component.rails, solved, strict=True)},
             {key: WheelAt.unknown(refused) for key in component.wheels},
             interaction=solution.interaction,
         )
@@ -171,7 +179,8 @@ class _Publisher:
         for cell in self.component.cells:
             windows[cell.wheel] += cell.windows
         if reference is RailsReference.MEAN:
-            return {key: WheelAt(reference, Estimate.unknown(LEVEL_OPEN, windows[key])) for key in windows}
+            nothing = self.component.level_open
+            return {key: WheelAt(reference, Estimate.unknown(nothing, windows[key])) for key in windows}
         systematic, found = self._systematic_of_wheels(), {}
         for place, key in enumerate(self.component.wheels):
             theta, std = float(self.solution.wheel[place]), float(np.sqrt(self.solution.wheel_variance[place]))
@@ -181,14 +190,12 @@ class _Publisher:
 
     def trends(self) -> dict[str, tuple[Estimate, int]]:
         """Return the trend of the reference wheel's conicity, 1/year, of sections with enough periods."""
-        if self.component.reference is RailsReference.MEAN or not np.isfinite(self._design):
-            return {}
         value, covariance = self.solution.reference_wheel(self._design)
         covariance = covariance + self.solution.interaction**2 * np.eye(len(value))
         at = self._years()
         places: defaultdict[str, list[int]] = defaultdict(list)
         for place, key in enumerate(self.component.rails):
-            if key.section not in self.component.known_rails:
+            if key.section not in self.component.known_rails and self._no_conclusion(place, key) is None:
                 places[key.section].append(place)
         found = {}
         for section, own in places.items():
@@ -202,27 +209,22 @@ class _Publisher:
         reference, rho = self.component.reference, float(self.solution.rail[place])
         std = float(np.sqrt(self.solution.covariance[place, place]))
         part = self._published(rho, std, self._systematic(place, abs(rho)), windows)
-        if reference is RailsReference.MEAN:
-            nothing = Estimate.unknown(LEVEL_OPEN, float(windows))
-            return RailAt(reference, part, nothing, nothing, wheelsets)
-        if not np.isfinite(self._design):
-            nothing = Estimate.unknown(NO_REFERENCE_WHEEL, float(windows))
-            return RailAt(reference, part, nothing, nothing, wheelsets)
-        refused = self._no_conclusion(place)
-        if refused is not None:
-            nothing = Estimate.unknown(refused, float(windows))
-            return RailAt(reference, part, nothing, nothing, wheelsets)
         values, covariance = self.solution.reference_wheel(self._design)
         value = float(values[place])
+        refused = self._no_conclusion(place, key)
+        if refused is not None:
+            nothing = Estimate.unknown(refused, float(windows))
+            return RailAt(reference, part, nothing, nothing, wheelsets, value)
         std = float(np.sqrt(covariance[place, place] + self.solution.interaction**2))
         change = abs(value - self._design) + abs(float(self.solution.slope[place])) * self._mean
         systematic = self._systematic(place, change)
         whole = self._published(value, std, systematic, windows)
         on_file = float(self.wheel.of(key.section)[self.component.k])
         if not np.isfinite(on_file):
-            return RailAt(reference, part, whole, Estimate.unknown(NO_REFERENCE_WHEEL, float(windows)), wheelsets)
+            unknown = Estimate.unknown(NO_REFERENCE_WHEEL, float(windows))
+            return RailAt(reference, part, whole, unknown, wheelsets, value)
         excess = self._published(value - on_file, std, systematic, windows)
-        return RailAt(reference, part, whole, excess, wheelsets)
+        return RailAt(reference, part, whole, excess, wheelsets, value)
 
     def _published(self, value: float, sampled: float, systematic: float, windows: int) -> Estimate:
         """Return an estimate with its interval; unknown where that says nothing of a wheel or a rail."""
@@ -232,8 +234,14 @@ class _Publisher:
         text = f"the data leave the conicity open by {found.std:.2f}"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), float(windows))
 
-    def _no_conclusion(self, place: int) -> Reason | None:
+    def _no_conclusion(self, place: int, key: RailKey) -> Reason | None:
         """Return why nothing follows from the wheels on some rails for the wheel as designed; None where it does."""
+        if self.component.reference is RailsReference.MEAN:
+            return self.component.level_open
+        if not np.isfinite(self._design):
+            return NO_REFERENCE_WHEEL
+        if _is_steep(self.component, self.wheel.of(key.section), self.parameters):
+            return NEXT_TO_JUMP
         cells = self.component.two_way()
         theta = self.solution.wheel[cells.wheel[cells.rail == place]]
         apart = max(float(theta.min()) - self._design, self._design - float(theta.max()))
@@ -314,6 +322,11 @@ class _Publisher:
             serials[cell.rail].add(cell.wheel.wheelset)
             windows[cell.rail] += cell.windows
         return {key: (len(serials[key]), windows[key]) for key in serials}
+
+
+def _is_steep(component: Component, curve: FloatArray, parameters: RailsParameters) -> bool:
+    """Whether the conicity (k,) of the wheel as designed, on rails as on file, changes steeply about the amplitude."""
+    return bool(next_to_jump(curve, component.cells[0].amplitude, parameters.steepest)[component.k])
 
 
 def _exactly(value: float, windows: int) -> Estimate:

@@ -9,6 +9,7 @@ import numpy as np
 
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.rails import KnownWheel
+from estimation.values.reasons import Reason, ReasonCode
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,11 @@ class RailsParameters:
     farthest
         By how much the conicity of the wheel as designed may be outside the range of the wheels that run on a section:
         next to contact jumps a conicity does not go on as it does between those that are known.
+    steepest
+        Most that the conicity of the wheel as designed may change within 0.25 mm of amplitude, where it is published.
+    known_apart
+        Half intervals by which sections that are named as known must differ until they contradict each other; 1.7 of
+        95 % are 1 of 99.9 %.
     most_interaction
         Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is published.
     least_wheelsets
@@ -42,9 +48,11 @@ class RailsParameters:
     """
 
     slope_std: float = 0.3
-    interaction: float = 0.008
+    interaction: float = 0.005
     interaction_weight: float = 4.0
     farthest: float = 0.03
+    steepest: float = 0.03
+    known_apart: float = 1.7
     most_interaction: float = 0.01
     least_wheelsets: int = 2
     period_days: float = 180.0
@@ -83,3 +91,16 @@ class Anchors:
     wheel: ReferenceWheel
     known_rails: frozenset[str] = frozenset()  # sections whose rails are as on file, and alike
     known_wheels: tuple[KnownWheel, ...] = ()
+    tonnage: Mapping[str, float] = field(default_factory=dict)  # by section, million gross tonnes a year
+    refused: Mapping[str, Reason] = field(default_factory=dict)  # why sections named as known hold no level
+    missing: tuple[str, ...] = ()  # sections named as known that are not on file
+
+    @property
+    def level_open(self) -> Reason:
+        """Why nothing holds the level, where nothing does."""
+        nothing = "no section with known rails and no measured wheelset holds the level"
+        why = "".join(f"; {code}: {reason.text}" for code, reason in sorted(self.refused.items()))
+        why += "".join(f"; {code} is named as known, but not on file" for code in self.missing)
+        differ = any(one.code is ReasonCode.KNOWN_RAILS_DIFFER for one in self.refused.values())
+        code = ReasonCode.KNOWN_RAILS_DIFFER if differ else ReasonCode.RAILS_LEVEL_OPEN
+        return Reason(code, f"{nothing}: only differences of sections are known{why}")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import Reason
+from estimation.values.reasons import Reason, ReasonCode
+
+TONNAGE_NOT_ON_FILE = Estimate.unknown(Reason(ReasonCode.TONNAGE_UNKNOWN, "the traffic of the section is not on file"))
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -109,11 +111,30 @@ class WheelPart:
 
 @dataclass(frozen=True, slots=True)
 class RailTrend:
-    """How fast the excess of a section changes, 1/year, from its periods."""
+    """How fast the excess of a section changes, from its periods."""
 
-    per_year: Estimate
+    per_year: Estimate  # 1/year
     amplitude: float  # m
     periods: int
+    per_100_mgt: Estimate = TONNAGE_NOT_ON_FILE  # 1 by 100 million gross tonnes of traffic
+
+    def with_tonnage(self, tonnage: float | None) -> RailTrend:
+        """Return the trend with that by traffic, which runs evenly.
+
+        Parameters
+        ----------
+        tonnage
+            Million gross tonnes a year; None where it is not on file.
+        """
+        if tonnage is None:
+            return self
+        return replace(self, per_100_mgt=_scaled(self.per_year, 100.0 / tonnage))
+
+
+def _scaled(one: Estimate, factor: float) -> Estimate:
+    if one.value is None or one.std is None or one.low is None or one.high is None:
+        return one
+    return replace(one, value=factor * one.value, std=factor * one.std, low=factor * one.low, high=factor * one.high)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +146,7 @@ class RailsApart:
     wheels: tuple[WheelPart, ...]
     trends: Mapping[str, RailTrend]  # by section
     interaction: FloatArray  # (k,) std of what neither wheel nor rail explains; NaN where nothing was parted
+    refused: Mapping[str, Reason] = field(default_factory=dict)  # why sections named as known hold no level
 
     def __post_init__(self) -> None:
         k = len(self.amplitude)
@@ -158,6 +180,7 @@ class SectionRailsRecord:
     input_digest: str
     code_version: str
     recorded_ns: int
+    refused: Reason | None = None  # why it holds no level though it is named as known
 
 
 @dataclass(frozen=True, slots=True)

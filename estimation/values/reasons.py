@@ -256,6 +256,22 @@ class ReasonCode(StrEnum):
         "What rails add differs from wheel to wheel there, as next to contact jumps: they cannot be parted.",
     )
     TOO_FEW_WHEELSETS = "too_few_wheelsets", "Too few wheelsets connect the section to its reference."
+    CONTACT_JUMP_NEAR = (
+        "contact_jump_near",
+        "The wheel as designed is next to a contact jump there: wheels and rails cannot be parted.",
+    )
+    TONNAGE_UNKNOWN = (
+        "tonnage_unknown",
+        "The traffic of the section is not on file. Register its `tonnage_mgt_per_year`.",
+    )
+    KNOWN_RAILS_DIFFER = (
+        "known_rails_differ",
+        "Sections that are named as known differ in their rails. Look at them; name those that are as on file.",
+    )
+    KNOWN_RAILS_OTHER = (
+        "known_rails_other",
+        "The section is named as known, but has other rails on file than those that all are compared with.",
+    )
     PROFILE_UNKNOWN = "profile_unknown", "The profile on file is none that is built in. Nothing follows from its name."
     # recording
     LOG_DAMAGED = "log_damaged", "The recording is truncated, damaged or no log. Send it again."

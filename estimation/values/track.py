@@ -133,6 +133,7 @@ class TrackSectionRecord:
     """A section of line by code; ``number`` is what the vehicle reports on its bus.
 
     ``line`` is where it is on the map; None where that is not known, and nothing can be compared with it.
+    ``tonnage_mgt_per_year`` is the traffic that wears its rails, million gross tonnes a year; None where not known.
     """
 
     code: str
@@ -143,6 +144,7 @@ class TrackSectionRecord:
     nominal_gauge_m: float
     length_m: float
     line: SectionLine | None = None
+    tonnage_mgt_per_year: float | None = None
 
     def __post_init__(self) -> None:
         if self.line is not None:  # lists, as JSON has them

@@ -36,6 +36,7 @@ class TrackSectionRow(Base):
     nominal_gauge_m: Mapped[Real]
     length_m: Mapped[Real]
     line: Mapped[Json | None]
+    tonnage_mgt_per_year: Mapped[Real | None]
 
 
 class TrackAlignmentRow(Base):

@@ -15,6 +15,7 @@ from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 from ingest.simulator.campaign import VehicleRun
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
+from ingest.simulator.rail_course import section_at
 from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
 from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
@@ -218,7 +219,7 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
     """
     gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
     with _named(scenario, plan):
-        return worn_contact(plan, wear_at(plan, odometer), scenario.section, gauges, limit)
+        return worn_contact(plan, wear_at(plan, odometer), section_at(scenario, odometer), gauges, limit)
 
 
 def true_geometry(scenario: Scenario, plan: WheelsetPlan, contact: WornContact) -> GeometryTruth:

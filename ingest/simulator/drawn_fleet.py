@@ -19,6 +19,7 @@ from ingest.simulator.scenario import (
     ProfilePair,
     Scenario,
     SideFiles,
+    VehicleErrors,
     VehiclePlan,
     WearDistribution,
     WheelsetPlan,
@@ -148,8 +149,10 @@ def vehicle_bogie(scenario: Scenario, vehicle: str) -> BogieParameters | None:
 
 def _draws(scenario: Scenario, vehicle: str) -> FloatArray:
     """Return the errors (4,) of a vehicle over their 95 % limits: lateral and yaw springs, wheelset, body."""
-    order = [plan.code for plan in scenario.vehicles].index(vehicle)
-    return np.asarray(generator(scenario.seed, Stream.VEHICLE, order).standard_normal(4) / NORMAL_95)
+    limits = scenario.vehicle_errors or VehicleErrors()
+    codes = limits.fleet or tuple(plan.code for plan in scenario.vehicles)
+    seed = scenario.seed if limits.seed is None else limits.seed
+    return np.asarray(generator(seed, Stream.VEHICLE, codes.index(vehicle)).standard_normal(4) / NORMAL_95)
 
 
 def shares_of_wear(plan: WheelsetPlan) -> tuple[float, ...]:

@@ -137,6 +137,8 @@ class SectionPlan:
     rail_mirrors: SideMirrors = (None, None)
     file_inclination: float = 0.0  # tangent, given to rails of which one or both are from files
     rail_wear: tuple[RailWear | None, RailWear | None] = (None, None)  # of left and right rail; not on file
+    rail_growth: float = 0.0  # m of depth by 100 million gross tonnes, from the first campaign on; not on file
+    tonnage: float | None = None  # million gross tonnes a year, on file
 
     @property
     def stated_alignment_std(self) -> float:
@@ -277,6 +279,8 @@ class VehicleErrors:
     creep: float = 0.20  # one factor for the fleet: the state of the rails' surface
     stiffness: float = 0.10  # lateral and yaw springs, per vehicle
     mass: float = 0.05  # wheelset with its inertias; suspended mass with the load; per vehicle
+    seed: int | None = None  # of what is drawn per vehicle, where a fleet runs in several scenarios; None: as the rest
+    fleet: tuple[str, ...] = ()  # codes of all its vehicles then
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,13 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from estimation.contact.profiles import Profile
+from estimation.contact.rail_wear import DEEPEST_BAND
 from estimation.errors import ProfileError, ScenarioError
 from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.profile_files import rail_in, wheel_in
+from ingest.simulator.rail_course import DAYS_PER_YEAR
 from ingest.simulator.running import RunningPlan
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_schema.class_on_file import ClassOnFileTable
@@ -146,6 +148,22 @@ class ScenarioTable(InputTable):
         if self.section.length_m < needed:
             reason = f"a campaign may need {needed:.0f} m of track, the section has {self.section.length_m:.0f} m"
             raise field_error(reason, "section", "length_m")
+        return self
+
+    @model_validator(mode="after")
+    def _check_growth_of_rail_wear(self) -> Self:
+        wear, place = self.section.rail_wear, ("section", "rail_wear", "growth_mm_per_100_mgt")
+        if wear is None or wear.growth_mm_per_100_mgt == 0.0:
+            return self
+        if self.section.tonnage_mgt_per_year is None:
+            raise field_error("needs 'section.tonnage_mgt_per_year'", *place)
+        if self.drawn_fleet is not None:
+            raise field_error("the rails under a drawn fleet do not wear", *place)
+        days = (self.sessions.campaigns - 1) * self.sessions.km_between / self.sessions.km_per_day
+        deepest = wear.deepest_mm(self.section.tonnage_mgt_per_year * days / DAYS_PER_YEAR)
+        if deepest > DEEPEST_BAND / MM:
+            reason = f"the last campaign is on bands {deepest:.1f} mm deep; at most {DEEPEST_BAND / MM:g} mm"
+            raise field_error(reason, *place)
         return self
 
     def scenario(self, folder: Path) -> Scenario:

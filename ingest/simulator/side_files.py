@@ -142,6 +142,8 @@ def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
         "nominal_gauge_mm": 1e3 * section.nominal_gauge,
         "length_m": length,
     }
+    if section.tonnage is not None:
+        entry["tonnage_mgt_per_year"] = section.tonnage
     if section.surveyed or section.gauge_surveyed:
         known: dict[str, JsonValue] = {"file": track_file}
         if section.surveyed:

@@ -228,7 +228,7 @@ def test_windows_are_half_open_ranges_of_the_vehicles_clock(client: httpx.Client
 
 def test_a_track_section_has_its_alignment(client: httpx.Client) -> None:
     section = get(client, "/v1/track-sections/S-1")
-    assert section["nominal_gauge_mm"] == 1435.0
+    assert (section["nominal_gauge_mm"], section["tonnage_mgt_per_year"]) == (1435.0, None)
     alignment = get(client, section["links"]["alignment"])
     assert alignment["alignment_mm"] == [1.5, -2.0, 0.25, 0.0]
     assert alignment["position_m"] == [0.0, 0.5, 1.0, 1.5]

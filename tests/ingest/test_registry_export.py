@@ -80,6 +80,7 @@ def test_a_simulated_registry_with_measured_profiles_curves_and_classes(storage:
     content = json.loads(registry.read_text())
     content["measured_profiles"] = [measurement()]
     content["track_sections"][0] |= {"layout": {"file": "layout.csv"}, "length_m": 1000.3, "nominal_gauge_mm": 1434.9}
+    content["track_sections"][0]["tonnage_mgt_per_year"] = 17.3
     registry.write_text(json.dumps(content))
     load(storage, registry, CONFIRMABLE)
     with storage.write() as unit:

@@ -109,6 +109,11 @@ BAD: list[tuple[Callable[[Content], object], str, str]] = [
     (lambda c: c["vehicles"][0].update(axle_offsets_m=[2.0, 1e300]), "vehicles[0].axle_offsets_m[1]", "at most"),
     (lambda c: c["fleets"][0].update(name="a\0b"), "fleets[0].name", "control character"),
     (lambda c: c["wheelsets"][0].update(serial=65 * "W"), "wheelsets[0].serial", "at most 64"),
+    (
+        lambda c: c["track_sections"][0].update(tonnage_mgt_per_year=0.0),
+        "track_sections[0].tonnage_mgt_per_year",
+        "0",
+    ),
 ]
 
 
@@ -129,6 +134,21 @@ def test_sections_may_exchange_their_numbers(storage: SqlStorage, tmp_path: Path
         load(storage, registered(A=1, B=3))
     with storage.read() as unit:
         assert {one.code: one.number for one in unit.tracks.sections()} == {"A": 2, "B": 1, "C": 3}
+
+
+def test_the_traffic_of_a_section_lands_in_the_store_and_its_change_in_the_history(
+    storage: SqlStorage, tmp_path: Path
+) -> None:
+    section = {"code": "A", "number": 1, "name": "A", "rail_profile": "56E1", "rail_inclination": 0.05}
+    section |= {"nominal_gauge_mm": 1435, "length_m": 9}
+    for tonnage in ({}, {"tonnage_mgt_per_year": 18.5}, {}):
+        path = tmp_path / "sections.json"
+        path.write_text(json.dumps({"format": "treadwatch-registry-1", "track_sections": [section | tonnage]}))
+        load(storage, path)
+        with storage.read() as unit:
+            assert unit.tracks.section("A").tonnage_mgt_per_year == tonnage.get("tonnage_mgt_per_year")
+            changes = [event.record["tonnage_mgt_per_year"] for event in unit.registry_history.list("A")]
+    assert changes == [None, 18.5]
 
 
 @pytest.mark.parametrize(("edit", "field", "words"), BAD)

@@ -17,8 +17,11 @@ from estimation.rails.parameters import Anchors, ReferenceWheel
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.rails import KnownWheel, StoredCell, WheelKey
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import TrackSectionRecord
+
+OTHER_RAILS = Reason(ReasonCode.KNOWN_RAILS_OTHER, "named as known, with other rails on file than the reference")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +34,15 @@ class AnchorInputs:
     profile: str  # of the wheel as designed
     nominal_radius: float  # m
     measured: tuple[tuple[WheelKey, int], ...]  # wheels with cells that were measured, and when
+    other: frozenset[str] = frozenset()  # sections that are named as known, with other rails than those
+    missing: tuple[str, ...] = ()  # codes that are named as known, of which no section is on file
 
     @property
     def text(self) -> str:
         """All of it."""
-        of_sections = [(one.code, _rails_of(one)) for one in self.sections]
-        rest = (sorted(self.known), self.rails, self.profile, self.nominal_radius, self.measured)
+        of_sections = [(one.code, _rails_of(one), one.tonnage_mgt_per_year) for one in self.sections]
+        named = (sorted(self.known), sorted(self.other), self.missing)
+        rest = (named, self.rails, self.profile, self.nominal_radius, self.measured)
         return f"{of_sections!r} {rest!r}"
 
 
@@ -58,8 +64,10 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
     windows: Counter[str] = Counter()
     for one in cells:
         windows[one.rail.section] += 0 if one.cell is None else one.cell.windows
-    sections = tuple(one for one in unit.tracks.sections() if one.code in windows)
+    on_file = unit.tracks.sections()
+    sections = tuple(one for one in on_file if one.code in windows)
     named = [one for one in sections if one.code in context.settings.rails.known_sections]
+    missing = context.settings.rails.known_sections - {one.code for one in on_file}
     rails = _most(named or sections, windows)
     serials = {one.wheel.wheelset for one in cells}
     wheelsets = [one for one in unit.registry.wheelsets() if one.serial in serials]
@@ -71,7 +79,9 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
         (key, at_ns) for wheelset in wheelsets for key, at_ns in _measured(unit, wheelset, interval_km) if key in wheels
     )
     known = frozenset(one.code for one in named if _rails_of(one) == rails)
-    return AnchorInputs(sections, known, rails, profile, radius, tuple(sorted(measured)))
+    other = frozenset(one.code for one in named) - known
+    measured_wheels = tuple(sorted(measured))
+    return AnchorInputs(sections, known, rails, profile, radius, measured_wheels, other, tuple(sorted(missing)))
 
 
 def anchors(unit: UnitOfWork, inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
@@ -99,7 +109,14 @@ def anchors(unit: UnitOfWork, inputs: AnchorInputs, amplitude: FloatArray) -> An
             of_rails[rails] = conicity_on_rails(wheel, rails, amplitude)[0]
         on_file[section.code] = of_rails[rails]
     reference = ReferenceWheel(inputs.profile, of_rails.get(inputs.rails, nothing), on_file)
-    return Anchors(reference, inputs.known, tuple(_known_wheels(unit, inputs, inputs.rails, amplitude)))
+    return Anchors(
+        reference,
+        inputs.known,
+        tuple(_known_wheels(unit, inputs, inputs.rails, amplitude)),
+        tonnage={one.code: one.tonnage_mgt_per_year for one in inputs.sections if one.tonnage_mgt_per_year},
+        refused=dict.fromkeys(inputs.other, OTHER_RAILS),
+        missing=inputs.missing,
+    )
 
 
 def _known_wheels(unit: UnitOfWork, inputs: AnchorInputs, rails: RailShare, amplitude: FloatArray) -> list[KnownWheel]:

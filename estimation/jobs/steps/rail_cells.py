@@ -7,6 +7,8 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.membership import Membership, membership
@@ -18,6 +20,7 @@ from estimation.tables.bin_table import bin_parameters, merge_all
 from estimation.values.rails import RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member, Side
+from estimation.values.track import TrackAlignment
 
 DAY_NS = 86_400_000_000_000
 CellKey = tuple[WheelKey, RailKey]
@@ -99,7 +102,7 @@ class _CellReader:
         table = merge_all((cells for _, cells in self.unit.tables.cells_of(wheel.wheelset, starts)), bins)
         versions = sorted({one.window.track_version for one in own if one.window.track_version is not None})
         used = [self.unit.tracks.alignment(rail.section, version) for version in versions]
-        tracks = [track for track in used if track is not None]
+        tracks = [at_own_gauge(track) for track in used if track is not None]
         uncertainty = ParameterUncertainty.of(assumed.on_file.vehicle_class).on(tracks, wheel.wheelset)
         last = own[-1].window.record
         found = section_conicity(
@@ -114,6 +117,17 @@ class _CellReader:
         if isinstance(found, Reason):
             return StoredCell(wheel, rail, digest, None, found)
         return StoredCell(wheel, rail, digest, found, None)
+
+
+def at_own_gauge(track: TrackAlignment) -> TrackAlignment:
+    """Return an alignment whose gauge deviation has no mean: what a section's gauge does belongs to its rails.
+
+    Parameters
+    ----------
+    track
+        With the gauge as on file.
+    """
+    return replace(track, gauge_deviation=track.gauge_deviation - np.mean(track.gauge_deviation))
 
 
 def _chosen(rules: Membership, parts: Sequence[Part]) -> list[Part]:

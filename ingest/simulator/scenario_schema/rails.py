@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from estimation.contact.rail_wear import DEEPEST_BAND, RailWear
 from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
+from ingest.simulator.rail_course import MGT_OF_GROWTH
 from ingest.simulator.scenario import SideFiles, SideMirrors
 from ingest.simulator.scenario_schema.units import MM
 
@@ -33,6 +34,18 @@ class RailWearTable(InputTable):
     depth_right_mm: Depth | None = None
     centre_mm: float = Field(default=0.0, ge=-40.0, le=40.0)
     half_width_mm: Positive = 25.0
+    growth_mm_per_100_mgt: NotNegative = 0.0
+
+    def deepest_mm(self, traffic_mgt: float) -> float:
+        """Return the depth of the deeper band after some traffic, mm.
+
+        Parameters
+        ----------
+        traffic_mgt
+            Million gross tonnes since the first campaign.
+        """
+        deeper = max(side for side in (self.depth_mm, self.depth_left_mm, self.depth_right_mm) if side is not None)
+        return deeper + self.growth_mm_per_100_mgt * traffic_mgt / MGT_OF_GROWTH
 
     def plan(self) -> tuple[RailWear, RailWear]:
         """Return the wear of left and right rail in SI units."""

@@ -99,6 +99,7 @@ class SectionTable(RailFiles):
     switches: list[SwitchTable] = Field(default_factory=list)
     joints: list[JointTable] = Field(default_factory=list)
     rail_wear: RailWearTable | None = None
+    tonnage_mgt_per_year: Positive | None = None
 
     @model_validator(mode="after")
     def _check_recipe(self) -> Self:
@@ -185,6 +186,8 @@ class SectionTable(RailFiles):
             latitude=self.latitude_deg,
             longitude=self.longitude_deg,
             rail_wear=(None, None) if self.rail_wear is None else self.rail_wear.plan(),
+            rail_growth=0.0 if self.rail_wear is None else MM * self.rail_wear.growth_mm_per_100_mgt,
+            tonnage=self.tonnage_mgt_per_year,
         )
 
     def _recipe(self) -> TrackRecipe | None:

@@ -6,21 +6,26 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from alignment_job import DAY_NS, LENGTH, NAMES, counts, put, register, surveyed
 from one_database import on_sqlite
 from section_runs import RUNS, SECONDS
 from smooth_wheelset import mems_windows, run
 
+from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
+from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import RailsSettings
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps import rail_cells
+from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Storage
 from estimation.values.quantities import Estimate
 from estimation.values.rails import RailPart, RailsReference, WheelsetRailsRecord
 from estimation.values.reasons import ReasonCode
+from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Window
 
@@ -33,6 +38,14 @@ KNOWN = JobSettings(rails=RailsSettings(frozenset({"S1"})))
 def on_worn_rails(number: int) -> tuple[Window, ...]:
     cone, speed = RUNS[number]
     found = mems_windows(run(SECONDS, seed=1, cone=cone + WEAR, speed=speed), seed=900 + number)
+    return tuple(replace(window, wheelset=f"W{number}", vehicle=f"V{number}", track_section="S2") for window in found)
+
+
+@cache
+def turned_on_worn_rails(number: int) -> tuple[Window, ...]:
+    """Return the windows of :func:`on_worn_rails` with other wheels, for which nobody registered a lathe."""
+    cone, speed = RUNS[number]
+    found = mems_windows(run(SECONDS, seed=1, cone=cone + WEAR + 0.1, speed=speed), seed=900 + number)
     return tuple(replace(window, wheelset=f"W{number}", vehicle=f"V{number}", track_section="S2") for window in found)
 
 
@@ -79,13 +92,25 @@ def wheels(storage: Storage, number: int) -> WheelsetRailsRecord:
     return found
 
 
+def reason_of(storage: Storage, section: str) -> ReasonCode | None:
+    """Return why a section holds no level though it is named as known."""
+    with storage.read() as unit:
+        found = unit.rails.of_section(section)
+    assert found is not None
+    return None if found.refused is None else found.refused.code
+
+
+def named(*sections: str) -> JobSettings:
+    return JobSettings(rails=RailsSettings(frozenset(sections)))
+
+
 def values(estimates: tuple[Estimate, ...]) -> list[float]:
     return [one.value for one in estimates if one.value is not None]
 
 
 def test_worn_rails_are_a_finding_of_the_section_and_not_of_the_wheelsets(received: Storage) -> None:
     done = refresh(received)
-    assert done == {"wheelsets": 6, "cells": 7, "sections": 2, "quarantined": 0}
+    assert done == {"wheelsets": 6, "cells": 7, "sections": 2, "known_refused": 0, "quarantined": 0}
     part = newest(received, "S2")
     assert part.reference is RailsReference.KNOWN_RAILS
     assert values(part.part) == pytest.approx([WEAR] * len(values(part.part)), abs=0.012)
@@ -112,7 +137,7 @@ def test_a_repeat_reads_no_table_and_stores_nothing(received: Storage, monkeypat
         raise AssertionError("the cells of a wheelset without news were looked at")
 
     monkeypatch.setattr("estimation.jobs.refresh_rails.cells_of", refused)
-    assert refresh(received) == {"wheelsets": 0, "cells": 0, "sections": 0, "quarantined": 0}
+    assert set(refresh(received).values()) == {0}
     with received.read() as unit:
         assert unit.rails.of_section("S2") == before
 
@@ -168,6 +193,8 @@ def test_rails_of_another_kind_hold_no_level_though_they_be_known(received: Stor
     assert set(references.values()) == {RailsReference.KNOWN_RAILS}
     assert values(newest(received, "S2").part) == pytest.approx([0.0] * len(values(newest(received, "S2").part)))
     assert any(abs(one) > 0.02 for one in values(newest(received, "S1").part))
+    assert reason_of(received, "S1") is ReasonCode.KNOWN_RAILS_OTHER
+    assert reason_of(received, "S2") is None
 
 
 @on_sqlite
@@ -205,3 +232,77 @@ def test_the_limit_of_the_settings_makes_the_finding(received: Storage) -> None:
         found[limit] = (record.limit, record.exceeded)
     assert found[0.3][0] == 0.3
     assert found[0.3][1] is not True
+
+
+@on_sqlite
+def test_a_known_section_that_is_not_on_file_is_said(received: Storage, caplog: pytest.LogCaptureFixture) -> None:
+    assert refresh(received, named("S1", "S-1"))["known_refused"] == 1
+    assert "section S-1 is named as known" in caplog.text
+    assert newest(received, "S2").reference is RailsReference.KNOWN_RAILS
+    refresh(received, named("S-1"))
+    assert newest(received, "S2").reference is RailsReference.MEAN
+    assert [one.reason.text for one in newest(received, "S2").excess if one.reason and "S-1" in one.reason.text]
+
+
+@on_sqlite
+def test_known_sections_that_contradict_each_other_hold_nothing(received: Storage) -> None:
+    with received.write() as unit:
+        for number in EVERYWHERE:
+            for window in turned_on_worn_rails(number):  # 0.14 more than on S1
+                unit.windows.put(replace(window, start_ns=window.start_ns + DAY_NS), 11.0, 2)
+    estimate(received)
+    assert refresh(received, named("S1", "S2"))["known_refused"] == 2
+    for section in ("S1", "S2"):
+        assert reason_of(received, section) is ReasonCode.KNOWN_RAILS_DIFFER
+        assert newest(received, section).reference is RailsReference.MEAN
+        assert not values(newest(received, section).excess)
+    assert not values(wheels(received, 0).part.conicity)
+
+
+@on_sqlite
+def test_a_wheelset_that_is_turned_in_a_mileage_interval_is_two(received: Storage) -> None:
+    """It ran on S1 before, on S2 afterwards: it says nothing of what is between them."""
+    refresh(received)
+    turned = Reprofiling("W0", DAY_NS, 10.5)
+    with received.write() as unit:
+        unit.registry.add_reprofiling(turned, 1)
+    estimate(received)
+    refresh(received)
+    with received.read() as unit:
+        cells = unit.rails.cells()
+    assert {(one.wheel.baseline, one.rail.section) for one in cells if one.wheel.wheelset == "W0"} == {
+        (0, "S1"),
+        (1, "S2"),
+    }
+    part = newest(received, "S2")
+    assert values(part.part) == pytest.approx([WEAR] * len(values(part.part)), abs=0.012)
+    assert wheels(received, 0).part.wheel.baseline == 1
+
+
+@on_sqlite
+def test_a_wheelset_that_nobody_said_was_turned_takes_nobody_in(received: Storage) -> None:
+    """Its wheels are others on S2 than on S1, by 0.1: what is published, if anything, covers the truth."""
+    with received.write() as unit:
+        for window in turned_on_worn_rails(1):
+            unit.windows.put(replace(window, start_ns=window.start_ns + DAY_NS), 11.0, 2)
+    estimate(received)
+    refresh(received)
+    for one in newest(received, "S2").part:
+        if one.value is None:
+            assert one.reason is not None
+        else:
+            assert one.low is not None
+            assert one.high is not None
+            assert one.low <= WEAR <= one.high
+
+
+@on_sqlite
+def test_the_traffic_on_file_is_what_the_trend_is_given_by(received: Storage) -> None:
+    refresh(received)
+    with received.write() as unit:
+        unit.tracks.add_section(replace(unit.tracks.section("S2"), tonnage_mgt_per_year=40.0))
+    context = JobContext(received, StandingClock(10**15), "test", KNOWN)
+    with received.read() as unit:
+        inputs = anchor_inputs(unit, unit.rails.cells(), context)
+        assert anchors(unit, inputs, np.array([3e-3])).tonnage == {"S2": 40.0}
+    assert refresh(received)["sections"] == 2  # it is solved again
