@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -269,3 +271,42 @@ def retracked(made: SimulatedFleet, seed: int, count: int = 14) -> tuple[list[Pa
     places = {item.place for one in passes for item in one.signatures if item.place is not None}
     size = SignatureParameters().cell
     return passes, {one for one in places if one.section == code and one.cell * size >= TAMPED_FROM}
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """All passes of one seed; what is judged by which library is decided afterwards."""
+
+    main: SimulatedFleet
+    speeds: SimulatedFleet
+    profiles: tuple[Pass, ...]  # wheels of other profiles
+    retracked: tuple[Pass, ...]
+    tamped: frozenset[Place]
+
+
+SPEEDS = Plan(sections=3, others=2, teachers=21, judged=7, speeds=((14.0, 16.0), (18.0, 20.0)), asked=(16.5, 17.5))
+S1002_DEPTHS = (0.1e-3, 0.5e-3, 0.9e-3)  # m, wheels of other profiles
+
+
+def simulated(seed: int, folder: Path | None = None) -> Simulated:
+    """Return the passes of a seed: from ``folder`` where it has them, else simulated, and kept there."""
+    file = None if folder is None else folder / f"signatures-{seed}.pickle"
+    if file is not None and file.exists():
+        kept: Simulated = pickle.loads(file.read_bytes())  # noqa: S301 - written by the lines below
+        return kept
+    made = fleet(Plan(), seed)
+    rng = np.random.default_rng([seed, 21])
+    others = [wheelset(f"X{n}", depth, 0, rng, WearFamily.S1002_ON_60E1) for n, depth in enumerate(S1002_DEPTHS)]
+    code, track = next(iter(made.tracks.items()))
+    profiles = tuple(run(one, code, track, float(rng.uniform(15, 19)), rng) for one in others)
+    passes, tamped = retracked(made, seed)
+    found = Simulated(_bare(made), _bare(fleet(SPEEDS, seed)), profiles, tuple(passes), frozenset(tamped))
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(pickle.dumps(found))
+    return found
+
+
+def _bare(made: SimulatedFleet) -> SimulatedFleet:
+    """Return a fleet without its tracks, which are large."""
+    return replace(made, tracks={})

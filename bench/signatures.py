@@ -26,16 +26,13 @@ from bench.signature_cases import (
     CONDITIONS,
     Pass,
     Plan,
+    Simulated,
     SimulatedFleet,
     entries,
-    fleet,
-    retracked,
-    run,
-    wheelset,
+    simulated,
 )
 from bench.signature_rivals import trained
 from bench.world import seed_range
-from estimation.contact.wear import WearFamily
 from estimation.signatures.answer import judged, most_likely
 from estimation.signatures.library import Library, library
 from estimation.signatures.parameters import SignatureParameters
@@ -46,8 +43,6 @@ from estimation.values.signatures import Signature
 TITLE = "Library of wear signatures"
 COLUMNS = ("what", "measured", "reach", "met")
 MEASURED_STD, ESTIMATED_STD = 0.003, 0.01  # of the conicities on file: measured profiles, estimates
-SPEEDS = Plan(sections=3, others=2, teachers=21, judged=7, speeds=((14.0, 16.0), (18.0, 20.0)), asked=(16.5, 17.5))
-S1002_DEPTHS = (0.1e-3, 0.5e-3, 0.9e-3)  # m, wheels of other profiles
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -57,7 +52,7 @@ def main(arguments: Sequence[str]) -> int:
     cases: list[dict[str, Any]] = json.loads(options.out.read_text()) if options.resume and options.out.exists() else []
     for seed in options.seeds:
         if all(case["seed"] != seed for case in cases):
-            cases.append(case_of(seed))
+            cases.append(case_of(simulated(seed, options.fleets), seed))
             options.out.write_text(json.dumps(cases), encoding="utf-8")
             console.print(f"seed {seed}: {_line(cases[-1])}", highlight=False)
     rows = list(summary(cases))
@@ -86,9 +81,9 @@ def _about() -> str:
     )
 
 
-def case_of(seed: int) -> dict[str, Any]:
+def case_of(passes: Simulated, seed: int) -> dict[str, Any]:
     """Return what one seed gave."""
-    made = fleet(Plan(), seed)
+    made = passes.main
     found: dict[str, Any] = {"seed": seed}
     for name, std in (("measured", MEASURED_STD), ("estimated", ESTIMATED_STD)):
         known = _library(made, seed, std)
@@ -99,13 +94,13 @@ def case_of(seed: int) -> dict[str, Any]:
             "unplaced": _answers(made.same, known, parameters, placed=False),
         }
     found["rivals"] = {name: _rival(made, linear=name == "ridge") for name in ("ridge", "Gaussian process")}
-    speeds = fleet(SPEEDS, seed)
+    speeds = passes.speeds
     found["speeds"] = {
         name: _answers(passes, _library(speeds, seed, MEASURED_STD), _parameters(speeds))
         for name, passes in (("same", speeds.same), ("other", speeds.other))
     }
-    found["profiles"] = _other_profiles(made, seed)
-    found["retired"] = _retired(made, seed)
+    found["profiles"] = _answers(passes.profiles, _library(made, seed, MEASURED_STD), _parameters(made))
+    found["retired"] = _retired(passes, seed)
     return found
 
 
@@ -158,20 +153,11 @@ def _rival(made: SimulatedFleet, *, linear: bool) -> dict[str, list[tuple[float,
     }
 
 
-def _other_profiles(made: SimulatedFleet, seed: int) -> list[dict[str, Any]]:
-    """Return answers about wheels of other profiles, on rails of their own, which the library does not know."""
-    rng = np.random.default_rng([seed, 21])
-    others = [wheelset(f"X{n}", depth, 0, rng, WearFamily.S1002_ON_60E1) for n, depth in enumerate(S1002_DEPTHS)]
-    code, track = next(iter(made.tracks.items()))
-    passes = [run(one, code, track, float(rng.uniform(15, 19)), rng) for one in others]
-    return _answers(passes, _library(made, seed, MEASURED_STD), _parameters(made))
-
-
-def _retired(made: SimulatedFleet, seed: int) -> dict[str, int]:
+def _retired(passes: Simulated, seed: int) -> dict[str, int]:
     """Return how many stretches of a section that was worked on are found, and of others; half of it was tamped."""
-    passes, tamped = retracked(made, seed)
-    found = current(entries(passes, np.random.default_rng([seed, 9]), MEASURED_STD))
-    places = {item.place for one in passes for item in one.signatures}
+    tamped = passes.tamped
+    found = current(entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD))
+    places = {item.place for one in passes.retracked for item in one.signatures}
     changed = {change.place for change in found.changes}
     return {
         "worked_on": len(places & tamped),
@@ -289,6 +275,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench signatures", description=__doc__)
     parser.add_argument("--seeds", type=seed_range, default=[0, 1, 2], help="as in 0-19 or 3 (default: 0-2)")
     parser.add_argument("--out", type=Path, default=Path("signatures.json"))
+    parser.add_argument("--fleets", type=Path, default=None, help="folder that keeps the simulated passes of each seed")
     parser.add_argument("--resume", action="store_true", help="go on with the results in --out")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/signatures.md")
     return parser.parse_args(arguments)

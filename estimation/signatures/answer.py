@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from estimation.signatures.calibration import COVERAGE, Calibration, conicity_grid
+from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid
 from estimation.signatures.library import Library
 from estimation.signatures.mixed_model import Likelihood, Rows, likelihood
 from estimation.signatures.parameters import SignatureParameters
@@ -25,7 +25,6 @@ from estimation.values.signatures import (
     UsedEntry,
 )
 
-NORMAL = float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
 SHOWN = 10  # entries that an answer names
 RARE = 0.02  # most probability outside what the library covers
 
@@ -93,8 +92,8 @@ def _answer(
     refusal = _novel(novelty) or _outside(found, library, parameters)
     if refusal is not None:
         return _unknown(wheelset, refusal, library, novelty)
-    half = calibration.factor * found.std
-    std = half / NORMAL
+    std = float(np.hypot(calibration.factor * found.std, library.shared_std(found.mean)))
+    half = NORMAL * std
     return SignatureAnswer(
         wheelset=wheelset,
         conicity=Estimate(
@@ -186,6 +185,7 @@ def _rows(signatures: Sequence[Signature]) -> Rows:
     return Rows(
         powers=np.stack([one.powers for one in signatures]),
         conicity=np.full(n, np.nan),
+        on_file=np.full(n, np.nan),
         speed=np.array([one.speed for one in signatures]),
         place=np.array([places[one.place or Place("", -number)] for number, one in enumerate(signatures)]),
         section=np.array([sections.index("" if one.place is None else one.place.section) for one in signatures]),

@@ -1,11 +1,13 @@
 """How far the answers of a library were off where it did not know the wheelset, or neither wheelset nor section.
 
-Every wheelset of the library is judged by the others, section by section. The factor that makes the intervals of these
-answers cover is the larger of two: the conformal quantile of their errors over their standard deviations, each wheelset
-with one weight (V. Vovk, A. Gammerman and G. Shafer, "Algorithmic Learning in a Random World", 2005), and what Student
-makes of their root mean square, with as many degrees of freedom as wheelsets: the first is sure of the form of the
-errors, the second of their number. Answers about one wheelset are not independent, wheelsets are; corrected for the
-number of wheelsets instead of answers the first was the largest of all errors for up to 20 wheelsets.
+Every wheelset of the library is judged by the others, section by section. What differs from the conicity on file is
+the error of the answer, whose standard deviation is that of the posterior times a factor, and the error of what is on
+file. The factor is near 1 beforehand, and how near the errors show: its posterior is on a grid, each wheelset counts
+once, and the interval is that of the mixture over it (A. Gelman and others, "Bayesian Data Analysis", 2013, chapter 3).
+
+What is on file of different wheelsets may have errors in common, such as that of a class's creep coefficients in all
+geometries. These do not show in the differences, and all answers have them. So the variance on file is parted: as much
+as the differences show, at most all of it, is of each wheelset alone; the rest is taken to be common.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
+from scipy.optimize import brentq
 
 from estimation.signatures.mixed_model import Likelihood, Rows, fitted, likelihood
 from estimation.signatures.parameters import SignatureParameters
@@ -23,8 +26,11 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis
 
 COVERAGE = 0.95
+NORMAL = float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
 FOLDS = 6
 GRID = 0.002  # of conicity
+FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
+FACTORS = np.exp(np.linspace(-1.2, 1.2, 97))  # that are tried
 NOVEL = 0.999  # quantile of the distances, by their logarithms, from which on a signature is novel
 
 
@@ -32,7 +38,7 @@ NOVEL = 0.999  # quantile of the distances, by their logarithms, from which on a
 class Calibration:
     """What the answers of a library need to cover, and how far from it those were."""
 
-    factor: float  # half a 95 % interval over the std of the posterior
+    factor: float  # on the std of the posterior: half a 95 % interval over that of a normal error
     largest_distance: float  # squared, over the number of features
     wheelsets: int
     answers: int
@@ -41,7 +47,9 @@ class Calibration:
 @dataclass(frozen=True, slots=True)
 class _Judged:
     wheelset: int
-    score: float  # |error| over std
+    error: float  # less what is on file
+    std: float  # of the posterior
+    on_file_std: float
     distance: float
 
 
@@ -55,7 +63,7 @@ def calibrated(
     rows
         Entries.
     std
-        (n,) of the known conicities.
+        (n,) of the known conicities, as far as it is of each wheelset alone.
     groups
         Of every entry the wheelsets whose data are in it: what shares one is left out together.
     parameters
@@ -73,6 +81,26 @@ def calibrated(
     else:
         found[Basis.OTHER_PLACES] = _of(_judged(rows, std, apart, Basis.OTHER_PLACES))
     return found
+
+
+def share_apart(rows: Rows, std: FloatArray, groups: Sequence[frozenset[str]]) -> float:
+    """Return the share of the variances on file that is of each wheelset alone, by what the differences show, 0 to 1.
+
+    Parameters
+    ----------
+    rows
+        Entries, whose conicities are those on file.
+    std
+        (n,) of the known conicities.
+    groups
+        As in :func:`calibrated`.
+    """
+    found = list(_judged(rows, std, _folds(rows, groups), Basis.SAME_PLACES))
+    claimed = float(np.mean(_by_wheelset(found, [one.on_file_std**2 for one in found]))) if found else 0.0
+    if claimed == 0.0:
+        return 1.0
+    seen = _by_wheelset(found, [one.error for one in found]) ** 2
+    return min(1.0, float(np.mean(seen)) / claimed)
 
 
 def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
@@ -146,33 +174,43 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
 
 
 def _score(found: Likelihood, rows: Rows, std: float, wheelset: int) -> _Judged:
-    error = abs(found.mean - float(np.mean(rows.conicity)))
-    distance = float(found.distance.min()) / rows.powers.shape[1]
-    return _Judged(wheelset, error / float(np.hypot(found.std, std)), distance)
+    error = found.mean - float(np.mean(rows.on_file))
+    return _Judged(wheelset, error, found.std, std, float(found.distance.min()) / rows.powers.shape[1])
 
 
 def _of(judged: Iterator[_Judged]) -> Calibration | Reason:
     found = list(judged)
-    numbers, wheelset = np.unique([one.wheelset for one in found], return_inverse=True)
-    if len(numbers) < 3:  # noqa: PLR2004 - a spread needs some
+    wheelsets = len({one.wheelset for one in found})
+    if wheelsets < 3:  # noqa: PLR2004 - a spread needs some
         return Reason(ReasonCode.LIBRARY_TOO_SMALL, "too few wheelsets of the library can be judged by the others")
-    score = np.array([one.score for one in found])
-    weight = 1.0 / np.bincount(wheelset)[wheelset]
     logarithm = np.log([one.distance for one in found])
-    reach = stats.t.ppf(NOVEL, len(numbers) - 1) * np.sqrt(1 + 1 / len(numbers))
+    reach = stats.t.ppf(NOVEL, wheelsets - 1) * np.sqrt(1 + 1 / wheelsets)
     return Calibration(
-        factor=_factor(score, weight, len(numbers)),
+        factor=_factor(found),
         largest_distance=float(np.exp(logarithm.mean() + reach * logarithm.std(ddof=1))),
-        wheelsets=len(numbers),
+        wheelsets=wheelsets,
         answers=len(found),
     )
 
 
-def _factor(score: FloatArray, weight: FloatArray, wheelsets: int) -> float:
-    """Return the factor on standard deviations that covers 95 %."""
-    order = np.argsort(score)
-    share = np.cumsum(weight[order]) / weight.sum()
-    level = COVERAGE * (1 + 1 / len(score))
-    conformal = float(score[order][min(int(np.searchsorted(share, level)), len(score) - 1)])
-    student = stats.t.ppf(0.5 + 0.5 * COVERAGE, wheelsets - 1) * np.sqrt(1 + 1 / wheelsets)
-    return max(conformal, float(student * np.sqrt(weight @ score**2 / weight.sum())))
+def _factor(found: Sequence[_Judged]) -> float:
+    """Return the factor on standard deviations that covers 95 %, over that of a normal error."""
+    wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
+    weight = 1.0 / np.bincount(wheelset)[wheelset]
+    variance = np.array([one.std**2 for one in found])[:, None] * FACTORS**2
+    variance = variance + np.array([one.on_file_std**2 for one in found])[:, None]
+    squared = np.array([one.error**2 for one in found])[:, None] / variance
+    weighed = -0.5 * weight @ (squared + np.log(variance)) - 0.5 * (np.log(FACTORS) / FACTOR_STD) ** 2
+    posterior = np.exp(weighed - weighed.max())
+    posterior /= posterior.sum()
+
+    def beyond(reach: float) -> float:
+        return float(posterior @ (2.0 * stats.norm.cdf(reach / FACTORS) - 1.0)) - COVERAGE
+
+    return float(brentq(beyond, NORMAL * FACTORS[0], NORMAL * FACTORS[-1])) / NORMAL
+
+
+def _by_wheelset(found: Sequence[_Judged], values: Sequence[float]) -> FloatArray:
+    """Return the means of values by wheelset."""
+    wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
+    return np.asarray(np.bincount(wheelset, values) / np.bincount(wheelset))

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.signatures.calibration import Calibration, calibrated
+from estimation.signatures.calibration import Calibration, calibrated, share_apart
 from estimation.signatures.mixed_model import MixedModel, Rows, fitted
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import AxlePosition, Basis, LibraryEntry, Place
+
+NEAR = 0.03  # of conicity, within which what is on file counts for an answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +30,30 @@ class Library:
     conicity: tuple[float, float]  # least and largest
     speed: tuple[float, float]  # m/s
     calibration: Mapping[Basis, Calibration | Reason]
+    shared: float  # of the errors of the conicities on file: share of their std that they may have in common
 
     @property
     def wheelsets(self) -> int:
         """Number of wheelsets."""
         return len({entry.wheelset for entry in self.entries})
+
+    def shared_std(self, conicity: float) -> float:
+        """Return the std of what the conicities on file may be off by in common, about a conicity.
+
+        Errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
+        those near by, whichever is larger.
+
+        Parameters
+        ----------
+        conicity
+            Of an answer.
+        """
+        if self.shared == 0.0:
+            return 0.0
+        std = np.array([entry.std for entry in self.entries])
+        apart = np.array([entry.conicity for entry in self.entries]) - conicity
+        near = np.exp(-0.5 * (apart / NEAR) ** 2) + np.finfo(np.float64).tiny
+        return self.shared * max(float(std.mean()), float(near @ std / near.sum()))
 
 
 def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> Library | Reason:
@@ -59,12 +80,14 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
             f"the conicities of the library have a standard deviation of {spread:.3f},"
             f" {parameters.least_spread:g} is needed",
         )
-    rows = rows_of(ordered)
+    groups = [frozenset(entry.shares_data) | {entry.wheelset} for entry in ordered]
+    std = np.array([entry.std for entry in ordered])
+    apart = share_apart(rows_of(ordered, 0.0), std, groups)
+    rows = rows_of(ordered, apart)
     places = {place: number for number, place in enumerate(sorted({_place(entry) for entry in ordered}))}
     sections = {code: number for number, code in enumerate(sorted({place.section for place in places}))}
     speeds = [entry.signature.speed for entry in ordered]
     known = [entry.conicity for entry in ordered]
-    groups = [frozenset(entry.shares_data) | {entry.wheelset} for entry in ordered]
     return Library(
         vehicle_class=ordered[0].signature.vehicle_class,
         position=ordered[0].signature.position,
@@ -74,11 +97,12 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
         model=fitted(rows),
         conicity=(min(known), max(known)),
         speed=(min(speeds), max(speeds)),
-        calibration=calibrated(rows, np.array([entry.std for entry in ordered]), groups, parameters),
+        calibration=calibrated(rows, np.sqrt(apart) * std, groups, parameters),
+        shared=float(np.sqrt(1.0 - apart)),
     )
 
 
-def rows_of(entries: Sequence[LibraryEntry]) -> Rows:
+def rows_of(entries: Sequence[LibraryEntry], apart: float = 1.0) -> Rows:
     """Return entries as arrays, their conicities shrunk by what their own errors add to their spread.
 
     A regressor with errors flattens a regression; what is expected of the true conicity, given the known one, does not
@@ -88,15 +112,18 @@ def rows_of(entries: Sequence[LibraryEntry]) -> Rows:
     ----------
     entries
         With places.
+    apart
+        Share of the variances of the known conicities that is of each wheelset alone.
     """
     names = sorted({entry.wheelset for entry in entries})
     places = sorted({_place(entry) for entry in entries})
     sections = sorted({place.section for place in places})
     known = np.array([entry.conicity for entry in entries])
-    expected, variance = _expected(known, np.array([entry.std for entry in entries]))
+    expected, variance = _expected(known, np.sqrt(apart) * np.array([entry.std for entry in entries]))
     return Rows(
         powers=np.stack([entry.signature.powers for entry in entries]),
         conicity=expected,
+        on_file=known,
         speed=np.array([entry.signature.speed for entry in entries]),
         place=_numbers([_place(entry) for entry in entries], places),
         section=_numbers([_place(entry).section for entry in entries], sections),

@@ -65,7 +65,8 @@ class Rows:
     """Entries as arrays; places, sections and wheelsets are numbers from 0."""
 
     powers: FloatArray  # (n, f) logarithms, signal after signal: y, R, roll
-    conicity: FloatArray  # (n,)
+    conicity: FloatArray  # (n,) expected, given that on file
+    on_file: FloatArray  # (n,) conicity
     speed: FloatArray  # (n,) m/s
     place: IntArray  # (n,)
     section: IntArray  # (n,)
@@ -84,6 +85,7 @@ class Rows:
         return Rows(
             self.powers[at],
             self.conicity[at],
+            self.on_file[at],
             self.speed[at],
             self.place[at],
             self.section[at],
@@ -150,23 +152,26 @@ def fitted(rows: Rows) -> MixedModel:
     own = _means(residuals, wheelset)
     rest = residuals - own[wheelset]
     freedom = max(len(rest) - len(kept) - len(wheelsets), 1)
-    of_wheelset = _covariance(own, max(len(wheelsets) - TERMS, 1))
+    of_rest = _covariance(rest, freedom)
+    of_own = _less(_covariance(own, max(len(wheelsets) - TERMS, 1)), of_rest * _of_means(wheelset))
     sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
     mean = _means(effects, section).mean(axis=0)
     level = effects[:, LEVEL] - mean[LEVEL]
     of_level = level @ (effects - mean) / max(float(level @ level), RIDGE)
     around = effects - mean - level[:, None] * of_level
     by_section = _means(around, section)
+    of_place = _covariance(around - by_section[section], max(len(kept) - len(sections), 1))
+    of_section = _covariance(by_section, max(len(sections) - 1, 1))
     return MixedModel(
         response=response,
         mean=mean,
         of_level=np.asarray(of_level),
         places=effects,
         passes=np.bincount(place).astype(np.float64),
-        rest=_covariance(rest, freedom),
-        of_wheelset=_without(of_wheelset, np.asarray(response[0]), float(rows.variance.mean())),
-        of_place=_covariance(around - by_section[section], max(len(kept) - len(sections), 1)),
-        of_section=_covariance(by_section, max(len(sections) - 1, 1)),
+        rest=of_rest,
+        of_wheelset=_less(of_own, float(rows.variance.mean()) * np.outer(response[0], response[0])),
+        of_place=_less(of_place, of_rest * _of_means(place)),
+        of_section=_less(of_section, of_place * _of_means(section)),
     )
 
 
@@ -201,13 +206,19 @@ def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
     return np.asarray((1 - SHRINKING) * raw + SHRINKING * np.diag(np.diag(raw)) + RIDGE * np.eye(len(raw)))
 
 
-def _without(covariance: FloatArray, slope: FloatArray, variance: float) -> FloatArray:
-    """Return a covariance less that of an error of the logarithm of the conicity; still positive definite."""
-    seen = float(slope @ np.linalg.solve(covariance, slope))
-    if not seen > 0.0:
-        return covariance  # all conicities are alike: there is no slope
-    most = LARGEST_SHARE / seen
-    return np.asarray(covariance - min(variance, most) * np.outer(slope, slope))
+def _of_means(group: IntArray) -> float:
+    """Return the share of a variance that is left in means by group, on the average of these."""
+    count = np.bincount(group)
+    return float(np.mean(1.0 / count[count > 0]))
+
+
+def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
+    """Return a covariance less that of something else in it; of no direction more than ``LARGEST_SHARE``."""
+    root = np.linalg.cholesky(whole)
+    half = np.linalg.solve(root, part)
+    share, axes = np.linalg.eigh(np.linalg.solve(root, half.T))
+    left = root @ axes * np.sqrt(1.0 - np.clip(share, 0.0, LARGEST_SHARE))
+    return np.asarray(left @ left.T)
 
 
 @dataclass(frozen=True, slots=True)
