@@ -19,15 +19,16 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
 
+from estimation.signatures.families import FOLDS, families
 from estimation.signatures.mixed_model import Likelihood, Rows, fitted, likelihood
 from estimation.signatures.parameters import SignatureParameters
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis
 
 COVERAGE = 0.95
 NORMAL = float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
-FOLDS = 6
+MOST_ANSWERS = 240  # that a factor is made from: more would cost more, and say little more
 GRID = 0.002  # of conicity
 FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
 FACTORS = np.exp(np.linspace(-1.2, 1.2, 97))  # that are tried
@@ -119,48 +120,38 @@ def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
 
 def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
     """Return which rows (n,) are left out together; rows that share data are."""
-    family: dict[int, frozenset[str]] = {}
-    for number, group in zip(rows.wheelset, groups, strict=True):
-        family[int(number)] = family.get(int(number), frozenset()) | group
-    merged: list[tuple[set[int], frozenset[str]]] = []
-    for number, group in sorted(family.items()):
-        members, names = {number}, group
-        apart = []
-        for other, theirs in merged:
-            if names & theirs:
-                members, names = members | other, names | theirs
-            else:
-                apart.append((other, theirs))
-        merged = [*apart, (members, names)]
-    count = min(FOLDS, len(merged))
+    found = families(groups)
+    family = {name: number for number, names in enumerate(found) for name in names}
+    of_row = np.array([family[min(group)] for group in groups])
+    count = min(FOLDS, len(found))
     # families in the order of their conicity, so that every fold has all kinds
-    means = [float(np.mean(rows.conicity[np.isin(rows.wheelset, list(members))])) for members, _ in merged]
-    order = np.argsort(means, kind="stable")
-    out = [np.zeros(len(rows.wheelset), dtype=np.bool_) for _ in range(count)]
-    for rank, at in enumerate(order):
-        out[rank % count] |= np.isin(rows.wheelset, list(merged[at][0]))
-    return out
+    means = np.bincount(of_row, rows.conicity, len(found)) / np.maximum(np.bincount(of_row, minlength=len(found)), 1)
+    rank = np.argsort(np.argsort(means, kind="stable"), kind="stable")[of_row]
+    return [rank % count == number for number in range(count)]
 
 
 def _judged(rows: Rows, std: FloatArray, apart: Sequence[BoolArray], basis: Basis) -> Iterator[_Judged]:
     """Yield how well wheelsets are judged, section by section, by those that share nothing with them."""
-    for left_out in apart:
-        for taught, asked in _tasks(rows, left_out, basis):
-            if not (taught.any() and asked.any()):
-                continue
-            model = fitted(rows.chosen(np.flatnonzero(taught)))
-            known = np.unique(rows.place[taught])
-            grid = conicity_grid(rows.conicity[taught], 2 * GRID + float(np.ptp(rows.conicity)))
-            for wheelset, section in np.unique(np.stack([rows.wheelset, rows.section])[:, asked], axis=1).T:
-                which = asked & (rows.wheelset == wheelset) & (rows.section == section)
-                at = None
-                if basis is Basis.SAME_PLACES:
-                    which &= np.isin(rows.place, known)
-                    at = np.searchsorted(known, rows.place[which])
-                if which.any():
-                    mine = rows.chosen(np.flatnonzero(which))
-                    found = likelihood(model, mine, at, grid)
-                    yield _score(found, mine, float(np.mean(std[which])), int(wheelset))
+    tasks = [task for left_out in apart for task in _tasks(rows, left_out, basis) if task[0].any() and task[1].any()]
+    each = -(-MOST_ANSWERS // max(len(tasks), 1))
+    for taught, asked in tasks:
+        model = fitted(rows.chosen(np.flatnonzero(taught)))
+        known = np.unique(rows.place[taught])
+        grid = conicity_grid(rows.conicity[taught], 2 * GRID + float(np.ptp(rows.conicity)))
+        if basis is Basis.SAME_PLACES:
+            asked = asked & np.isin(rows.place, known)  # noqa: PLW2901 - where the library has the place
+        for wheelset, which in _spread(rows, asked, each):
+            mine = rows.chosen(which)
+            at = np.searchsorted(known, mine.place) if basis is Basis.SAME_PLACES else None
+            yield _score(likelihood(model, mine, at, grid), mine, float(np.mean(std[which])), wheelset)
+
+
+def _spread(rows: Rows, asked: BoolArray, most: int) -> Iterator[tuple[int, IntArray]]:
+    """Yield wheelsets with the rows of one of their sections, at most so many, evenly chosen."""
+    at = np.flatnonzero(asked)
+    pairs, which = np.unique(np.stack([rows.wheelset[at], rows.section[at]]), axis=1, return_inverse=True)
+    for number in np.unique(np.linspace(0, pairs.shape[1] - 1, most).round().astype(np.int64)) if len(at) else ():
+        yield int(pairs[0, number]), at[which.ravel() == number]
 
 
 def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[BoolArray, BoolArray]]:
@@ -168,8 +159,10 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
     if basis is Basis.SAME_PLACES:
         yield ~left_out, left_out
         return
-    for section in np.unique(rows.section):
-        here = rows.section == section
+    sections, section = np.unique(rows.section, return_inverse=True)
+    count = min(FOLDS, len(sections))
+    for number in range(count):
+        here = section % count == number
         yield ~left_out & ~here, left_out & here
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.signatures.calibration import Calibration, calibrated, share_apart
+from estimation.signatures.families import sharers
 from estimation.signatures.mixed_model import MixedModel, Rows, fitted
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.arrays import FloatArray, IntArray
@@ -80,7 +81,7 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
             f"the conicities of the library have a standard deviation of {spread:.3f},"
             f" {parameters.least_spread:g} is needed",
         )
-    groups = [frozenset(entry.shares_data) | {entry.wheelset} for entry in ordered]
+    groups = [sharers(entry) for entry in ordered]
     std = np.array([entry.std for entry in ordered])
     apart = share_apart(rows_of(ordered, 0.0), std, groups)
     rows = rows_of(ordered, apart)
