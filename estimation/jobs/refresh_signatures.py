@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
-from estimation.jobs.steps.signature_windows import VERSION, refresh_windows
+from estimation.jobs.steps.signature_windows import VERSION, refresh_windows, usable
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.signatures.admission import Libraries, Subject
@@ -92,13 +92,13 @@ def _judge(context: JobContext, isolation: Isolation) -> Mapping[str, int]:
     with context.storage.read() as unit:
         classes = ClassLookup(unit, context.settings.estimation)
         reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
-        known = unit.signatures.known()
+        known, without = usable(unit, context, unit.signatures.known())
         made, answered = reader.entries(known), unit.signatures.answered()
         subjects = _subjects(reader, known, context.settings.signatures.most_mileage_km)
         geometries = {
             serial: _geometry(unit.geometries.current(serial), one.baseline) for serial, one in subjects.items()
         }
-    shelf = _shelved(made, context.settings.signatures)
+    shelf = _shelved(made, without, context.settings.signatures)
     counts["retired"] = shelf.retired
     for done, (serial, subject) in enumerate(subjects.items()):
         context.checkpoint(done, len(subjects))
@@ -140,7 +140,7 @@ class _Shelf:
     digest: str
 
 
-def _shelved(made: Entries, parameters: SignatureParameters) -> _Shelf:
+def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: SignatureParameters) -> _Shelf:
     by_kind: dict[_Kind, list[LibraryEntry]] = defaultdict(list)
     for entry in made.found:
         by_kind[entry.signature.vehicle_class, entry.signature.position].append(entry)
@@ -155,7 +155,7 @@ def _shelved(made: Entries, parameters: SignatureParameters) -> _Shelf:
         for kept in entries.values()
         for one in kept
     )
-    left_out = Counter(made.left_out)
+    left_out = Counter(made.left_out) + Counter(without)
     if retired:
         left_out[ReasonCode.SECTION_CHANGED] += retired
     libraries = Libraries([entry for kept in entries.values() for entry in kept], parameters)

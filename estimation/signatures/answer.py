@@ -9,7 +9,7 @@ from scipy import stats
 
 from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid
 from estimation.signatures.library import Library
-from estimation.signatures.mixed_model import Likelihood, Rows, likelihood
+from estimation.signatures.mixed_model import Likelihood, Rows, level_of, likelihood
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.arrays import IntArray
 from estimation.values.quantities import Estimate, Status
@@ -90,6 +90,8 @@ def _answer(
     features = library.model.mean.shape[0]
     novelty = float(found.distance.min()) / features / calibration.largest_distance
     refusal = _novel(novelty) or _outside(found, library, parameters)
+    if refusal is None and known is None:
+        refusal = _other_track(level_of(library.model, _rows(signatures), found.mean), library, len(signatures))
     if refusal is not None:
         return _unknown(wheelset, refusal, library, novelty)
     std = float(np.hypot(calibration.factor * found.std, library.shared_std(found.mean)))
@@ -112,6 +114,15 @@ def _novel(novelty: float) -> Reason | None:
     if novelty <= 1.0:
         return None
     text = f"the signature is {novelty:.1f} times as far from the library as any that it answers"
+    return Reason(ReasonCode.NOT_IN_LIBRARY, text)
+
+
+def _other_track(level: float, library: Library, places: int) -> Reason | None:
+    """Return that the track is rougher or smoother than any of the library: conicity depends on the amplitude."""
+    low, high = library.levels(places)
+    if low <= level <= high:
+        return None
+    text = f"the track is {'rougher' if level > high else 'smoother'} than any that the library has"
     return Reason(ReasonCode.NOT_IN_LIBRARY, text)
 
 

@@ -15,6 +15,7 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import AxlePosition, Basis, LibraryEntry, Place
 
+LEVEL_MARGIN = 0.2  # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
 NEAR = 0.03  # of conicity, within which what is on file counts for an answer
 
 
@@ -37,6 +38,24 @@ class Library:
     def wheelsets(self) -> int:
         """Number of wheelsets."""
         return len({entry.wheelset for entry in self.entries})
+
+    def levels(self, places: int) -> tuple[float, float]:
+        """Return between which levels the mean of some places is where their section is like those of the library.
+
+        It may be as far outside as the outermost section is from the next: so far the calibration has gone, too.
+
+        Parameters
+        ----------
+        places
+            How many.
+        """
+        section = np.array([self.sections[place.section] for place in sorted(self.places, key=self.places.__getitem__)])
+        mean = np.bincount(section, self.model.levels) / np.bincount(section)
+        within = float(np.std(self.model.levels - mean[section]))
+        ordered = np.sort(mean)
+        gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], LEVEL_MARGIN))
+        reach = gap + 2.0 * within / np.sqrt(places)
+        return float(ordered[0]) - reach, float(ordered[-1]) + reach
 
     def shared_std(self, conicity: float) -> float:
         """Return the std of what the conicities on file may be off by in common, about a conicity.

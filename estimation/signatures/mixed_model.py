@@ -221,6 +221,22 @@ def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
     return np.asarray(left @ left.T)
 
 
+def level_of(model: MixedModel, rows: Rows, conicity: float) -> float:
+    """Return the level of the track under some signatures, from the mean of the known places.
+
+    Parameters
+    ----------
+    model
+        Of the library.
+    rows
+        Signatures of one wheelset; their conicities are not read.
+    conicity
+        Of the wheelset.
+    """
+    response = terms(np.array(conicity), rows.speed).mean(axis=0) @ model.response[:TERMS, LEVEL]
+    return float(features_of(rows.powers)[:, LEVEL].mean() - response - model.mean[LEVEL])
+
+
 @dataclass(frozen=True, slots=True)
 class Likelihood:
     """How well each conicity explains the features of a wheelset."""

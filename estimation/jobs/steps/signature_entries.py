@@ -97,7 +97,7 @@ class EntryReader:
                 place = entry.signature.place
                 if place is not None:
                     newest[wheelset, baseline, place, int(entry.signature.speed // SPEED_BAND)] = entry
-        return Entries(tuple(newest.values()), dict(left_out))
+        return Entries(tuple(newest.values()), left_out)
 
     def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
         """Return the life of a wheelset's profile at a time.

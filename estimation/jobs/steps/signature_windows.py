@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from estimation.errors import DamagedError, PurgedError, TreadwatchError
 from estimation.failures import code_of_error, first_line
@@ -17,8 +17,8 @@ from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.window_signatures import window_signatures
 from estimation.storage import UnitOfWork
-from estimation.values.reasons import Reason
-from estimation.values.signatures import WindowSignatures
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.signatures import KnownSignatures, WindowSignatures
 from estimation.values.track import TrackLayout
 from estimation.values.windows import WindowKey, WindowRecord
 
@@ -83,6 +83,41 @@ def assumed_digest(assumed: Assumed, parameters: SignatureParameters, layouts: M
     chosen = {name: value for name, value in asdict(parameters).items() if name in OF_SIGNATURES}
     text = repr((VERSION, assumed.digest, sorted(chosen.items()), sorted(layouts.items(), key=str)))
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def usable(
+    unit: UnitOfWork, context: JobContext, known: Sequence[KnownSignatures]
+) -> tuple[list[KnownSignatures], Counter[ReasonCode]]:
+    """Return the signatures that are made as they would be now and are finite, and how many windows have none.
+
+    Those that were made otherwise and whose samples are purged cannot be made again: their places may be others.
+
+    Parameters
+    ----------
+    unit
+        Classes and layouts are read.
+    context
+        Settings.
+    known
+        Signatures of windows.
+    """
+    classes, layouts = ClassLookup(unit, context.settings.estimation), _layout_versions(unit)
+    found, left_out, digests = [], Counter[ReasonCode](), dict[tuple[str, str], str]()
+    for one in known:
+        pair = one.found.vehicle, one.found.wheelset
+        if pair not in digests:
+            assumed = classes.assumed(*pair)
+            digests[pair] = (
+                "" if isinstance(assumed, Reason) else assumed_digest(assumed, context.settings.signatures, layouts)
+            )
+        finite = tuple(item for item in one.found.signatures if item.finite)
+        if digests[pair] != one.found.assumed:
+            left_out[ReasonCode.SAMPLES_PURGED] += 1
+        elif not finite:
+            left_out[ReasonCode.NOT_FINITE] += 1
+        else:
+            found.append(replace(one, found=replace(one.found, signatures=finite)))
+    return found, left_out
 
 
 def _layout_versions(unit: UnitOfWork) -> dict[str, int | None]:
