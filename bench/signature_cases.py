@@ -191,11 +191,23 @@ def measured(
     )
 
 
-def entries(passes: Sequence[Pass], rng: np.random.Generator, label_std: float = LABEL_STD) -> list[LibraryEntry]:
-    """Return the library of passes, with conicities on file that are off by so much per wheelset."""
-    labels = {one.wheelset.serial: one.wheelset.conicity + label_std * rng.standard_normal() for one in passes}
+def entries(
+    passes: Sequence[Pass],
+    rng: np.random.Generator,
+    label_std: float = LABEL_STD,
+    source: ConicitySource = ConicitySource.MEASURED_PROFILES,
+) -> list[LibraryEntry]:
+    """Return the library of passes, with conicities on file that are off by so much.
+
+    Measured profiles are off wheelset by wheelset; of the variance of estimates half is the same of all.
+    """
+    own = 1.0 if source is ConicitySource.MEASURED_PROFILES else float(np.sqrt(0.5))
+    common = label_std * float(np.sqrt(1.0 - own**2)) * float(rng.standard_normal())
+    labels = {
+        one.wheelset.serial: one.wheelset.conicity + common + own * label_std * rng.standard_normal() for one in passes
+    }
     return [
-        LibraryEntry(signature, 0, float(labels[one.wheelset.serial]), label_std, ConicitySource.GEOMETRY)
+        LibraryEntry(signature, 0, float(labels[one.wheelset.serial]), label_std, source)
         for one in passes
         for signature in one.signatures
     ]

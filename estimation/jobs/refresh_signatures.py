@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.jobs.isolation import Isolation
@@ -30,6 +30,7 @@ from estimation.values.quantities import Estimate
 from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import (
+    NO_PAIR,
     AxlePosition,
     DesignPair,
     KnownSignatures,
@@ -94,7 +95,7 @@ def _judge(context: JobContext, isolation: Isolation) -> Mapping[str, int]:
         reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
         known, without = usable(unit, context, unit.signatures.known())
         made, answered = reader.entries(known), unit.signatures.answered()
-        subjects = _subjects(reader, known, context.settings.signatures.most_mileage_km)
+        subjects = _subjects(reader, known, answered, context.settings.signatures.most_mileage_km)
         geometries = {
             serial: _geometry(unit.geometries.current(serial), one.baseline) for serial, one in subjects.items()
         }
@@ -162,19 +163,21 @@ def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: Signa
     return _Shelf(libraries, changes, dict(left_out), retired, _sha(repr(lines)))
 
 
-def _subjects(reader: EntryReader, known: Sequence[KnownSignatures], most_km: float) -> dict[str, _Subject]:
-    """Return who is judged, by serial: every wheelset that has signatures."""
-    of_wheelset: dict[str, list[KnownSignatures]] = defaultdict(list)
+def _subjects(
+    reader: EntryReader, known: Sequence[KnownSignatures], answered: Collection[str], most_km: float
+) -> dict[str, _Subject]:
+    """Return who is judged, by serial: every wheelset that has signatures, or had some when it was judged last."""
+    of_wheelset: dict[str, list[KnownSignatures]] = {serial: [] for serial in answered}
     for one in known:
-        of_wheelset[one.found.wheelset].append(one)
+        of_wheelset.setdefault(one.found.wheelset, []).append(one)
     found = {}
-    for serial, mine in of_wheelset.items():
+    for serial, mine in sorted(of_wheelset.items()):
         last = reader.lives(serial)[-1]
         now = [one for one in mine if one.found.start_ns >= last.from_ns]
         newest = now[-1] if now else None
         near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-NEWEST:]
         kind = _kind(near[-1]) if near else None
-        pair = reader.pair(mine[-1])
+        pair = reader.pair(mine[-1]) if mine else NO_PAIR
         chosen = [one for one in near if _kind(one) == kind and reader.pair(one) == pair]
         found[serial] = _Subject(
             wheelset=serial,

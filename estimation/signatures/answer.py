@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid
+from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid, outside
 from estimation.signatures.library import Library
 from estimation.signatures.mixed_model import Likelihood, Rows, level_of, likelihood
 from estimation.signatures.parameters import SignatureParameters
@@ -26,7 +26,6 @@ from estimation.values.signatures import (
 )
 
 SHOWN = 10  # entries that an answer names
-RARE = 0.02  # most probability outside what the library covers
 
 
 def judged(
@@ -129,8 +128,7 @@ def _other_track(level: float, library: Library, places: int) -> Reason | None:
 def _outside(found: Likelihood, library: Library, parameters: SignatureParameters) -> Reason | None:
     """Return that the conicity may be one that the library does not cover."""
     low, high = library.conicity[0] - parameters.margin, library.conicity[1] + parameters.margin
-    beyond = (found.conicity < low) | (found.conicity > high)
-    if float(found.posterior[beyond].sum()) <= RARE:
+    if not outside(found, library.conicity, parameters.margin):
         return None
     text = f"the signature is like that of a conicity outside {low:.2f} to {high:.2f}, which the library covers"
     return Reason(ReasonCode.NOT_IN_LIBRARY, text)

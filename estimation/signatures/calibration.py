@@ -6,14 +6,15 @@ file. The factor is near 1 beforehand, and how near the errors show: its posteri
 once, and the interval is that of the mixture over it (A. Gelman and others, "Bayesian Data Analysis", 2013, chapter 3).
 
 What is on file of different wheelsets may have errors in common, such as that of a class's creep coefficients in all
-geometries. These do not show in the differences, and all answers have them. So the variance on file is parted: as much
-as the differences show, at most all of it, is of each wheelset alone; the rest is taken to be common.
+geometries. These do not show in the differences, and all answers have them (``library.Library.shared_std``). Of the
+variances of measured profiles no more is taken to be of each wheelset alone than the differences show.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import stats
@@ -32,6 +33,7 @@ MOST_ANSWERS = 240  # that a factor is made from: more would cost more, and say 
 GRID = 0.002  # of conicity
 FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
 FACTORS = np.exp(np.linspace(-1.2, 1.2, 97))  # that are tried
+RARE = 0.02  # most probability outside what a library covers
 NOVEL = 0.999  # quantile of the distances, by their logarithms, from which on a signature is novel
 
 
@@ -71,7 +73,9 @@ def calibrated(
         What a library must hold.
     """
     apart = _folds(rows, groups)
-    found: dict[Basis, Calibration | Reason] = {Basis.SAME_PLACES: _of(_judged(rows, std, apart, Basis.SAME_PLACES))}
+    found: dict[Basis, Calibration | Reason] = {
+        Basis.SAME_PLACES: _of(_judged(rows, std, apart, Basis.SAME_PLACES, parameters.margin))
+    }
     sections = len(np.unique(rows.section))
     if sections < parameters.least_sections:
         found[Basis.OTHER_PLACES] = Reason(
@@ -80,26 +84,31 @@ def calibrated(
             f" how sections differ; {parameters.least_sections} are needed",
         )
     else:
-        found[Basis.OTHER_PLACES] = _of(_judged(rows, std, apart, Basis.OTHER_PLACES))
+        found[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES))
     return found
 
 
-def share_apart(rows: Rows, std: FloatArray, groups: Sequence[frozenset[str]]) -> float:
-    """Return the share of the variances on file that is of each wheelset alone, by what the differences show, 0 to 1.
+def share_apart(rows: Rows, std: FloatArray, groups: Sequence[frozenset[str]], margin: float) -> float:
+    """Return the share of variances that is of each wheelset alone, by what the differences show, 0 to 1.
 
     Parameters
     ----------
     rows
         Entries, whose conicities are those on file.
     std
-        (n,) of the known conicities.
+        (n,) of the known conicities; zero where nothing of it may be.
     groups
         As in :func:`calibrated`.
+    margin
+        As in :func:`outside`.
     """
-    found = list(_judged(rows, std, _folds(rows, groups), Basis.SAME_PLACES))
-    claimed = float(np.mean(_by_wheelset(found, [one.on_file_std**2 for one in found]))) if found else 0.0
-    if claimed == 0.0:
+    if not std.any():
         return 1.0
+    judged = _judged(rows, std, _folds(rows, groups), Basis.SAME_PLACES, margin)
+    found = [one for one in judged if one.on_file_std > 0.0]
+    if not found:
+        return 0.0
+    claimed = float(np.mean(_by_wheelset(found, [one.on_file_std**2 for one in found])))
     seen = _by_wheelset(found, [one.error for one in found]) ** 2
     return min(1.0, float(np.mean(seen)) / claimed)
 
@@ -130,20 +139,42 @@ def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
     return [rank % count == number for number in range(count)]
 
 
-def _judged(rows: Rows, std: FloatArray, apart: Sequence[BoolArray], basis: Basis) -> Iterator[_Judged]:
-    """Yield how well wheelsets are judged, section by section, by those that share nothing with them."""
+def outside(found: Likelihood, known: tuple[float, float], margin: float) -> bool:
+    """Return whether the conicity may be one that a library does not cover: then it says nothing.
+
+    Parameters
+    ----------
+    found
+        Of the judged wheelset.
+    known
+        Least and largest conicity of the library.
+    margin
+        By which an answer may be outside them.
+    """
+    beyond = (found.conicity < known[0] - margin) | (found.conicity > known[1] + margin)
+    return float(found.posterior[beyond].sum()) > RARE
+
+
+def _judged(rows: Rows, std: FloatArray, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
+    """Yield how well wheelsets are judged, section by section, by those that share nothing with them.
+
+    Those of which nothing would be said are left out.
+    """
     tasks = [task for left_out in apart for task in _tasks(rows, left_out, basis) if task[0].any() and task[1].any()]
     each = -(-MOST_ANSWERS // max(len(tasks), 1))
     for taught, asked in tasks:
         model = fitted(rows.chosen(np.flatnonzero(taught)))
         known = np.unique(rows.place[taught])
-        grid = conicity_grid(rows.conicity[taught], 2 * GRID + float(np.ptp(rows.conicity)))
+        ends = float(rows.conicity[taught].min()), float(rows.conicity[taught].max())
+        grid = conicity_grid(rows.conicity[taught], margin)
         if basis is Basis.SAME_PLACES:
             asked = asked & np.isin(rows.place, known)  # noqa: PLW2901 - where the library has the place
         for wheelset, which in _spread(rows, asked, each):
             mine = rows.chosen(which)
             at = np.searchsorted(known, mine.place) if basis is Basis.SAME_PLACES else None
-            yield _score(likelihood(model, mine, at, grid), mine, float(np.mean(std[which])), wheelset)
+            found = likelihood(model, mine, at, grid)
+            if not outside(found, ends, margin):
+                yield _score(found, mine, float(np.mean(std[which])), wheelset)
 
 
 def _spread(rows: Rows, asked: BoolArray, most: int) -> Iterator[tuple[int, IntArray]]:

@@ -11,9 +11,9 @@ from estimation.signatures.calibration import Calibration, calibrated, share_apa
 from estimation.signatures.families import sharers
 from estimation.signatures.mixed_model import MixedModel, Rows, fitted
 from estimation.signatures.parameters import SignatureParameters
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import AxlePosition, Basis, LibraryEntry, Place
+from estimation.values.signatures import AxlePosition, Basis, ConicitySource, LibraryEntry, Place
 
 LEVEL_MARGIN = 0.2  # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
 NEAR = 0.03  # of conicity, within which what is on file counts for an answer
@@ -32,7 +32,7 @@ class Library:
     conicity: tuple[float, float]  # least and largest
     speed: tuple[float, float]  # m/s
     calibration: Mapping[Basis, Calibration | Reason]
-    shared: float  # of the errors of the conicities on file: share of their std that they may have in common
+    shared: FloatArray  # (n,) std of what the conicities on file may be off by in common
 
     @property
     def wheelsets(self) -> int:
@@ -68,12 +68,9 @@ class Library:
         conicity
             Of an answer.
         """
-        if self.shared == 0.0:
-            return 0.0
-        std = np.array([entry.std for entry in self.entries])
         apart = np.array([entry.conicity for entry in self.entries]) - conicity
         near = np.exp(-0.5 * (apart / NEAR) ** 2) + np.finfo(np.float64).tiny
-        return self.shared * max(float(std.mean()), float(near @ std / near.sum()))
+        return max(float(self.shared.mean()), float(near @ self.shared / near.sum()))
 
 
 def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> Library | Reason:
@@ -101,9 +98,9 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
             f" {parameters.least_spread:g} is needed",
         )
     groups = [sharers(entry) for entry in ordered]
-    std = np.array([entry.std for entry in ordered])
-    apart = share_apart(rows_of(ordered, 0.0), std, groups)
-    rows = rows_of(ordered, apart)
+    std, own = np.array([entry.std for entry in ordered]), _own_std(ordered)
+    own = np.sqrt(share_apart(rows_of(ordered, 0.0 * own), own, groups, parameters.margin)) * own
+    rows = rows_of(ordered, own)
     places = {place: number for number, place in enumerate(sorted({_place(entry) for entry in ordered}))}
     sections = {code: number for number, code in enumerate(sorted({place.section for place in places}))}
     speeds = [entry.signature.speed for entry in ordered]
@@ -117,12 +114,20 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
         model=fitted(rows),
         conicity=(min(known), max(known)),
         speed=(min(speeds), max(speeds)),
-        calibration=calibrated(rows, np.sqrt(apart) * std, groups, parameters),
-        shared=float(np.sqrt(1.0 - apart)),
+        calibration=calibrated(rows, own, groups, parameters),
+        shared=frozen_array(np.sqrt(np.maximum(std**2 - own**2, 0.0)), (None,), name="shared"),
     )
 
 
-def rows_of(entries: Sequence[LibraryEntry], apart: float = 1.0) -> Rows:
+def _own_std(entries: Sequence[LibraryEntry]) -> FloatArray:
+    """Return the std (n,) of the errors on file that are of each wheelset alone.
+
+    Those of measured profiles are. Those of geometries rest on one class, one survey and one set of filters.
+    """
+    return np.array([entry.std if entry.source is ConicitySource.MEASURED_PROFILES else 0.0 for entry in entries])
+
+
+def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:
     """Return entries as arrays, their conicities shrunk by what their own errors add to their spread.
 
     A regressor with errors flattens a regression; what is expected of the true conicity, given the known one, does not
@@ -132,14 +137,14 @@ def rows_of(entries: Sequence[LibraryEntry], apart: float = 1.0) -> Rows:
     ----------
     entries
         With places.
-    apart
-        Share of the variances of the known conicities that is of each wheelset alone.
+    own
+        (n,) std of the errors of the known conicities that are of each wheelset alone.
     """
     names = sorted({entry.wheelset for entry in entries})
     places = sorted({_place(entry) for entry in entries})
     sections = sorted({place.section for place in places})
     known = np.array([entry.conicity for entry in entries])
-    expected, variance = _expected(known, np.sqrt(apart) * np.array([entry.std for entry in entries]))
+    expected, variance = _expected(known, own)
     return Rows(
         powers=np.stack([entry.signature.powers for entry in entries]),
         conicity=expected,

@@ -41,6 +41,8 @@ class MixedModel:
     passes: FloatArray  # (p,) entries behind each
     rest: FloatArray
     of_wheelset: FloatArray
+    of_fit: FloatArray  # of wheelsets with what the errors of their conicities add: what the response is fitted to
+    leverage: FloatArray  # (3, 3) of 1, and logarithm of the conicity and its square, by wheelset
     of_place: FloatArray  # of places of one section
     of_section: FloatArray
 
@@ -51,7 +53,8 @@ class MixedModel:
         object.__setattr__(self, "of_level", frozen_array(self.of_level, (f,), name="of_level"))
         object.__setattr__(self, "places", frozen_array(self.places, (None, f), name="places"))
         object.__setattr__(self, "passes", frozen_array(self.passes, (len(self.places),), name="passes"))
-        for name in ("rest", "of_wheelset", "of_place", "of_section"):
+        object.__setattr__(self, "leverage", frozen_array(self.leverage, (3, 3), name="leverage"))
+        for name in ("rest", "of_wheelset", "of_fit", "of_place", "of_section"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (f, f), name=name))
 
     @property
@@ -170,9 +173,22 @@ def fitted(rows: Rows) -> MixedModel:
         passes=np.bincount(place).astype(np.float64),
         rest=of_rest,
         of_wheelset=_less(of_own, float(rows.variance.mean()) * np.outer(response[0], response[0])),
+        of_fit=of_own,
+        leverage=_leverage(rows.conicity, wheelset),
         of_place=_less(of_place, of_rest * _of_means(place)),
         of_section=_less(of_section, of_place * _of_means(section)),
     )
+
+
+def _leverage(conicity: FloatArray, wheelset: IntArray) -> FloatArray:
+    """Return the covariance (3, 3) of a fit to one value of each wheelset, over the variance of these."""
+    terms_of = _bent(_means(conicity[:, None], wheelset)[:, 0])
+    return np.asarray(np.linalg.pinv(terms_of.T @ terms_of))
+
+
+def _bent(conicity: FloatArray) -> FloatArray:
+    c = np.log(conicity / CONICITY)
+    return np.stack([np.ones_like(c), c, c * c], axis=-1)
 
 
 def _response(rows: Rows, place: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -292,5 +308,13 @@ def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: 
         shares = np.bincount(known, minlength=len(model.passes)) / n
         covariance = covariance + model.rest * float(np.sum(shares**2 / model.passes))
     expected = expected + (base[:, 0] * level)[:, None] * model.response[TERMS] + track
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (features - expected).T)
-    return Likelihood(conicity, np.sum(whitened**2, axis=0))
+    difference = (features - expected).T
+    nearest = _distances(covariance, difference).argmin()
+    term = _bent(conicity[nearest : nearest + 1])[0]
+    covariance = covariance + float(term @ model.leverage @ term) * model.of_fit
+    return Likelihood(conicity, _distances(covariance, difference))
+
+
+def _distances(covariance: FloatArray, difference: FloatArray) -> FloatArray:
+    """Return the squared Mahalanobis distances (k,) of differences (f, k)."""
+    return np.asarray(np.sum(np.linalg.solve(np.linalg.cholesky(covariance), difference) ** 2, axis=0))

@@ -52,7 +52,7 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
     """
     if not entries:
         return Current((), (), ())
-    rows = rows_of(entries)
+    rows = rows_of(entries, np.zeros(len(entries)))
     model, tracks = fitted(rows), track_effects(rows)
     by_place: dict[Place, list[int]] = defaultdict(list)
     for number, entry in enumerate(entries):
