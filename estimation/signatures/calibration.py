@@ -73,9 +73,8 @@ def calibrated(
         What a library must hold.
     """
     apart = _folds(rows, groups)
-    found: dict[Basis, Calibration | Reason] = {
-        Basis.SAME_PLACES: _of(_judged(rows, std, apart, Basis.SAME_PLACES, parameters.margin))
-    }
+    judged = partial(_judged, rows, std, apart, margin=parameters.margin)
+    found: dict[Basis, Calibration | Reason] = {Basis.SAME_PLACES: _of(judged(basis=Basis.SAME_PLACES))}
     sections = len(np.unique(rows.section))
     if sections < parameters.least_sections:
         found[Basis.OTHER_PLACES] = Reason(
