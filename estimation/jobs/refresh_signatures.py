@@ -151,16 +151,20 @@ def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: Signa
         entries[kind] = found.entries
         changes.update({(kind, change.place): change for change in found.changes})
         retired += len(found.retired)
-    lines = sorted(
-        (one.wheelset, one.signature.start_ns, one.signature.order, one.conicity, one.std)
-        for kept in entries.values()
-        for one in kept
-    )
+    libraries = Libraries([entry for kept in entries.values() for entry in kept], parameters)
     left_out = Counter(made.left_out) + Counter(without)
     if retired:
         left_out[ReasonCode.SECTION_CHANGED] += retired
-    libraries = Libraries([entry for kept in entries.values() for entry in kept], parameters)
-    return _Shelf(libraries, changes, dict(left_out), retired, _sha(repr(lines)))
+    return _Shelf(libraries, changes, dict(left_out), retired, _sha(repr(sorted(map(_line, libraries.entries)))))
+
+
+def _line(entry: LibraryEntry) -> str:
+    """Return all of an entry."""
+    one = entry.signature
+    spectra = hashlib.sha256(one.spectra.tobytes()).hexdigest()
+    about = (one.wheelset, one.start_ns, one.order, one.vehicle_class, one.position, one.place, one.speed)
+    known = (entry.baseline, entry.conicity, entry.std, entry.source, entry.shares_data, entry.pair)
+    return repr((about, known, spectra))
 
 
 def _subjects(

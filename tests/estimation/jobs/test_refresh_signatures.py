@@ -186,14 +186,15 @@ def test_entries_of_another_class_teach_nothing_and_its_wheelsets_have_no_librar
 
 
 def test_entries_of_track_that_was_tamped_since_are_retired(ran: Ran) -> None:
-    """The two vehicles that ran first saw another track on two stretches than the last one, by half of its power."""
+    """The two vehicles that ran first saw another track on two stretches than the last one."""
     earlier = {f"W{number:02d}" for number in range(8)}
 
-    def rougher(one: Signature) -> Signature:
+    def of_old_track(one: Signature) -> Signature:
         worked_on = one.place is not None and one.place.cell in {3, 4}
-        return replace(one, spectra=3.0 * one.spectra) if worked_on else one
+        factor = np.exp(np.linspace(-2.0, 2.0, len(one.spectra)))[:, None]
+        return replace(one, spectra=factor * one.spectra) if worked_on else one
 
-    with stored_otherwise(ran, rougher, earlier) as counts:
+    with stored_otherwise(ran, of_old_track, earlier) as counts:
         assert counts["retired"] > 0, counts
         record = answer(ran[0], "W11")
         assert record.left_out["section_changed"] == counts["retired"]
