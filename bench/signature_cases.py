@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -51,6 +49,10 @@ PAIRS = {
 }
 DAY_NS = 86_400_000_000_000
 POSITION_STD = 10.0  # m, of a run
+
+
+class LeftTableError(RuntimeError):
+    """A simulated wheelset moved farther than its contact table goes: its motion is not that of its wheels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +160,7 @@ def window_of(
     course = speed * (1 + 0.04 * np.sin(2 * np.pi * t / rng.uniform(60, 200) + rng.uniform(0, 6)))
     motion = simulate_wheelset(runs.vehicle, runs.table, track, np.asarray(course), BEGIN)
     if motion.outside:
-        raise RuntimeError(f"{runs.serial} left its contact table {motion.outside} times")
+        raise LeftTableError(f"{runs.serial} left its contact table {motion.outside} times")
     return measured(motion, runs.serial, section, rng, start_ns, placed=placed)
 
 
@@ -214,18 +216,6 @@ def entries(
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """What a fleet of one seed runs."""
-
-    teachers: int = 28
-    judged: int = 14
-    sections: int = 6
-    others: int = 3  # sections that the library does not have
-    speeds: tuple[tuple[float, float], ...] = ((14.0, 20.0),)  # of the library, m/s, one range a run
-    asked: tuple[float, float] = (14.0, 20.0)  # of the judged wheelsets
-
-
-@dataclass(frozen=True, slots=True)
 class SimulatedFleet:
     """Passes that teach, and passes of other wheelsets over the same and over other sections."""
 
@@ -233,56 +223,6 @@ class SimulatedFleet:
     same: tuple[Pass, ...]
     other: tuple[Pass, ...]
     tracks: dict[str, TrackTruth] = field(default_factory=dict)
-
-
-def fleet(plan: Plan, seed: int) -> SimulatedFleet:
-    """Run a fleet."""
-    rng = np.random.default_rng([seed, 77])
-    known, unknown = tracks(plan.sections, seed), tracks(plan.others, seed, plan.sections)
-
-    def passes(
-        who: Sequence[Wheelset], where: dict[str, TrackTruth], ranges: Sequence[tuple[float, float]]
-    ) -> list[Pass]:
-        return [
-            run(one, code, track, float(rng.uniform(*limits)), rng, DAY_NS * int(rng.integers(1, 300)))
-            for one in who
-            for code, track in where.items()
-            for limits in ranges
-        ]
-
-    teachers, asked = wheelsets(plan.teachers, "T", rng), wheelsets(plan.judged, "J", rng)
-    return SimulatedFleet(
-        tuple(passes(teachers, known, plan.speeds)),
-        tuple(passes(asked, dict(list(known.items())[: plan.others]), [plan.asked])),
-        tuple(passes(asked, unknown, [plan.asked])),
-        known,
-    )
-
-
-TAMPED_FROM = 1500.0  # m of a section, from where on its track is another
-
-
-def retracked(made: SimulatedFleet, seed: int, count: int = 14) -> tuple[list[Pass], set[Place]]:
-    """Return passes over two sections before and after half of one was tamped, and the stretches that were.
-
-    The first runs are those of the library; the second are a year later.
-    """
-    rng = np.random.default_rng([seed, 31])
-    code, other = list(made.tracks)[:2]
-    track = made.tracks[code]
-    fresh = make_track(TrackRecipe(length=LENGTH, alignment_std=0.9e-3), np.random.SeedSequence([seed, 32]))
-    share = np.clip((track.s - TAMPED_FROM) / 50.0, 0.0, 1.0)
-    tamped = replace(track, alignment=(1 - share) * track.alignment + share * fresh.alignment)
-    runs = list({one.wheelset.serial: one.wheelset for one in made.teaching}.values())[:count]
-    serials = {one.serial for one in runs}
-    passes = [one for one in made.teaching if one.section in {code, other} and one.wheelset.serial in serials]
-    for number, runner in enumerate(runs):
-        for section, rails in ((code, tamped), (other, made.tracks[other])):
-            at_ns = (365 + number) * DAY_NS
-            passes.append(run(runner, section, rails, float(rng.uniform(14, 20)), rng, at_ns))
-    places = {item.place for one in passes for item in one.signatures if item.place is not None}
-    size = SignatureParameters().cell
-    return passes, {one for one in places if one.section == code and one.cell * size >= TAMPED_FROM}
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,31 +234,3 @@ class Simulated:
     profiles: tuple[Pass, ...]  # wheels of other profiles
     retracked: tuple[Pass, ...]
     tamped: frozenset[Place]
-
-
-SPEEDS = Plan(sections=3, others=2, teachers=21, judged=7, speeds=((14.0, 16.0), (18.0, 20.0)), asked=(16.5, 17.5))
-S1002_DEPTHS = (0.1e-3, 0.5e-3, 0.9e-3)  # m, wheels of other profiles
-
-
-def simulated(seed: int, folder: Path | None = None) -> Simulated:
-    """Return the passes of a seed: from ``folder`` where it has them, else simulated, and kept there."""
-    file = None if folder is None else folder / f"signatures-{seed}.pickle"
-    if file is not None and file.exists():
-        kept: Simulated = pickle.loads(file.read_bytes())  # noqa: S301 - written by the lines below
-        return kept
-    made = fleet(Plan(), seed)
-    rng = np.random.default_rng([seed, 21])
-    others = [wheelset(f"X{n}", depth, 0, rng, WearFamily.S1002_ON_60E1) for n, depth in enumerate(S1002_DEPTHS)]
-    code, track = next(iter(made.tracks.items()))
-    profiles = tuple(run(one, code, track, float(rng.uniform(15, 19)), rng) for one in others)
-    passes, tamped = retracked(made, seed)
-    found = Simulated(_bare(made), _bare(fleet(SPEEDS, seed)), profiles, tuple(passes), frozenset(tamped))
-    if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(pickle.dumps(found))
-    return found
-
-
-def _bare(made: SimulatedFleet) -> SimulatedFleet:
-    """Return a fleet without its tracks, which are large."""
-    return replace(made, tracks={})

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,20 +20,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bench.report import BenchRow
 from bench.results_page import markdown_table, write_page
-from bench.signature_cases import (
-    CONDITIONS,
-    Pass,
-    Plan,
-    Simulated,
-    SimulatedFleet,
-    entries,
-    simulated,
-)
-from bench.signature_cost import EACH, WHEELSETS, cost
+from bench.signature_cases import CONDITIONS, LeftTableError, Pass, Simulated, SimulatedFleet, entries
+from bench.signature_cost import cost
+from bench.signature_fleets import Plan, simulated
 from bench.signature_pipeline import KINDS, judged_by_the_product
 from bench.signature_rivals import trained
+from bench.signature_table import rows_of, summary
 from bench.world import seed_range
 from estimation.signatures.answer import judged, most_likely
 from estimation.signatures.library import Library, library
@@ -44,7 +37,6 @@ from estimation.values.signatures import ConicitySource, Signature
 
 TITLE = "Library of wear signatures"
 COLUMNS = ("what", "measured", "reach", "met")
-ON_FILE = {"measured": "measured profiles (std 0.003)", "estimated": "estimates (std 0.01, half of it in common)"}
 MEASURED_STD, ESTIMATED_STD = 0.003, 0.01  # of the conicities on file: measured profiles, estimates
 
 
@@ -55,9 +47,14 @@ def main(arguments: Sequence[str]) -> int:
     cases: list[dict[str, Any]] = json.loads(options.out.read_text()) if options.resume and options.out.exists() else []
     for seed in options.seeds:
         if all(case["seed"] != seed for case in cases):
-            cases.append(case_of(simulated(seed, options.fleets), seed))
+            try:
+                made = simulated(seed, options.fleets)
+            except LeftTableError as error:
+                console.print(f"seed {seed} is left out: {error}", highlight=False)
+                continue
+            cases.append(case_of(made, seed))
             if seed in options.product_seeds:
-                cases[-1] |= {"product": _product_case(seed), "cost": cost(simulated(seed, options.fleets).main)}
+                cases[-1] |= {"product": _product_case(seed), "cost": cost(made.main)}
             options.out.write_text(json.dumps(cases), encoding="utf-8")
             console.print(f"seed {seed}: {_line(cases[-1])}", highlight=False)
     rows = list(summary(cases))
@@ -180,137 +177,8 @@ def _retired(passes: Simulated, seed: int) -> dict[str, int]:
     }
 
 
-def summary(cases: Sequence[Mapping[str, Any]]) -> Iterator[BenchRow]:
-    """Yield the rows."""
-    names = {"same": "unseen wheelsets", "other": "unseen wheelsets on unseen sections", "unplaced": "no position"}
-    for kind, on_file in ON_FILE.items():
-        for place, name in names.items():
-            yield from _rows_of(cases, kind, place, f"{name}, library of {on_file}")
-    for place in ("same", "other"):
-        yield _errors(_pooled(cases, "speeds", place), f"other speeds, {names[place]}: conicity")
-    for kind in ON_FILE:
-        yield _seen_states(cases, kind)
-    for rival in cases[0]["rivals"] if cases else ():
-        yield _rival_row(cases, rival)
-    yield _profiles_row(cases)
-    yield _retired_row(cases)
-    yield from _product_rows(cases)
-    yield from _cost_rows(cases)
-
-
-def _pooled(cases: Sequence[Mapping[str, Any]], *keys: str) -> list[dict[str, Any]]:
-    found = []
-    for case in cases:
-        value: Any = case
-        for key in keys:
-            value = value[key]
-        found += value
-    return found
-
-
-def _rows_of(cases: Sequence[Mapping[str, Any]], kind: str, place: str, name: str) -> Iterator[BenchRow]:
-    answers = _pooled(cases, kind, place)
-    known = [one for one in answers if "value" in one]
-    right = np.mean([one["state"] == one["condition"] for one in known])
-    reach = {("measured", "same"): 0.99, ("measured", "other"): 0.95}.get((kind, place))
-    yield BenchRow(
-        f"{name}: seven conditions",
-        f"{100 * right:.1f} % of {len(known)} right; {len(answers) - len(known)} of {len(answers)} not answered",
-        "shown" if reach is None else f">= {100 * reach:.0f} %",
-        reach is None or bool(right >= reach),
-    )
-    yield _errors(answers, f"{name}: conicity")
-    covered = np.mean([one["low"] <= one["truth"] <= one["high"] for one in known])
-    yield BenchRow(
-        f"{name}: coverage", f"{100 * covered:.1f} % of {len(known)}", "92-98 %", bool(0.92 <= covered <= 0.98)
-    )
-
-
-def _errors(answers: Sequence[Mapping[str, Any]], what: str) -> BenchRow:
-    errors = np.array([abs(one["value"] - one["truth"]) for one in answers if "value" in one])
-    median, most = np.quantile(errors, [0.5, 0.95])
-    text = (
-        f"median error {median:.4f}, 95th percentile {most:.4f}; {len(answers) - len(errors)} of {len(answers)} refused"
-    )
-    return BenchRow(what, text, "0.05", bool(most <= 0.05))
-
-
-def _seen_states(cases: Sequence[Mapping[str, Any]], kind: str) -> BenchRow:
-    known = [one for one in _pooled(cases, kind, "product states") if "value" in one]
-    claimed, right = (float(np.mean([one[key] for one in known])) for key in ("claimed", "right"))
-    return BenchRow(
-        f"probability of the most likely of the product's states, library of {ON_FILE[kind]}",
-        f"claimed {100 * claimed:.1f} %, right {100 * right:.1f} % of {len(known)}",
-        "within 5 %",
-        abs(claimed - right) <= 0.05,
-    )
-
-
-def _product_rows(cases: Sequence[Mapping[str, Any]]) -> Iterator[BenchRow]:
-    """Yield what comes of fleets that go through the whole product, taught by their own geometries."""
-    for kind, name in KINDS.items():
-        answers = [one for case in cases for one in case.get("product", {}).get(kind, [])]
-        known = [one for one in answers if "value" in one]
-        if not known:
-            continue
-        errors = np.abs([one["value"] - one["truth"] for one in known])
-        covered = float(np.mean([one["low"] <= one["truth"] <= one["high"] for one in known]))
-        text = (
-            f"median error {np.median(errors):.4f}, 95th percentile {np.quantile(errors, 0.95):.4f};"
-            f" {100 * covered:.1f} % of {len(known)} covered;"
-            f" {sum(one['disagrees'] for one in known)} called different from the geometry;"
-            f" {len(answers) - len(known)} of {len(answers)} refused"
-        )
-        yield BenchRow(f"through the product, taught by geometries: {name}", text, ">= 92 % covered", covered >= 0.92)
-
-
-def _cost_rows(cases: Sequence[Mapping[str, Any]]) -> Iterator[BenchRow]:
-    cost = cases[-1].get("cost") if cases else None
-    if cost is None:
-        return
-    yield BenchRow(
-        "cost of signatures, per wheelset and hour of samples", f"{cost['signing']:.2f} CPU s", "shown", met=True
-    )
-    text = f"{cost['shared']:.1f} CPU s; with a library for each wheelset it would be {cost['apart']:.0f}"
-    what = f"cost of judging {WHEELSETS} wheelsets with {EACH} signatures each after one new window"
-    yield BenchRow(what, text, "<= 10 CPU s", cost["shared"] <= 10.0)
-
-
-def _rival_row(cases: Sequence[Mapping[str, Any]], rival: str) -> BenchRow:
-    parts = []
-    for place in ("same", "other"):
-        pairs = np.array([pair for case in cases for pair in case["rivals"][rival][place]])
-        errors = np.abs(pairs[:, 1] - pairs[:, 0])
-        parts.append(
-            f"{place} sections: median {np.median(errors):.4f}, 95th percentile {np.quantile(errors, 0.95):.4f}"
-        )
-    return BenchRow(
-        f"{rival} on the same features, without places; true conicities on file", "; ".join(parts), "shown", met=True
-    )
-
-
-def _profiles_row(cases: Sequence[Mapping[str, Any]]) -> BenchRow:
-    answers = _pooled(cases, "profiles")
-    known = [one for one in answers if "value" in one]
-    wrong = [one for one in known if not one["low"] <= one["truth"] <= one["high"]]
-    text = f"{len(answers) - len(known)} of {len(answers)} refused; {len(wrong)} answers miss the truth"
-    return BenchRow(
-        "wheels of profiles that the library does not have (S1002 on 60E1)", text, "no answer that misses", not wrong
-    )
-
-
-def _retired_row(cases: Sequence[Mapping[str, Any]]) -> BenchRow:
-    total = {key: sum(case["retired"][key] for case in cases) for key in ("worked_on", "found", "others", "false")}
-    text = (
-        f"{total['found']} of {total['worked_on']} tamped stretches found;"
-        f" {total['false']} of {total['others']} others retired"
-    )
-    met = total["found"] >= 0.95 * total["worked_on"] and total["false"] <= 0.01 * total["others"]
-    return BenchRow("library entries of stretches tamped since", text, ">= 95 % found, <= 1 % false", met)
-
-
 def _line(case: Mapping[str, Any]) -> str:
-    return "; ".join(f"{row.what}: {row.measured}" for row in _rows_of([case], "measured", "same", "seen"))
+    return "; ".join(f"{row.what}: {row.measured}" for row in rows_of([case], "measured", "same", "seen"))
 
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:

@@ -151,12 +151,9 @@ def fitted(rows: Rows) -> MixedModel:
     response, left = _response(rows, place)
     effects = _means(left, place)
     residuals = left - effects[place]
-    wheelsets, wheelset = np.unique(rows.wheelset, return_inverse=True)
-    own = _means(residuals, wheelset)
-    rest = residuals - own[wheelset]
-    freedom = max(len(rest) - len(kept) - len(wheelsets), 1)
-    of_rest = _covariance(rest, freedom)
-    of_own = _less(_covariance(own, max(len(wheelsets) - TERMS, 1)), of_rest * _of_means(wheelset))
+    wheelset = np.unique(rows.wheelset, return_inverse=True)[1]
+    scatter = scatter_of(residuals, wheelset, len(kept))
+    of_rest, of_own = scatter.rest, scatter.of_wheelset
     sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
     mean = _means(effects, section).mean(axis=0)
     level = effects[:, LEVEL] - mean[LEVEL]
@@ -178,6 +175,33 @@ def fitted(rows: Rows) -> MixedModel:
         of_place=_less(of_place, of_rest * _of_means(place)),
         of_section=_less(of_section, of_place * _of_means(section)),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Covariances (f, f) of what is left of features: of wheelsets, and of the rest."""
+
+    of_wheelset: FloatArray
+    rest: FloatArray
+
+
+def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter:
+    """Return how residuals scatter from wheelset to wheelset, and within these.
+
+    Parameters
+    ----------
+    residuals
+        (n, f) of features.
+    wheelset
+        (n,) numbers from 0.
+    means
+        How many means, as those of places, have been taken out.
+    """
+    own = _means(residuals, wheelset)
+    freedom = max(len(residuals) - means - len(own), 1)
+    rest = _covariance(residuals - own[wheelset], freedom)
+    of_means = _covariance(own, max(len(own) - TERMS, 1))
+    return Scatter(_less(of_means, rest * _of_means(wheelset)), rest)
 
 
 def _leverage(conicity: FloatArray, wheelset: IntArray) -> FloatArray:

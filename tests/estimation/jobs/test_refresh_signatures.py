@@ -187,7 +187,7 @@ def test_entries_of_another_class_teach_nothing_and_its_wheelsets_have_no_librar
 
 def test_entries_of_track_that_was_tamped_since_are_retired(ran: Ran) -> None:
     """The two vehicles that ran first saw another track on two stretches than the last one."""
-    earlier = {f"W{number:02d}" for number in range(8)}
+    earlier = {f"W{number:02d}" for number in range(12) if number % 3 != 2}  # the third vehicle ran last
 
     def of_old_track(one: Signature) -> Signature:
         worked_on = one.place is not None and one.place.cell in {3, 4}

@@ -227,6 +227,14 @@ def test_the_section_that_was_tamped_is_found_and_its_old_entries_retired(draw: 
     assert len(found.entries) + len(found.retired) == len(before) + len(after)
 
 
+def test_a_change_is_found_where_it_is_of_half_of_a_small_library(draw: Draw) -> None:
+    """It does not hide in the scatter that it makes itself."""
+    changed = {Place("S0", cell): np.linspace(-0.8, 0.8, 3 * PARAMETERS.bands) for cell in (2, 3)}
+    few = CONICITIES[::2]
+    found = retirement.current([*draw(0, few, 1), *draw(1, few, 1, start_ns=10**6, shift=changed)])
+    assert {one.place for one in found.changes} == set(changed)
+
+
 def test_track_that_was_left_alone_retires_nothing(draw: Draw) -> None:
     retired = 0
     for seed in range(6):
@@ -236,7 +244,7 @@ def test_track_that_was_left_alone_retires_nothing(draw: Draw) -> None:
 
 
 def test_what_decides_retirement_and_novelty_is_where_it_was_measured_to_be() -> None:
-    assert (retirement.LARGEST, retirement.LEAST_PASSES) == (2.5, 3)
+    assert (retirement.LARGEST, retirement.LEAST_PASSES, retirement.ROUNDS) == (5.5, 3, 2)
     assert (calibration.NOVEL, calibration.COVERAGE) == (0.999, 0.95)
 
 
