@@ -51,6 +51,10 @@ DAY_NS = 86_400_000_000_000
 POSITION_STD = 10.0  # m, of a run
 
 
+class LeftTableError(RuntimeError):
+    """A simulated wheelset moved farther than its contact table goes: its motion is not that of its wheels."""
+
+
 @dataclass(frozen=True, slots=True)
 class Wheelset:
     """A simulated wheelset."""
@@ -156,7 +160,7 @@ def window_of(
     course = speed * (1 + 0.04 * np.sin(2 * np.pi * t / rng.uniform(60, 200) + rng.uniform(0, 6)))
     motion = simulate_wheelset(runs.vehicle, runs.table, track, np.asarray(course), BEGIN)
     if motion.outside:
-        raise RuntimeError(f"{runs.serial} left its contact table {motion.outside} times")
+        raise LeftTableError(f"{runs.serial} left its contact table {motion.outside} times")
     return measured(motion, runs.serial, section, rng, start_ns, placed=placed)
 
 
@@ -189,26 +193,26 @@ def measured(
     )
 
 
-def entries(passes: Sequence[Pass], rng: np.random.Generator, label_std: float = LABEL_STD) -> list[LibraryEntry]:
-    """Return the library of passes, with conicities on file that are off by so much per wheelset."""
-    labels = {one.wheelset.serial: one.wheelset.conicity + label_std * rng.standard_normal() for one in passes}
+def entries(
+    passes: Sequence[Pass],
+    rng: np.random.Generator,
+    label_std: float = LABEL_STD,
+    source: ConicitySource = ConicitySource.MEASURED_PROFILES,
+) -> list[LibraryEntry]:
+    """Return the library of passes, with conicities on file that are off by so much.
+
+    Measured profiles are off wheelset by wheelset; of the variance of estimates half is the same of all.
+    """
+    own = 1.0 if source is ConicitySource.MEASURED_PROFILES else float(np.sqrt(0.5))
+    common = label_std * float(np.sqrt(1.0 - own**2)) * float(rng.standard_normal())
+    labels = {
+        one.wheelset.serial: one.wheelset.conicity + common + own * label_std * rng.standard_normal() for one in passes
+    }
     return [
-        LibraryEntry(signature, 0, float(labels[one.wheelset.serial]), label_std, ConicitySource.GEOMETRY)
+        LibraryEntry(signature, 0, float(labels[one.wheelset.serial]), label_std, source)
         for one in passes
         for signature in one.signatures
     ]
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """What a fleet of one seed runs."""
-
-    teachers: int = 28
-    judged: int = 14
-    sections: int = 6
-    others: int = 3  # sections that the library does not have
-    speeds: tuple[tuple[float, float], ...] = ((14.0, 20.0),)  # of the library, m/s, one range a run
-    asked: tuple[float, float] = (14.0, 20.0)  # of the judged wheelsets
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,51 +225,12 @@ class SimulatedFleet:
     tracks: dict[str, TrackTruth] = field(default_factory=dict)
 
 
-def fleet(plan: Plan, seed: int) -> SimulatedFleet:
-    """Run a fleet."""
-    rng = np.random.default_rng([seed, 77])
-    known, unknown = tracks(plan.sections, seed), tracks(plan.others, seed, plan.sections)
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """All passes of one seed; what is judged by which library is decided afterwards."""
 
-    def passes(
-        who: Sequence[Wheelset], where: dict[str, TrackTruth], ranges: Sequence[tuple[float, float]]
-    ) -> list[Pass]:
-        return [
-            run(one, code, track, float(rng.uniform(*limits)), rng, DAY_NS * int(rng.integers(1, 300)))
-            for one in who
-            for code, track in where.items()
-            for limits in ranges
-        ]
-
-    teachers, asked = wheelsets(plan.teachers, "T", rng), wheelsets(plan.judged, "J", rng)
-    return SimulatedFleet(
-        tuple(passes(teachers, known, plan.speeds)),
-        tuple(passes(asked, dict(list(known.items())[: plan.others]), [plan.asked])),
-        tuple(passes(asked, unknown, [plan.asked])),
-        known,
-    )
-
-
-TAMPED_FROM = 1500.0  # m of a section, from where on its track is another
-
-
-def retracked(made: SimulatedFleet, seed: int, count: int = 14) -> tuple[list[Pass], set[Place]]:
-    """Return passes over two sections before and after half of one was tamped, and the stretches that were.
-
-    The first runs are those of the library; the second are a year later.
-    """
-    rng = np.random.default_rng([seed, 31])
-    code, other = list(made.tracks)[:2]
-    track = made.tracks[code]
-    fresh = make_track(TrackRecipe(length=LENGTH, alignment_std=0.9e-3), np.random.SeedSequence([seed, 32]))
-    share = np.clip((track.s - TAMPED_FROM) / 50.0, 0.0, 1.0)
-    tamped = replace(track, alignment=(1 - share) * track.alignment + share * fresh.alignment)
-    runs = list({one.wheelset.serial: one.wheelset for one in made.teaching}.values())[:count]
-    serials = {one.serial for one in runs}
-    passes = [one for one in made.teaching if one.section in {code, other} and one.wheelset.serial in serials]
-    for number, runner in enumerate(runs):
-        for section, rails in ((code, tamped), (other, made.tracks[other])):
-            at_ns = (365 + number) * DAY_NS
-            passes.append(run(runner, section, rails, float(rng.uniform(14, 20)), rng, at_ns))
-    places = {item.place for one in passes for item in one.signatures if item.place is not None}
-    size = SignatureParameters().cell
-    return passes, {one for one in places if one.section == code and one.cell * size >= TAMPED_FROM}
+    main: SimulatedFleet
+    speeds: SimulatedFleet
+    profiles: tuple[Pass, ...]  # wheels of other profiles
+    retracked: tuple[Pass, ...]
+    tamped: frozenset[Place]

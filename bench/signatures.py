@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,34 +20,24 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bench.report import BenchRow
 from bench.results_page import markdown_table, write_page
-from bench.signature_cases import (
-    CONDITIONS,
-    Pass,
-    Plan,
-    SimulatedFleet,
-    entries,
-    fleet,
-    retracked,
-    run,
-    wheelset,
-)
+from bench.signature_cases import CONDITIONS, LeftTableError, Pass, Simulated, SimulatedFleet, entries
+from bench.signature_cost import cost
+from bench.signature_fleets import Plan, simulated
+from bench.signature_pipeline import KINDS, judged_by_the_product
 from bench.signature_rivals import trained
+from bench.signature_table import rows_of, summary
 from bench.world import seed_range
-from estimation.contact.wear import WearFamily
 from estimation.signatures.answer import judged, most_likely
 from estimation.signatures.library import Library, library
 from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.retirement import current
 from estimation.values.reasons import Reason
-from estimation.values.signatures import Signature
+from estimation.values.signatures import ConicitySource, Signature
 
 TITLE = "Library of wear signatures"
 COLUMNS = ("what", "measured", "reach", "met")
 MEASURED_STD, ESTIMATED_STD = 0.003, 0.01  # of the conicities on file: measured profiles, estimates
-SPEEDS = Plan(sections=3, others=2, teachers=21, judged=7, speeds=((14.0, 16.0), (18.0, 20.0)), asked=(16.5, 17.5))
-S1002_DEPTHS = (0.1e-3, 0.5e-3, 0.9e-3)  # m, wheels of other profiles
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -57,7 +47,14 @@ def main(arguments: Sequence[str]) -> int:
     cases: list[dict[str, Any]] = json.loads(options.out.read_text()) if options.resume and options.out.exists() else []
     for seed in options.seeds:
         if all(case["seed"] != seed for case in cases):
-            cases.append(case_of(seed))
+            try:
+                made = simulated(seed, options.fleets)
+            except LeftTableError as error:
+                console.print(f"seed {seed} is left out: {error}", highlight=False)
+                continue
+            cases.append(case_of(made, seed))
+            if seed in options.product_seeds:
+                cases[-1] |= {"product": _product_case(seed), "cost": cost(made.main)}
             options.out.write_text(json.dumps(cases), encoding="utf-8")
             console.print(f"seed {seed}: {_line(cases[-1])}", highlight=False)
     rows = list(summary(cases))
@@ -86,9 +83,9 @@ def _about() -> str:
     )
 
 
-def case_of(seed: int) -> dict[str, Any]:
+def case_of(passes: Simulated, seed: int) -> dict[str, Any]:
     """Return what one seed gave."""
-    made = fleet(Plan(), seed)
+    made = passes.main
     found: dict[str, Any] = {"seed": seed}
     for name, std in (("measured", MEASURED_STD), ("estimated", ESTIMATED_STD)):
         known = _library(made, seed, std)
@@ -96,21 +93,29 @@ def case_of(seed: int) -> dict[str, Any]:
         found[name] = {
             "same": _answers(made.same, known, parameters),
             "other": _answers(made.other, known, parameters),
-            "unplaced": _answers(made.same, known, parameters, placed=False),
+            "unplaced": _answers((*made.same, *made.other), known, parameters, placed=False),
+            "product states": _answers((*made.same, *made.other), known, SignatureParameters()),
         }
     found["rivals"] = {name: _rival(made, linear=name == "ridge") for name in ("ridge", "Gaussian process")}
-    speeds = fleet(SPEEDS, seed)
+    speeds = passes.speeds
     found["speeds"] = {
         name: _answers(passes, _library(speeds, seed, MEASURED_STD), _parameters(speeds))
         for name, passes in (("same", speeds.same), ("other", speeds.other))
     }
-    found["profiles"] = _other_profiles(made, seed)
-    found["retired"] = _retired(made, seed)
+    found["profiles"] = _answers(passes.profiles, _library(made, seed, MEASURED_STD), _parameters(made))
+    found["retired"] = _retired(passes, seed)
     return found
 
 
+def _product_case(seed: int) -> dict[str, Any]:
+    """Return what the product says of the fleets of one seed, and what it costs."""
+    return {kind: judged_by_the_product(kind, seed) for kind in KINDS}
+
+
 def _library(made: SimulatedFleet, seed: int, std: float) -> Library:
-    found = library(entries(made.teaching, np.random.default_rng([seed, 9]), std), _parameters(made))
+    source = ConicitySource.MEASURED_PROFILES if std == MEASURED_STD else ConicitySource.GEOMETRY
+    known = entries(made.teaching, np.random.default_rng([seed, 9]), std, source)
+    found = library(known, _parameters(made))
     if isinstance(found, Reason):
         raise RuntimeError(found.text)  # noqa: TRY004 - a reason is a finding, not a wrong type
     return found
@@ -138,10 +143,10 @@ def _answers(
         if conicity.value is None:
             item["reason"] = str(conicity.reason)
         else:
-            state = answer.states.index(most_likely(answer.states))
-            probability = answer.states[one.wheelset.condition].probability
-            item |= {"value": conicity.value, "low": conicity.low, "high": conicity.high, "state": state}
-            item |= {"probability": probability, "claimed": answer.states[state].probability}
+            state = most_likely(answer.states)
+            item |= {"value": conicity.value, "low": conicity.low, "high": conicity.high}
+            item |= {"state": answer.states.index(state), "claimed": state.probability}
+            item["right"] = state.low <= one.wheelset.conicity < state.high
         found.append(item)
     return found
 
@@ -158,20 +163,11 @@ def _rival(made: SimulatedFleet, *, linear: bool) -> dict[str, list[tuple[float,
     }
 
 
-def _other_profiles(made: SimulatedFleet, seed: int) -> list[dict[str, Any]]:
-    """Return answers about wheels of other profiles, on rails of their own, which the library does not know."""
-    rng = np.random.default_rng([seed, 21])
-    others = [wheelset(f"X{n}", depth, 0, rng, WearFamily.S1002_ON_60E1) for n, depth in enumerate(S1002_DEPTHS)]
-    code, track = next(iter(made.tracks.items()))
-    passes = [run(one, code, track, float(rng.uniform(15, 19)), rng) for one in others]
-    return _answers(passes, _library(made, seed, MEASURED_STD), _parameters(made))
-
-
-def _retired(made: SimulatedFleet, seed: int) -> dict[str, int]:
+def _retired(passes: Simulated, seed: int) -> dict[str, int]:
     """Return how many stretches of a section that was worked on are found, and of others; half of it was tamped."""
-    passes, tamped = retracked(made, seed)
-    found = current(entries(passes, np.random.default_rng([seed, 9]), MEASURED_STD))
-    places = {item.place for one in passes for item in one.signatures}
+    tamped = passes.tamped
+    found = current(entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD))
+    places = {item.place for one in passes.retracked for item in one.signatures}
     changed = {change.place for change in found.changes}
     return {
         "worked_on": len(places & tamped),
@@ -181,114 +177,16 @@ def _retired(made: SimulatedFleet, seed: int) -> dict[str, int]:
     }
 
 
-def summary(cases: Sequence[Mapping[str, Any]]) -> Iterator[BenchRow]:
-    """Yield the rows."""
-    names = {"same": "unseen wheelsets", "other": "unseen wheelsets on unseen sections", "unplaced": "no position"}
-    for kind, on_file in (("measured", "measured profiles (std 0.003)"), ("estimated", "estimates (std 0.01)")):
-        for place, name in names.items():
-            yield from _rows_of(cases, kind, place, f"{name}, library of {on_file}")
-    for place in ("same", "other"):
-        yield _errors(_pooled(cases, "speeds", place), f"other speeds, {names[place]}: conicity")
-    yield _seen_states(cases)
-    for rival in cases[0]["rivals"] if cases else ():
-        yield _rival_row(cases, rival)
-    yield _profiles_row(cases)
-    yield _retired_row(cases)
-
-
-def _pooled(cases: Sequence[Mapping[str, Any]], *keys: str) -> list[dict[str, Any]]:
-    found = []
-    for case in cases:
-        value: Any = case
-        for key in keys:
-            value = value[key]
-        found += value
-    return found
-
-
-def _rows_of(cases: Sequence[Mapping[str, Any]], kind: str, place: str, name: str) -> Iterator[BenchRow]:
-    answers = _pooled(cases, kind, place)
-    known = [one for one in answers if "value" in one]
-    right = np.mean([one["state"] == one["condition"] for one in known])
-    reach = {("measured", "same"): 0.99, ("measured", "other"): 0.95}.get((kind, place))
-    yield BenchRow(
-        f"{name}: seven conditions",
-        f"{100 * right:.1f} % of {len(known)} right; {len(answers) - len(known)} of {len(answers)} not answered",
-        "shown" if reach is None else f">= {100 * reach:.0f} %",
-        reach is None or bool(right >= reach),
-    )
-    yield _errors(answers, f"{name}: conicity")
-    covered = np.mean([one["low"] <= one["truth"] <= one["high"] for one in known])
-    yield BenchRow(
-        f"{name}: coverage", f"{100 * covered:.1f} % of {len(known)}", "92-98 %", bool(0.92 <= covered <= 0.98)
-    )
-
-
-def _errors(answers: Sequence[Mapping[str, Any]], what: str) -> BenchRow:
-    errors = np.array([abs(one["value"] - one["truth"]) for one in answers if "value" in one])
-    median, most = np.quantile(errors, [0.5, 0.95])
-    text = (
-        f"median error {median:.4f}, 95th percentile {most:.4f}; {len(answers) - len(errors)} of {len(answers)} refused"
-    )
-    return BenchRow(what, text, "0.05", bool(most <= 0.05))
-
-
-def _seen_states(cases: Sequence[Mapping[str, Any]]) -> BenchRow:
-    known = [one for place in ("same", "other") for one in _pooled(cases, "estimated", place) if "value" in one]
-    claimed, right = (
-        float(np.mean(values))
-        for values in ([one["claimed"] for one in known], [one["state"] == one["condition"] for one in known])
-    )
-    text = f"claimed {100 * claimed:.1f} %, right {100 * right:.1f} % of {len(known)}"
-    return BenchRow(
-        "probability of the most likely state, library of estimates",
-        text,
-        "not claimed more than 3 % above",
-        claimed <= right + 0.03,
-    )
-
-
-def _rival_row(cases: Sequence[Mapping[str, Any]], rival: str) -> BenchRow:
-    parts = []
-    for place in ("same", "other"):
-        pairs = np.array([pair for case in cases for pair in case["rivals"][rival][place]])
-        errors = np.abs(pairs[:, 1] - pairs[:, 0])
-        parts.append(
-            f"{place} sections: median {np.median(errors):.4f}, 95th percentile {np.quantile(errors, 0.95):.4f}"
-        )
-    return BenchRow(
-        f"{rival} on the same features, without places; true conicities on file", "; ".join(parts), "shown", met=True
-    )
-
-
-def _profiles_row(cases: Sequence[Mapping[str, Any]]) -> BenchRow:
-    answers = _pooled(cases, "profiles")
-    known = [one for one in answers if "value" in one]
-    wrong = [one for one in known if not one["low"] <= one["truth"] <= one["high"]]
-    text = f"{len(answers) - len(known)} of {len(answers)} refused; {len(wrong)} answers miss the truth"
-    return BenchRow(
-        "wheels of profiles that the library does not have (S1002 on 60E1)", text, "no answer that misses", not wrong
-    )
-
-
-def _retired_row(cases: Sequence[Mapping[str, Any]]) -> BenchRow:
-    total = {key: sum(case["retired"][key] for case in cases) for key in ("worked_on", "found", "others", "false")}
-    text = (
-        f"{total['found']} of {total['worked_on']} tamped stretches found;"
-        f" {total['false']} of {total['others']} others retired"
-    )
-    met = total["found"] >= 0.95 * total["worked_on"] and total["false"] <= 0.01 * total["others"]
-    return BenchRow("library entries of stretches tamped since", text, ">= 95 % found, <= 1 % false", met)
-
-
 def _line(case: Mapping[str, Any]) -> str:
-    return "; ".join(f"{row.what}: {row.measured}" for row in _rows_of([case], "measured", "same", "seen"))
+    return "; ".join(f"{row.what}: {row.measured}" for row in rows_of([case], "measured", "same", "seen"))
 
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench signatures", description=__doc__)
     parser.add_argument("--seeds", type=seed_range, default=[0, 1, 2], help="as in 0-19 or 3 (default: 0-2)")
     parser.add_argument("--out", type=Path, default=Path("signatures.json"))
+    parser.add_argument("--product-seeds", type=seed_range, default=[0], help="those of the rows through the product")
+    parser.add_argument("--fleets", type=Path, default=None, help="folder that keeps the simulated passes of each seed")
     parser.add_argument("--resume", action="store_true", help="go on with the results in --out")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/signatures.md")
     return parser.parse_args(arguments)

@@ -1,31 +1,36 @@
 """Job: the signatures of new windows, and what the library of all says of every wheelset, the others' data alone.
 
-A wheelset is looked at again when its signatures or anything in the library have changed.
+Where nothing has happened to any wheelset, counters say so. Otherwise a wheelset is judged again when its signatures or
+anything in the library have changed; libraries are shared (``estimation.signatures.admission``), so that a run costs
+seven of them at most for each class, axle position and pair of profiles, however many wheelsets there are.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
-from estimation.jobs.steps.signature_windows import refresh_windows
+from estimation.jobs.steps.signature_windows import VERSION, refresh_windows, usable
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
-from estimation.signatures.admission import Subject, admitted
+from estimation.signatures.admission import Libraries, Subject
 from estimation.signatures.answer import compared, judged
-from estimation.signatures.library import library
+from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.retirement import Change, current
+from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.geometry import GeometryRecord
+from estimation.values.look import Look
 from estimation.values.quantities import Estimate
 from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import (
+    NO_PAIR,
     AxlePosition,
     DesignPair,
     KnownSignatures,
@@ -44,19 +49,58 @@ _Kind = tuple[str, AxlePosition]
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Make signatures of new windows, and answers of wheelsets for which something has changed."""
-    counts: Counter[str] = Counter(refresh_windows(context))
+    counts: Counter[str] = Counter(signed=0, without_signature=0, made_again=0, retired=0, answered=0, unchanged=0)
     isolation = Isolation(context, STAGE)
+    failed = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
+    with context.storage.read() as unit:
+        seen, looks = unit.looks.of(STAGE), _looks(unit, context)
+    news = [serial for serial, look in looks.items() if seen.get(serial) != look or serial in failed]
+    if not news:
+        counts["unchanged"] = len(looks)
+        return counts
+    counts.update(refresh_windows(context, news))
+    counts.update(_judge(context, isolation))
+    counts["quarantined"] = isolation.quarantined
+    out = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
+    with context.storage.write() as unit:
+        for serial in news:
+            if serial not in out:
+                unit.looks.note(STAGE, serial, looks[serial])
+    return counts
+
+
+def _looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
+    """Return by wheelset what is said of it rests on, by what has happened to it, and what is common to all."""
+    codes = unit.registry.classes_in_use()
+    classes = [(code, None if (found := unit.registry.vehicle_class(code)) is None else found.digest) for code in codes]
+    layouts = sorted((code, standing.layout) for code, standing in unit.tracks.standings().items())
+    settings = context.settings
+    common = repr(
+        (classes, unit.tracks.sections(), layouts, settings.estimation.as_json(), settings.signatures, VERSION)
+    )
+    text = f"{hashlib.sha256(common.encode()).hexdigest()} {context.code_version}"
+    touched = unit.looks.touched()
+    return {serial: Look(_sha(f"{touched[serial]} {text}")) for serial in sorted(touched)}
+
+
+def _sha(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _judge(context: JobContext, isolation: Isolation) -> Mapping[str, int]:
+    """Judge the wheelsets for which something has changed; return what was counted."""
+    counts: Counter[str] = Counter()
     with context.storage.read() as unit:
         classes = ClassLookup(unit, context.settings.estimation)
         reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
-        known = unit.signatures.known()
+        known, without = usable(unit, context, unit.signatures.known())
         made, answered = reader.entries(known), unit.signatures.answered()
-        subjects = _subjects(reader, known, context.settings.signatures.most_mileage_km)
+        subjects = _subjects(reader, known, answered, context.settings.signatures.most_mileage_km)
         geometries = {
             serial: _geometry(unit.geometries.current(serial), one.baseline) for serial, one in subjects.items()
         }
-    shelf = _shelved(made)
-    counts.update(retired=shelf.retired, answered=0, unchanged=0)
+    shelf = _shelved(made, without, context.settings.signatures)
+    counts["retired"] = shelf.retired
     for done, (serial, subject) in enumerate(subjects.items()):
         context.checkpoint(done, len(subjects))
         digest = _digest(context, shelf, subject, geometries[serial])
@@ -70,7 +114,6 @@ def run(context: JobContext) -> Mapping[str, int]:
             counts["answered"] += 1
             counts["estimated"] += record.answer.conicity.value is not None
             counts["disagreeing"] += record.disagreement is not None and record.disagreement.disagrees
-    counts["quarantined"] = isolation.quarantined
     return counts
 
 
@@ -91,14 +134,14 @@ class _Subject:
 class _Shelf:
     """Entries by kind that are of the present track, and where it has changed."""
 
-    entries: Mapping[_Kind, tuple[LibraryEntry, ...]]
+    libraries: Libraries
     changes: Mapping[tuple[_Kind, Place], Change]
     left_out: Mapping[ReasonCode, int]
     retired: int
     digest: str
 
 
-def _shelved(made: Entries) -> _Shelf:
+def _shelved(made: Entries, without: Mapping[ReasonCode, int], parameters: SignatureParameters) -> _Shelf:
     by_kind: dict[_Kind, list[LibraryEntry]] = defaultdict(list)
     for entry in made.found:
         by_kind[entry.signature.vehicle_class, entry.signature.position].append(entry)
@@ -108,30 +151,37 @@ def _shelved(made: Entries) -> _Shelf:
         entries[kind] = found.entries
         changes.update({(kind, change.place): change for change in found.changes})
         retired += len(found.retired)
-    lines = sorted(
-        (one.wheelset, one.signature.start_ns, one.signature.order, one.conicity, one.std)
-        for kept in entries.values()
-        for one in kept
-    )
-    left_out = Counter(made.left_out)
+    libraries = Libraries([entry for kept in entries.values() for entry in kept], parameters)
+    left_out = Counter(made.left_out) + Counter(without)
     if retired:
         left_out[ReasonCode.SECTION_CHANGED] += retired
-    return _Shelf(entries, changes, dict(left_out), retired, hashlib.sha256(repr(lines).encode()).hexdigest())
+    return _Shelf(libraries, changes, dict(left_out), retired, _sha(repr(sorted(map(_line, libraries.entries)))))
 
 
-def _subjects(reader: EntryReader, known: Sequence[KnownSignatures], most_km: float) -> dict[str, _Subject]:
-    """Return who is judged, by serial: every wheelset that has signatures."""
-    of_wheelset: dict[str, list[KnownSignatures]] = defaultdict(list)
+def _line(entry: LibraryEntry) -> str:
+    """Return all of an entry."""
+    one = entry.signature
+    spectra = hashlib.sha256(one.spectra.tobytes()).hexdigest()
+    about = (one.wheelset, one.start_ns, one.order, one.vehicle_class, one.position, one.place, one.speed)
+    known = (entry.baseline, entry.conicity, entry.std, entry.source, entry.shares_data, entry.pair)
+    return repr((about, known, spectra))
+
+
+def _subjects(
+    reader: EntryReader, known: Sequence[KnownSignatures], answered: Collection[str], most_km: float
+) -> dict[str, _Subject]:
+    """Return who is judged, by serial: every wheelset that has signatures, or had some when it was judged last."""
+    of_wheelset: dict[str, list[KnownSignatures]] = {serial: [] for serial in answered}
     for one in known:
-        of_wheelset[one.found.wheelset].append(one)
+        of_wheelset.setdefault(one.found.wheelset, []).append(one)
     found = {}
-    for serial, mine in of_wheelset.items():
+    for serial, mine in sorted(of_wheelset.items()):
         last = reader.lives(serial)[-1]
         now = [one for one in mine if one.found.start_ns >= last.from_ns]
         newest = now[-1] if now else None
         near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-NEWEST:]
         kind = _kind(near[-1]) if near else None
-        pair = reader.pair(mine[-1])
+        pair = reader.pair(mine[-1]) if mine else NO_PAIR
         chosen = [one for one in near if _kind(one) == kind and reader.pair(one) == pair]
         found[serial] = _Subject(
             wheelset=serial,
@@ -159,7 +209,7 @@ def _geometry(record: GeometryRecord | None, baseline: int) -> Estimate | None:
 
 def _digest(context: JobContext, shelf: _Shelf, subject: _Subject, geometry: Estimate | None) -> str:
     text = repr((shelf.digest, sorted(shelf.left_out.items()), subject, geometry, context.settings.signatures))
-    return hashlib.sha256(text.encode()).hexdigest()
+    return _sha(text)
 
 
 def _record(
@@ -174,10 +224,9 @@ def _record(
     left_out = Counter(shelf.left_out)
     answer = None if signatures else _silent(subject)
     if answer is None and subject.kind is not None:
-        everything = [entry for kept in shelf.entries.values() for entry in kept]
-        allowed = admitted(everything, Subject(subject.wheelset, *subject.kind, subject.pair, subject.shares_data))
-        left_out.update(allowed.left_out)
-        found = library(allowed.entries, context.settings.signatures)
+        judges = Subject(subject.wheelset, *subject.kind, subject.pair, subject.shares_data)
+        left_out.update(shelf.libraries.admitted(judges).left_out)
+        found = shelf.libraries.library(judges)
         if isinstance(found, Reason):
             answer = SignatureAnswer(subject.wheelset, Estimate.unknown(found))
         else:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from estimation.signatures.calibration import COVERAGE, Calibration, conicity_grid
+from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid, outside
 from estimation.signatures.library import Library
-from estimation.signatures.mixed_model import Likelihood, Rows, likelihood
+from estimation.signatures.mixed_model import Likelihood, Rows, level_of, likelihood
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.arrays import IntArray
 from estimation.values.quantities import Estimate, Status
@@ -25,9 +25,7 @@ from estimation.values.signatures import (
     UsedEntry,
 )
 
-NORMAL = float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
 SHOWN = 10  # entries that an answer names
-RARE = 0.02  # most probability outside what the library covers
 
 
 def judged(
@@ -91,10 +89,12 @@ def _answer(
     features = library.model.mean.shape[0]
     novelty = float(found.distance.min()) / features / calibration.largest_distance
     refusal = _novel(novelty) or _outside(found, library, parameters)
+    if refusal is None and known is None:
+        refusal = _other_track(level_of(library.model, _rows(signatures), found.mean), library, len(signatures))
     if refusal is not None:
         return _unknown(wheelset, refusal, library, novelty)
-    half = calibration.factor * found.std
-    std = half / NORMAL
+    std = float(np.hypot(calibration.factor * found.std, library.shared_std(found.mean)))
+    half = NORMAL * std
     return SignatureAnswer(
         wheelset=wheelset,
         conicity=Estimate(
@@ -116,11 +116,19 @@ def _novel(novelty: float) -> Reason | None:
     return Reason(ReasonCode.NOT_IN_LIBRARY, text)
 
 
+def _other_track(level: float, library: Library, places: int) -> Reason | None:
+    """Return that the track is rougher or smoother than any of the library: conicity depends on the amplitude."""
+    low, high = library.levels(places)
+    if low <= level <= high:
+        return None
+    text = f"the track is {'rougher' if level > high else 'smoother'} than any that the library has"
+    return Reason(ReasonCode.NOT_IN_LIBRARY, text)
+
+
 def _outside(found: Likelihood, library: Library, parameters: SignatureParameters) -> Reason | None:
     """Return that the conicity may be one that the library does not cover."""
     low, high = library.conicity[0] - parameters.margin, library.conicity[1] + parameters.margin
-    beyond = (found.conicity < low) | (found.conicity > high)
-    if float(found.posterior[beyond].sum()) <= RARE:
+    if not outside(found, library.conicity, parameters.margin):
         return None
     text = f"the signature is like that of a conicity outside {low:.2f} to {high:.2f}, which the library covers"
     return Reason(ReasonCode.NOT_IN_LIBRARY, text)
@@ -186,6 +194,7 @@ def _rows(signatures: Sequence[Signature]) -> Rows:
     return Rows(
         powers=np.stack([one.powers for one in signatures]),
         conicity=np.full(n, np.nan),
+        on_file=np.full(n, np.nan),
         speed=np.array([one.speed for one in signatures]),
         place=np.array([places[one.place or Place("", -number)] for number, one in enumerate(signatures)]),
         section=np.array([sections.index("" if one.place is None else one.place.section) for one in signatures]),

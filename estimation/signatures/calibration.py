@@ -1,30 +1,39 @@
 """How far the answers of a library were off where it did not know the wheelset, or neither wheelset nor section.
 
-Every wheelset of the library is judged by the others, section by section. The factor that makes the intervals of these
-answers cover is the larger of two: the conformal quantile of their errors over their standard deviations, each wheelset
-with one weight (V. Vovk, A. Gammerman and G. Shafer, "Algorithmic Learning in a Random World", 2005), and what Student
-makes of their root mean square, with as many degrees of freedom as wheelsets: the first is sure of the form of the
-errors, the second of their number. Answers about one wheelset are not independent, wheelsets are; corrected for the
-number of wheelsets instead of answers the first was the largest of all errors for up to 20 wheelsets.
+Every wheelset of the library is judged by the others, section by section. What differs from the conicity on file is
+the error of the answer, whose standard deviation is that of the posterior times a factor, and the error of what is on
+file. The factor is near 1 beforehand, and how near the errors show: its posterior is on a grid, each wheelset counts
+once, and the interval is that of the mixture over it (A. Gelman and others, "Bayesian Data Analysis", 2013, chapter 3).
+
+What is on file of different wheelsets may have errors in common, such as that of a class's creep coefficients in all
+geometries. These do not show in the differences, and all answers have them (``library.Library.shared_std``). Of the
+variances of measured profiles no more is taken to be of each wheelset alone than the differences show.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import stats
+from scipy.optimize import brentq
 
+from estimation.signatures.families import FOLDS, families
 from estimation.signatures.mixed_model import Likelihood, Rows, fitted, likelihood
 from estimation.signatures.parameters import SignatureParameters
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis
 
 COVERAGE = 0.95
-FOLDS = 6
+NORMAL = float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
+MOST_ANSWERS = 240  # that a factor is made from: more would cost more, and say little more
 GRID = 0.002  # of conicity
+FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
+FACTORS = np.exp(np.linspace(-1.2, 1.2, 97))  # that are tried
+RARE = 0.02  # most probability outside what a library covers
 NOVEL = 0.999  # quantile of the distances, by their logarithms, from which on a signature is novel
 
 
@@ -32,7 +41,7 @@ NOVEL = 0.999  # quantile of the distances, by their logarithms, from which on a
 class Calibration:
     """What the answers of a library need to cover, and how far from it those were."""
 
-    factor: float  # half a 95 % interval over the std of the posterior
+    factor: float  # on the std of the posterior: half a 95 % interval over that of a normal error
     largest_distance: float  # squared, over the number of features
     wheelsets: int
     answers: int
@@ -41,7 +50,9 @@ class Calibration:
 @dataclass(frozen=True, slots=True)
 class _Judged:
     wheelset: int
-    score: float  # |error| over std
+    error: float  # less what is on file
+    std: float  # of the posterior
+    on_file_std: float
     distance: float
 
 
@@ -55,14 +66,15 @@ def calibrated(
     rows
         Entries.
     std
-        (n,) of the known conicities.
+        (n,) of the known conicities, as far as it is of each wheelset alone.
     groups
         Of every entry the wheelsets whose data are in it: what shares one is left out together.
     parameters
         What a library must hold.
     """
     apart = _folds(rows, groups)
-    found: dict[Basis, Calibration | Reason] = {Basis.SAME_PLACES: _of(_judged(rows, std, apart, Basis.SAME_PLACES))}
+    judged = partial(_judged, rows, std, apart, margin=parameters.margin)
+    found: dict[Basis, Calibration | Reason] = {Basis.SAME_PLACES: _of(judged(basis=Basis.SAME_PLACES))}
     sections = len(np.unique(rows.section))
     if sections < parameters.least_sections:
         found[Basis.OTHER_PLACES] = Reason(
@@ -71,8 +83,33 @@ def calibrated(
             f" how sections differ; {parameters.least_sections} are needed",
         )
     else:
-        found[Basis.OTHER_PLACES] = _of(_judged(rows, std, apart, Basis.OTHER_PLACES))
+        found[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES))
     return found
+
+
+def share_apart(rows: Rows, std: FloatArray, groups: Sequence[frozenset[str]], margin: float) -> float:
+    """Return the share of variances that is of each wheelset alone, by what the differences show, 0 to 1.
+
+    Parameters
+    ----------
+    rows
+        Entries, whose conicities are those on file.
+    std
+        (n,) of the known conicities; zero where nothing of it may be.
+    groups
+        As in :func:`calibrated`.
+    margin
+        As in :func:`outside`.
+    """
+    if not std.any():
+        return 1.0
+    judged = _judged(rows, std, _folds(rows, groups), Basis.SAME_PLACES, margin)
+    found = [one for one in judged if one.on_file_std > 0.0]
+    if not found:
+        return 0.0
+    claimed = float(np.mean(_by_wheelset(found, [one.on_file_std**2 for one in found])))
+    seen = _by_wheelset(found, [one.error for one in found]) ** 2
+    return min(1.0, float(np.mean(seen)) / claimed)
 
 
 def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
@@ -91,48 +128,60 @@ def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
 
 def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
     """Return which rows (n,) are left out together; rows that share data are."""
-    family: dict[int, frozenset[str]] = {}
-    for number, group in zip(rows.wheelset, groups, strict=True):
-        family[int(number)] = family.get(int(number), frozenset()) | group
-    merged: list[tuple[set[int], frozenset[str]]] = []
-    for number, group in sorted(family.items()):
-        members, names = {number}, group
-        apart = []
-        for other, theirs in merged:
-            if names & theirs:
-                members, names = members | other, names | theirs
-            else:
-                apart.append((other, theirs))
-        merged = [*apart, (members, names)]
-    count = min(FOLDS, len(merged))
+    found = families(groups)
+    family = {name: number for number, names in enumerate(found) for name in names}
+    of_row = np.array([family[min(group)] for group in groups])
+    count = min(FOLDS, len(found))
     # families in the order of their conicity, so that every fold has all kinds
-    means = [float(np.mean(rows.conicity[np.isin(rows.wheelset, list(members))])) for members, _ in merged]
-    order = np.argsort(means, kind="stable")
-    out = [np.zeros(len(rows.wheelset), dtype=np.bool_) for _ in range(count)]
-    for rank, at in enumerate(order):
-        out[rank % count] |= np.isin(rows.wheelset, list(merged[at][0]))
-    return out
+    means = np.bincount(of_row, rows.conicity, len(found)) / np.maximum(np.bincount(of_row, minlength=len(found)), 1)
+    rank = np.argsort(np.argsort(means, kind="stable"), kind="stable")[of_row]
+    return [rank % count == number for number in range(count)]
 
 
-def _judged(rows: Rows, std: FloatArray, apart: Sequence[BoolArray], basis: Basis) -> Iterator[_Judged]:
-    """Yield how well wheelsets are judged, section by section, by those that share nothing with them."""
-    for left_out in apart:
-        for taught, asked in _tasks(rows, left_out, basis):
-            if not (taught.any() and asked.any()):
-                continue
-            model = fitted(rows.chosen(np.flatnonzero(taught)))
-            known = np.unique(rows.place[taught])
-            grid = conicity_grid(rows.conicity[taught], 2 * GRID + float(np.ptp(rows.conicity)))
-            for wheelset, section in np.unique(np.stack([rows.wheelset, rows.section])[:, asked], axis=1).T:
-                which = asked & (rows.wheelset == wheelset) & (rows.section == section)
-                at = None
-                if basis is Basis.SAME_PLACES:
-                    which &= np.isin(rows.place, known)
-                    at = np.searchsorted(known, rows.place[which])
-                if which.any():
-                    mine = rows.chosen(np.flatnonzero(which))
-                    found = likelihood(model, mine, at, grid)
-                    yield _score(found, mine, float(np.mean(std[which])), int(wheelset))
+def outside(found: Likelihood, known: tuple[float, float], margin: float) -> bool:
+    """Return whether the conicity may be one that a library does not cover: then it says nothing.
+
+    Parameters
+    ----------
+    found
+        Of the judged wheelset.
+    known
+        Least and largest conicity of the library.
+    margin
+        By which an answer may be outside them.
+    """
+    beyond = (found.conicity < known[0] - margin) | (found.conicity > known[1] + margin)
+    return float(found.posterior[beyond].sum()) > RARE
+
+
+def _judged(rows: Rows, std: FloatArray, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
+    """Yield how well wheelsets are judged, section by section, by those that share nothing with them.
+
+    Those of which nothing would be said are left out.
+    """
+    tasks = [task for left_out in apart for task in _tasks(rows, left_out, basis) if task[0].any() and task[1].any()]
+    each = -(-MOST_ANSWERS // max(len(tasks), 1))
+    for taught, asked in tasks:
+        model = fitted(rows.chosen(np.flatnonzero(taught)))
+        known = np.unique(rows.place[taught])
+        ends = float(rows.conicity[taught].min()), float(rows.conicity[taught].max())
+        grid = conicity_grid(rows.conicity[taught], margin)
+        if basis is Basis.SAME_PLACES:
+            asked = asked & np.isin(rows.place, known)  # noqa: PLW2901 - where the library has the place
+        for wheelset, which in _spread(rows, asked, each):
+            mine = rows.chosen(which)
+            at = np.searchsorted(known, mine.place) if basis is Basis.SAME_PLACES else None
+            found = likelihood(model, mine, at, grid)
+            if not outside(found, ends, margin):
+                yield _score(found, mine, float(np.mean(std[which])), wheelset)
+
+
+def _spread(rows: Rows, asked: BoolArray, most: int) -> Iterator[tuple[int, IntArray]]:
+    """Yield wheelsets with the rows of one of their sections, at most so many, evenly chosen."""
+    at = np.flatnonzero(asked)
+    pairs, which = np.unique(np.stack([rows.wheelset[at], rows.section[at]]), axis=1, return_inverse=True)
+    for number in np.unique(np.linspace(0, pairs.shape[1] - 1, most).round().astype(np.int64)) if len(at) else ():
+        yield int(pairs[0, number]), at[which.ravel() == number]
 
 
 def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[BoolArray, BoolArray]]:
@@ -140,39 +189,51 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
     if basis is Basis.SAME_PLACES:
         yield ~left_out, left_out
         return
-    for section in np.unique(rows.section):
-        here = rows.section == section
+    sections, section = np.unique(rows.section, return_inverse=True)
+    count = min(FOLDS, len(sections))
+    for number in range(count):
+        here = section % count == number
         yield ~left_out & ~here, left_out & here
 
 
 def _score(found: Likelihood, rows: Rows, std: float, wheelset: int) -> _Judged:
-    error = abs(found.mean - float(np.mean(rows.conicity)))
-    distance = float(found.distance.min()) / rows.powers.shape[1]
-    return _Judged(wheelset, error / float(np.hypot(found.std, std)), distance)
+    error = found.mean - float(np.mean(rows.on_file))
+    return _Judged(wheelset, error, found.std, std, float(found.distance.min()) / rows.powers.shape[1])
 
 
 def _of(judged: Iterator[_Judged]) -> Calibration | Reason:
     found = list(judged)
-    numbers, wheelset = np.unique([one.wheelset for one in found], return_inverse=True)
-    if len(numbers) < 3:  # noqa: PLR2004 - a spread needs some
+    wheelsets = len({one.wheelset for one in found})
+    if wheelsets < 3:  # noqa: PLR2004 - a spread needs some
         return Reason(ReasonCode.LIBRARY_TOO_SMALL, "too few wheelsets of the library can be judged by the others")
-    score = np.array([one.score for one in found])
-    weight = 1.0 / np.bincount(wheelset)[wheelset]
     logarithm = np.log([one.distance for one in found])
-    reach = stats.t.ppf(NOVEL, len(numbers) - 1) * np.sqrt(1 + 1 / len(numbers))
+    reach = stats.t.ppf(NOVEL, wheelsets - 1) * np.sqrt(1 + 1 / wheelsets)
     return Calibration(
-        factor=_factor(score, weight, len(numbers)),
+        factor=_factor(found),
         largest_distance=float(np.exp(logarithm.mean() + reach * logarithm.std(ddof=1))),
-        wheelsets=len(numbers),
+        wheelsets=wheelsets,
         answers=len(found),
     )
 
 
-def _factor(score: FloatArray, weight: FloatArray, wheelsets: int) -> float:
-    """Return the factor on standard deviations that covers 95 %."""
-    order = np.argsort(score)
-    share = np.cumsum(weight[order]) / weight.sum()
-    level = COVERAGE * (1 + 1 / len(score))
-    conformal = float(score[order][min(int(np.searchsorted(share, level)), len(score) - 1)])
-    student = stats.t.ppf(0.5 + 0.5 * COVERAGE, wheelsets - 1) * np.sqrt(1 + 1 / wheelsets)
-    return max(conformal, float(student * np.sqrt(weight @ score**2 / weight.sum())))
+def _factor(found: Sequence[_Judged]) -> float:
+    """Return the factor on standard deviations that covers 95 %, over that of a normal error."""
+    wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
+    weight = 1.0 / np.bincount(wheelset)[wheelset]
+    variance = np.array([one.std**2 for one in found])[:, None] * FACTORS**2
+    variance = variance + np.array([one.on_file_std**2 for one in found])[:, None]
+    squared = np.array([one.error**2 for one in found])[:, None] / variance
+    weighed = -0.5 * weight @ (squared + np.log(variance)) - 0.5 * (np.log(FACTORS) / FACTOR_STD) ** 2
+    posterior = np.exp(weighed - weighed.max())
+    posterior /= posterior.sum()
+
+    def beyond(reach: float) -> float:
+        return float(posterior @ (2.0 * stats.norm.cdf(reach / FACTORS) - 1.0)) - COVERAGE
+
+    return float(brentq(beyond, NORMAL * FACTORS[0], NORMAL * FACTORS[-1])) / NORMAL
+
+
+def _by_wheelset(found: Sequence[_Judged], values: Sequence[float]) -> FloatArray:
+    """Return the means of values by wheelset."""
+    wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
+    return np.asarray(np.bincount(wheelset, values) / np.bincount(wheelset))

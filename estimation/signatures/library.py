@@ -7,12 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.signatures.calibration import Calibration, calibrated
+from estimation.signatures.calibration import Calibration, calibrated, share_apart
+from estimation.signatures.families import sharers
 from estimation.signatures.mixed_model import MixedModel, Rows, fitted
 from estimation.signatures.parameters import SignatureParameters
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.arrays import FloatArray, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import AxlePosition, Basis, LibraryEntry, Place
+from estimation.values.signatures import AxlePosition, Basis, ConicitySource, LibraryEntry, Place
+
+LEVEL_MARGIN = 0.2  # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
+NEAR = 0.03  # of conicity, within which what is on file counts for an answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +32,45 @@ class Library:
     conicity: tuple[float, float]  # least and largest
     speed: tuple[float, float]  # m/s
     calibration: Mapping[Basis, Calibration | Reason]
+    shared: FloatArray  # (n,) std of what the conicities on file may be off by in common
 
     @property
     def wheelsets(self) -> int:
         """Number of wheelsets."""
         return len({entry.wheelset for entry in self.entries})
+
+    def levels(self, places: int) -> tuple[float, float]:
+        """Return between which levels the mean of some places is where their section is like those of the library.
+
+        It may be as far outside as the outermost section is from the next: so far the calibration has gone, too.
+
+        Parameters
+        ----------
+        places
+            How many.
+        """
+        section = np.array([self.sections[place.section] for place in sorted(self.places, key=self.places.__getitem__)])
+        mean = np.bincount(section, self.model.levels) / np.bincount(section)
+        within = float(np.std(self.model.levels - mean[section]))
+        ordered = np.sort(mean)
+        gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], LEVEL_MARGIN))
+        reach = gap + 2.0 * within / np.sqrt(places)
+        return float(ordered[0]) - reach, float(ordered[-1]) + reach
+
+    def shared_std(self, conicity: float) -> float:
+        """Return the std of what the conicities on file may be off by in common, about a conicity.
+
+        Errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
+        those near by, whichever is larger.
+
+        Parameters
+        ----------
+        conicity
+            Of an answer.
+        """
+        apart = np.array([entry.conicity for entry in self.entries]) - conicity
+        near = np.exp(-0.5 * (apart / NEAR) ** 2) + np.finfo(np.float64).tiny
+        return max(float(self.shared.mean()), float(near @ self.shared / near.sum()))
 
 
 def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> Library | Reason:
@@ -59,12 +97,14 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
             f"the conicities of the library have a standard deviation of {spread:.3f},"
             f" {parameters.least_spread:g} is needed",
         )
-    rows = rows_of(ordered)
+    groups = [sharers(entry) for entry in ordered]
+    std, own = np.array([entry.std for entry in ordered]), _own_std(ordered)
+    own = np.sqrt(share_apart(rows_of(ordered, 0.0 * own), own, groups, parameters.margin)) * own
+    rows = rows_of(ordered, own)
     places = {place: number for number, place in enumerate(sorted({_place(entry) for entry in ordered}))}
     sections = {code: number for number, code in enumerate(sorted({place.section for place in places}))}
     speeds = [entry.signature.speed for entry in ordered]
     known = [entry.conicity for entry in ordered]
-    groups = [frozenset(entry.shares_data) | {entry.wheelset} for entry in ordered]
     return Library(
         vehicle_class=ordered[0].signature.vehicle_class,
         position=ordered[0].signature.position,
@@ -74,11 +114,20 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
         model=fitted(rows),
         conicity=(min(known), max(known)),
         speed=(min(speeds), max(speeds)),
-        calibration=calibrated(rows, np.array([entry.std for entry in ordered]), groups, parameters),
+        calibration=calibrated(rows, own, groups, parameters),
+        shared=frozen_array(np.sqrt(np.maximum(std**2 - own**2, 0.0)), (None,), name="shared"),
     )
 
 
-def rows_of(entries: Sequence[LibraryEntry]) -> Rows:
+def _own_std(entries: Sequence[LibraryEntry]) -> FloatArray:
+    """Return the std (n,) of the errors on file that are of each wheelset alone.
+
+    Those of measured profiles are. Those of geometries rest on one class, one survey and one set of filters.
+    """
+    return np.array([entry.std if entry.source is ConicitySource.MEASURED_PROFILES else 0.0 for entry in entries])
+
+
+def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:
     """Return entries as arrays, their conicities shrunk by what their own errors add to their spread.
 
     A regressor with errors flattens a regression; what is expected of the true conicity, given the known one, does not
@@ -88,15 +137,18 @@ def rows_of(entries: Sequence[LibraryEntry]) -> Rows:
     ----------
     entries
         With places.
+    own
+        (n,) std of the errors of the known conicities that are of each wheelset alone.
     """
     names = sorted({entry.wheelset for entry in entries})
     places = sorted({_place(entry) for entry in entries})
     sections = sorted({place.section for place in places})
     known = np.array([entry.conicity for entry in entries])
-    expected, variance = _expected(known, np.array([entry.std for entry in entries]))
+    expected, variance = _expected(known, own)
     return Rows(
         powers=np.stack([entry.signature.powers for entry in entries]),
         conicity=expected,
+        on_file=known,
         speed=np.array([entry.signature.speed for entry in entries]),
         place=_numbers([_place(entry) for entry in entries], places),
         section=_numbers([_place(entry).section for entry in entries], sections),

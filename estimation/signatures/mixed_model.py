@@ -41,6 +41,8 @@ class MixedModel:
     passes: FloatArray  # (p,) entries behind each
     rest: FloatArray
     of_wheelset: FloatArray
+    of_fit: FloatArray  # of wheelsets with what the errors of their conicities add: what the response is fitted to
+    leverage: FloatArray  # (3, 3) of 1, and logarithm of the conicity and its square, by wheelset
     of_place: FloatArray  # of places of one section
     of_section: FloatArray
 
@@ -51,7 +53,8 @@ class MixedModel:
         object.__setattr__(self, "of_level", frozen_array(self.of_level, (f,), name="of_level"))
         object.__setattr__(self, "places", frozen_array(self.places, (None, f), name="places"))
         object.__setattr__(self, "passes", frozen_array(self.passes, (len(self.places),), name="passes"))
-        for name in ("rest", "of_wheelset", "of_place", "of_section"):
+        object.__setattr__(self, "leverage", frozen_array(self.leverage, (3, 3), name="leverage"))
+        for name in ("rest", "of_wheelset", "of_fit", "of_place", "of_section"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (f, f), name=name))
 
     @property
@@ -65,7 +68,8 @@ class Rows:
     """Entries as arrays; places, sections and wheelsets are numbers from 0."""
 
     powers: FloatArray  # (n, f) logarithms, signal after signal: y, R, roll
-    conicity: FloatArray  # (n,)
+    conicity: FloatArray  # (n,) expected, given that on file
+    on_file: FloatArray  # (n,) conicity
     speed: FloatArray  # (n,) m/s
     place: IntArray  # (n,)
     section: IntArray  # (n,)
@@ -84,6 +88,7 @@ class Rows:
         return Rows(
             self.powers[at],
             self.conicity[at],
+            self.on_file[at],
             self.speed[at],
             self.place[at],
             self.section[at],
@@ -146,28 +151,68 @@ def fitted(rows: Rows) -> MixedModel:
     response, left = _response(rows, place)
     effects = _means(left, place)
     residuals = left - effects[place]
-    wheelsets, wheelset = np.unique(rows.wheelset, return_inverse=True)
-    own = _means(residuals, wheelset)
-    rest = residuals - own[wheelset]
-    freedom = max(len(rest) - len(kept) - len(wheelsets), 1)
-    of_wheelset = _covariance(own, max(len(wheelsets) - TERMS, 1))
+    wheelset = np.unique(rows.wheelset, return_inverse=True)[1]
+    scatter = scatter_of(residuals, wheelset, len(kept))
+    of_rest, of_own = scatter.rest, scatter.of_wheelset
     sections, section = np.unique(rows.section[np.unique(place, return_index=True)[1]], return_inverse=True)
     mean = _means(effects, section).mean(axis=0)
     level = effects[:, LEVEL] - mean[LEVEL]
     of_level = level @ (effects - mean) / max(float(level @ level), RIDGE)
     around = effects - mean - level[:, None] * of_level
     by_section = _means(around, section)
+    of_place = _covariance(around - by_section[section], max(len(kept) - len(sections), 1))
+    of_section = _covariance(by_section, max(len(sections) - 1, 1))
     return MixedModel(
         response=response,
         mean=mean,
         of_level=np.asarray(of_level),
         places=effects,
         passes=np.bincount(place).astype(np.float64),
-        rest=_covariance(rest, freedom),
-        of_wheelset=_without(of_wheelset, np.asarray(response[0]), float(rows.variance.mean())),
-        of_place=_covariance(around - by_section[section], max(len(kept) - len(sections), 1)),
-        of_section=_covariance(by_section, max(len(sections) - 1, 1)),
+        rest=of_rest,
+        of_wheelset=_less(of_own, float(rows.variance.mean()) * np.outer(response[0], response[0])),
+        of_fit=of_own,
+        leverage=_leverage(rows.conicity, wheelset),
+        of_place=_less(of_place, of_rest * _of_means(place)),
+        of_section=_less(of_section, of_place * _of_means(section)),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Covariances (f, f) of what is left of features: of wheelsets, and of the rest."""
+
+    of_wheelset: FloatArray
+    rest: FloatArray
+
+
+def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter:
+    """Return how residuals scatter from wheelset to wheelset, and within these.
+
+    Parameters
+    ----------
+    residuals
+        (n, f) of features.
+    wheelset
+        (n,) numbers from 0.
+    means
+        How many means, as those of places, have been taken out.
+    """
+    own = _means(residuals, wheelset)
+    freedom = max(len(residuals) - means - len(own), 1)
+    rest = _covariance(residuals - own[wheelset], freedom)
+    of_means = _covariance(own, max(len(own) - TERMS, 1))
+    return Scatter(_less(of_means, rest * _of_means(wheelset)), rest)
+
+
+def _leverage(conicity: FloatArray, wheelset: IntArray) -> FloatArray:
+    """Return the covariance (3, 3) of a fit to one value of each wheelset, over the variance of these."""
+    terms_of = _bent(_means(conicity[:, None], wheelset)[:, 0])
+    return np.asarray(np.linalg.pinv(terms_of.T @ terms_of))
+
+
+def _bent(conicity: FloatArray) -> FloatArray:
+    c = np.log(conicity / CONICITY)
+    return np.stack([np.ones_like(c), c, c * c], axis=-1)
 
 
 def _response(rows: Rows, place: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -201,13 +246,35 @@ def _covariance(residuals: FloatArray, freedom: int) -> FloatArray:
     return np.asarray((1 - SHRINKING) * raw + SHRINKING * np.diag(np.diag(raw)) + RIDGE * np.eye(len(raw)))
 
 
-def _without(covariance: FloatArray, slope: FloatArray, variance: float) -> FloatArray:
-    """Return a covariance less that of an error of the logarithm of the conicity; still positive definite."""
-    seen = float(slope @ np.linalg.solve(covariance, slope))
-    if not seen > 0.0:
-        return covariance  # all conicities are alike: there is no slope
-    most = LARGEST_SHARE / seen
-    return np.asarray(covariance - min(variance, most) * np.outer(slope, slope))
+def _of_means(group: IntArray) -> float:
+    """Return the share of a variance that is left in means by group, on the average of these."""
+    count = np.bincount(group)
+    return float(np.mean(1.0 / count[count > 0]))
+
+
+def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
+    """Return a covariance less that of something else in it; of no direction more than ``LARGEST_SHARE``."""
+    root = np.linalg.cholesky(whole)
+    half = np.linalg.solve(root, part)
+    share, axes = np.linalg.eigh(np.linalg.solve(root, half.T))
+    left = root @ axes * np.sqrt(1.0 - np.clip(share, 0.0, LARGEST_SHARE))
+    return np.asarray(left @ left.T)
+
+
+def level_of(model: MixedModel, rows: Rows, conicity: float) -> float:
+    """Return the level of the track under some signatures, from the mean of the known places.
+
+    Parameters
+    ----------
+    model
+        Of the library.
+    rows
+        Signatures of one wheelset; their conicities are not read.
+    conicity
+        Of the wheelset.
+    """
+    response = terms(np.array(conicity), rows.speed).mean(axis=0) @ model.response[:TERMS, LEVEL]
+    return float(features_of(rows.powers)[:, LEVEL].mean() - response - model.mean[LEVEL])
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,5 +332,13 @@ def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: 
         shares = np.bincount(known, minlength=len(model.passes)) / n
         covariance = covariance + model.rest * float(np.sum(shares**2 / model.passes))
     expected = expected + (base[:, 0] * level)[:, None] * model.response[TERMS] + track
-    whitened = np.linalg.solve(np.linalg.cholesky(covariance), (features - expected).T)
-    return Likelihood(conicity, np.sum(whitened**2, axis=0))
+    difference = (features - expected).T
+    nearest = _distances(covariance, difference).argmin()
+    term = _bent(conicity[nearest : nearest + 1])[0]
+    covariance = covariance + float(term @ model.leverage @ term) * model.of_fit
+    return Likelihood(conicity, _distances(covariance, difference))
+
+
+def _distances(covariance: FloatArray, difference: FloatArray) -> FloatArray:
+    """Return the squared Mahalanobis distances (k,) of differences (f, k)."""
+    return np.asarray(np.sum(np.linalg.solve(np.linalg.cholesky(covariance), difference) ** 2, axis=0))

@@ -18,6 +18,7 @@ class SignatureParameters:
     block: float = 128.0  # of one spectrum; blocks of a cell overlap by half
     wavelengths: tuple[float, ...] = (45.0, 30.0, 20.0, 15.0, 11.0, 8.0, 6.0, 4.5, 3.3)  # ends of the bands
     least_wheelsets: int = 8  # of known conicity
+    most_entries: int = 4000  # of one class, axle position and pair of profiles: the newest
     least_sections: int = 3  # for an answer about places that the library does not have
     least_spread: float = 0.015  # std of the conicities of the library
     most_std: float = 0.03  # of a conicity that is learned from

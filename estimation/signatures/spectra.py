@@ -55,17 +55,3 @@ def _peak(power: FloatArray, wavenumber: FloatArray, ends: FloatArray) -> float:
     smooth = np.convolve(power, np.ones(3) / 3, mode="same")
     chosen = (wavenumber >= ends[0]) & (wavenumber < ends[-1])
     return float(1.0 / wavenumber[chosen][np.argmax(smooth[chosen])])
-
-
-def coherence(first: FloatArray, second: FloatArray, parameters: SignatureParameters) -> FloatArray:
-    """Return the squared coherence (b,) of one signal of two wheelsets over the same stretch of track, 0 to 1.
-
-    Parameters
-    ----------
-    first, second
-        (n,) of the wheelsets at the same places, every ``step`` m, in any unit.
-    parameters
-        Step, blocks and bands.
-    """
-    spectra, _ = band_spectra(np.stack([first, second, second]), parameters)
-    return np.asarray((spectra[:, 3] ** 2 + spectra[:, 4] ** 2) / (spectra[:, 0] * spectra[:, 1]))

@@ -87,7 +87,8 @@ def window_signatures(
             )
     if not found:
         return Reason(ReasonCode.PASS_TOO_SHORT, f"no stretch of {signature.cell:g} m was passed whole")
-    return tuple(found)
+    moving = tuple(one for one in found if one.finite)
+    return moving or Reason(ReasonCode.NOT_FINITE, "a signal does not move, or is no finite number")
 
 
 def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:

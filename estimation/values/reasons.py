@@ -173,6 +173,11 @@ class ReasonCode(StrEnum):
         "same_wheelset",
         "The library entry is of the judged wheelset, or shares samples with it.",
     )
+    JUDGED_TOGETHER = (
+        "judged_together",
+        "The library entry is of a wheelset that is judged by the same library, in which none of both may be.",
+    )
+    NEWER_ENTRIES = "newer_entries", "The library has as many newer entries of the place as it needs."
     SECTION_CHANGED = (
         "section_changed",
         "The track has changed there since, by tamping or other work. New passes make new library entries.",

@@ -61,6 +61,12 @@ class Signature:
         object.__setattr__(self, "spectra", frozen_array(self.spectra, (None, POWERS + CROSSES), name="spectra"))
 
     @property
+    def finite(self) -> bool:
+        """Whether all spectra are finite and no power is zero, so that their logarithms are finite, too."""
+        known = np.isfinite(self.spectra).all() and np.isfinite([self.speed, self.peak_wavelength]).all()
+        return bool(known and (self.spectra[:, :POWERS] > 0.0).all())
+
+    @property
     def powers(self) -> FloatArray:
         """Logarithms of the powers (3 b,), signal after signal."""
         return np.log(self.spectra[:, :POWERS]).T.ravel()
@@ -166,6 +172,8 @@ LEFT_OUT_CODES = (
     ReasonCode.OTHER_VEHICLE_CLASS,
     ReasonCode.OTHER_PROFILES,
     ReasonCode.SAME_WHEELSET,
+    ReasonCode.JUDGED_TOGETHER,
+    ReasonCode.NEWER_ENTRIES,
     ReasonCode.SECTION_CHANGED,
     ReasonCode.WHEELSET_TURNED,
 )

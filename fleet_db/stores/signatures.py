@@ -17,6 +17,7 @@ from fleet_db.rows import reason_columns, stored_reason, table_of, upsert
 SIGNATURES, ANSWERS, WINDOWS = table_of(WearSignatureRow), table_of(SignatureAnswerRow), table_of(WindowRow)
 SAME = and_(SIGNATURES.c.wheelset == WINDOWS.c.wheelset, SIGNATURES.c.start_ns == WINDOWS.c.start_ns)
 SPEED_BAND = 5  # m/s
+NEWEST = 24  # windows of a wheelset on a section in a band of speed that the library may use
 OF_OTHERS = (
     ReasonCode.FRAME_UNKNOWN.value,
     ReasonCode.MOUNTING_DIFFERS.value,
@@ -29,13 +30,15 @@ class SignatureStore:
 
     connection: Connection
 
-    def missing(self, limit: int, after: WindowKey | None = None) -> Sequence[WindowKey]:
+    def missing(self, wheelsets: Sequence[str], limit: int, after: WindowKey | None = None) -> Sequence[WindowKey]:
         """Return windows with samples that have no signatures, or have those of other samples, by wheelset and start.
 
         A window that lacked the other axle of its bogie is one of them once it has been estimated.
 
         Parameters
         ----------
+        wheelsets
+            Serials, a few hundred at most.
         limit
             Largest number.
         after
@@ -46,7 +49,9 @@ class SignatureStore:
         possible = and_(SIGNATURES.c.reason_code.in_(OF_OTHERS), WINDOWS.c.state == WindowState.ESTIMATED.value)
         statement = select(*key).select_from(WINDOWS.outerjoin(SIGNATURES, SAME))
         statement = statement.where(
-            WINDOWS.c.samples_purged_ns.is_(None), or_(SIGNATURES.c.window_digest.is_(None), other, possible)
+            WINDOWS.c.wheelset.in_(wheelsets),
+            WINDOWS.c.samples_purged_ns.is_(None),
+            or_(SIGNATURES.c.window_digest.is_(None), other, possible),
         )
         if after is not None:
             statement = statement.where(tuple_(*key) > tuple_(*after))
@@ -79,11 +84,21 @@ class SignatureStore:
             }
             upsert(self.connection, SIGNATURES, values)
 
-    def assumptions(self) -> Sequence[tuple[str, str, str]]:
-        """Return vehicle, wheelset and digest of what was assumed, of all that is stored with samples to make it of."""
+    def assumptions(self, wheelsets: Sequence[str]) -> Sequence[tuple[str, str, str]]:
+        """Return vehicle, wheelset and digest of what was assumed, of all that is stored with samples to make it of.
+
+        Parameters
+        ----------
+        wheelsets
+            Serials, a few hundred at most.
+        """
         columns = (SIGNATURES.c.vehicle, SIGNATURES.c.wheelset, SIGNATURES.c.assumed)
         statement = select(*columns).select_from(SIGNATURES.join(WINDOWS, SAME))
-        statement = statement.where(WINDOWS.c.samples_purged_ns.is_(None)).distinct().order_by(*columns)
+        statement = (
+            statement.where(SIGNATURES.c.wheelset.in_(wheelsets), WINDOWS.c.samples_purged_ns.is_(None))
+            .distinct()
+            .order_by(*columns)
+        )
         return [(row.vehicle, row.wheelset, row.assumed) for row in self.connection.execute(statement)]
 
     def forget(self, vehicle: str, wheelset: str, assumed: str) -> int:
@@ -106,13 +121,24 @@ class SignatureStore:
         return int(self.connection.execute(delete(SIGNATURES).where(*same)).rowcount)
 
     def known(self) -> Sequence[KnownSignatures]:
-        """Return all signatures of windows as they are stored by now, whose mileage is believed; by key."""
-        statement = select(SIGNATURES, WINDOWS.c.mileage_km).select_from(SIGNATURES.join(WINDOWS, SAME))
-        statement = statement.where(
+        """Return signatures of windows as they are stored by now, whose mileage is believed; by key.
+
+        Of each wheelset, section and band of speed those of the newest windows, ``NEWEST`` of them.
+        """
+        order = func.row_number().over(
+            partition_by=(SIGNATURES.c.wheelset, SIGNATURES.c.section, SIGNATURES.c.speed_band_m_s),
+            order_by=SIGNATURES.c.start_ns.desc(),
+        )
+        keys = select(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns, WINDOWS.c.mileage_km, order.label("age"))
+        keys = keys.select_from(SIGNATURES.join(WINDOWS, SAME)).where(
             SIGNATURES.c.places > 0,
             SIGNATURES.c.window_digest == WINDOWS.c.content_digest,
             WINDOWS.c.implausible_code.is_(None),
         )
+        newest = keys.subquery()
+        own = and_(newest.c.wheelset == SIGNATURES.c.wheelset, newest.c.start_ns == SIGNATURES.c.start_ns)
+        statement = select(SIGNATURES, newest.c.mileage_km).select_from(SIGNATURES.join(newest, own))
+        statement = statement.where(newest.c.age <= NEWEST)
         rows = self.connection.execute(statement.order_by(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns))
         return [
             KnownSignatures(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 import stored_values as make
 from same_values import same_values
 
@@ -25,6 +26,7 @@ from estimation.values.signatures import (
 )
 from estimation.values.windows import WindowState
 from fleet_db.storage import SqlStorage
+from fleet_db.stores import signatures as signature_store
 
 
 def signature(start_ns: int, order: int, place: Place | None) -> Signature:
@@ -63,12 +65,12 @@ def test_signatures_come_back_bit_for_bit_with_the_mileage_of_their_window(fleet
 def test_a_window_is_missing_until_it_has_signatures_and_again_with_other_samples(fleet: SqlStorage) -> None:
     start_ns, digest = stored_window(fleet)
     with fleet.write() as unit:
-        assert unit.signatures.missing(10) == [("WS-1", start_ns)]
+        assert unit.signatures.missing(["WS-1"], 10) == [("WS-1", start_ns)]
         unit.signatures.put_all([made(start_ns, digest)])
-        assert unit.signatures.missing(10) == []
+        assert unit.signatures.missing(["WS-1"], 10) == []
     stored_window(fleet, seed=5)
     with fleet.read() as unit:
-        assert unit.signatures.missing(10) == [("WS-1", start_ns)]
+        assert unit.signatures.missing(["WS-1"], 10) == [("WS-1", start_ns)]
         assert unit.signatures.known() == [], "those of other samples are not known"
 
 
@@ -78,12 +80,12 @@ def test_a_refusal_is_kept_and_one_for_want_of_the_other_axle_is_tried_again(fle
     frame = Reason(ReasonCode.FRAME_UNKNOWN, "no other axle")
     with fleet.write() as unit:
         unit.signatures.put_all([made(start_ns, digest, short)])
-        assert unit.signatures.missing(10) == []
+        assert unit.signatures.missing(["WS-1"], 10) == []
         assert unit.signatures.counts() == {"pass_too_short": 1}
         unit.signatures.put_all([made(start_ns, digest, frame)])
-        assert unit.signatures.missing(10) == []
+        assert unit.signatures.missing(["WS-1"], 10) == []
         unit.windows.mark("WS-1", start_ns, WindowState.ESTIMATED)
-        assert unit.signatures.missing(10) == [("WS-1", start_ns)]
+        assert unit.signatures.missing(["WS-1"], 10) == [("WS-1", start_ns)]
 
 
 def test_signatures_of_other_assumptions_are_forgotten(fleet: SqlStorage) -> None:
@@ -92,10 +94,10 @@ def test_signatures_of_other_assumptions_are_forgotten(fleet: SqlStorage) -> Non
     start_ns, digest = stored_window(fleet)
     with fleet.write() as unit:
         unit.signatures.put_all([made(start_ns, digest)])
-        assert unit.signatures.assumptions() == [("V-1", "WS-1", "a" * 64)]
+        assert unit.signatures.assumptions(["WS-1"]) == [("V-1", "WS-1", "a" * 64)]
         assert unit.signatures.forget("V-1", "WS-1", "b" * 64) == 0
         assert unit.signatures.forget("V-1", "WS-1", "a" * 64) == 1
-        assert unit.signatures.missing(10) == [("WS-1", start_ns)]
+        assert unit.signatures.missing(["WS-1"], 10) == [("WS-1", start_ns)]
 
 
 RECORD = SignatureRecord(
@@ -137,3 +139,22 @@ def test_the_newest_answer_takes_the_place_of_the_one_before(fleet: SqlStorage) 
             assert unit.signatures.answer("WS-1") == one
             assert unit.signatures.answer("WS-2") is None
             assert unit.signatures.answered() == {"WS-1": (one.input_digest, "9")}
+
+
+def test_of_a_wheelset_section_and_band_of_speed_the_newest_windows_are_known(
+    fleet: SqlStorage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert signature_store.NEWEST == 24
+    monkeypatch.setattr(signature_store, "NEWEST", 2)
+    keys = [stored_window(fleet, index) for index in range(4)]
+    with fleet.write() as unit:
+        unit.signatures.put_all([made(*keys[0], placed=False), *(made(*key) for key in keys[1:])])
+        assert [one.found.start_ns for one in unit.signatures.known()] == [key[0] for key in (keys[0], *keys[2:])]
+
+
+def test_windows_of_other_wheelsets_are_not_asked_for(fleet: SqlStorage) -> None:
+    start_ns, digest = stored_window(fleet)
+    with fleet.write() as unit:
+        assert unit.signatures.missing(["WS-2"], 10) == []
+        unit.signatures.put_all([made(start_ns, digest)])
+        assert unit.signatures.assumptions(["WS-2"]) == []

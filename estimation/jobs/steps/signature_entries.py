@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, wheel_contact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.jobs.steps.baselines import Baseline, baselines
@@ -15,13 +17,14 @@ from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.signatures.parameters import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated
-from estimation.values.interval_conicities import KnownConicity
+from estimation.values.interval_conicities import KnownConicity, interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.signatures import ConicitySource, DesignPair, KnownSignatures, LibraryEntry, Place
 from estimation.values.track import TrackSectionRecord
 
 LEAST_STD = 0.003  # of a conicity from measured profiles
+WEAR_PER_KM = 1e-6  # std of what wear changes a conicity by, between a signature and what is known of the wheelset
 AT_LIMIT = int(abs(AMPLITUDES - LIMIT_AMPLITUDE).argmin())
 SPEED_BAND = 5.0  # m/s: of each wheelset, place and band the newest signature is an entry
 
@@ -31,6 +34,10 @@ class _Label:
     mileage_km: float
     conicity: float
     std: float
+
+    def at(self, mileage_km: float) -> tuple[float, float]:
+        """Return conicity and std at another mileage, whose wear is not known."""
+        return self.conicity, float(np.hypot(self.std, WEAR_PER_KM * (mileage_km - self.mileage_km)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +97,7 @@ class EntryReader:
                 place = entry.signature.place
                 if place is not None:
                     newest[wheelset, baseline, place, int(entry.signature.speed // SPEED_BAND)] = entry
-        return Entries(tuple(newest.values()), dict(left_out))
+        return Entries(tuple(newest.values()), left_out)
 
     def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
         """Return the life of a wheelset's profile at a time.
@@ -171,8 +178,9 @@ class EntryReader:
             return (*measured, ConicitySource.MEASURED_PROFILES)
         near = [item for item in self._estimates(one.found.wheelset, baseline) if self._is_near(item.mileage_km, one)]
         if near:
-            best = min(near, key=lambda item: (abs(item.mileage_km - one.mileage_km), item.std))
-            return best.conicity, best.std, ConicitySource.GEOMETRY
+            best = min((item.at(one.mileage_km) for item in near), key=lambda known: known[1])
+            if best[1] <= self.parameters.most_std:
+                return (*best, ConicitySource.GEOMETRY)
         return ReasonCode.WHEELSET_TURNED if turned else ReasonCode.NO_CONICITY
 
     def _is_near(self, mileage_km: float, one: KnownSignatures) -> bool:
@@ -191,7 +199,7 @@ class EntryReader:
         for item in sorted(same, key=lambda item: abs(item.mileage_km - one.mileage_km)):
             found = self._contact(item, self.classes.wheelset(wheelset), rails)
             if found is not None:
-                return found, False
+                return _Label(item.mileage_km, *found).at(one.mileage_km), False
         return None, len(near) > len(same)
 
     def _contact(
@@ -210,13 +218,13 @@ class EntryReader:
         return self._contacts[key]
 
     def _estimates(self, wheelset: str, baseline: int) -> Sequence[_Label]:
+        """Return what is known by geometries: of the mileage intervals, and the current one, which rests on more."""
         key = (wheelset, baseline)
         if key not in self._labels:
-            found = [
-                (record.mileage_km, at_limit(record.known))
-                for record in self.unit.geometries.conicities(wheelset, baseline)
-                if record.windows
-            ]
+            records = list(self.unit.geometries.conicities(wheelset, baseline))
+            whole = (one for one in self.unit.geometries.baselines(wheelset) if one.baseline == baseline)
+            records += [interval_conicities(one) for one in whole]
+            found = [(record.mileage_km, at_limit(record.known)) for record in records if record.windows]
             self._labels[key] = [
                 _Label(km, *both) for km, both in found if both is not None and both[1] <= self.parameters.most_std
             ]

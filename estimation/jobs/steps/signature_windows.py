@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
-from estimation.errors import DamagedError, PurgedError
+from estimation.errors import DamagedError, PurgedError, TreadwatchError
+from estimation.failures import code_of_error, first_line
+from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
@@ -15,43 +17,55 @@ from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.window_signatures import window_signatures
 from estimation.storage import UnitOfWork
-from estimation.values.reasons import Reason
-from estimation.values.signatures import WindowSignatures
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.signatures import KnownSignatures, WindowSignatures
 from estimation.values.track import TrackLayout
 from estimation.values.windows import WindowKey, WindowRecord
 
-VERSION = 1
+VERSION = 2
 """Of what signatures are; with another one all are made again."""
 OF_SIGNATURES = ("step", "cell", "block", "wavelengths")
-BATCH = 64
+BATCH = 64  # windows
+TOGETHER = 200  # wheelsets asked for in one statement
 
 
-def refresh_windows(context: JobContext) -> Mapping[str, int]:
+def refresh_windows(context: JobContext, wheelsets: Sequence[str]) -> Mapping[str, int]:
     """Store the signatures of windows that have none, batch by batch; return what was counted.
 
     Parameters
     ----------
     context
         Of the job.
+    wheelsets
+        Serials of those that may have such windows.
     """
-    counts: Counter[str] = Counter(signed=0, without_signature=0)
-    counts["made_again"] = _forget_outdated(context)
-    after: WindowKey | None = None
-    done = 0
-    while True:
-        with context.storage.read() as unit:
-            keys = unit.signatures.missing(BATCH, after)
-            if not keys:
-                return counts
-            found = _made(unit, context, keys, counts)
-        with context.storage.write() as unit:
-            now = {record.key: record.content_digest for record in unit.windows.several(keys, held=True)}
-            same = [one for one in found if now.get((one.wheelset, one.start_ns)) == one.window_digest]
-            unit.signatures.put_all(same)
-        counts["signed"] += sum(bool(one.signatures) for one in same)
-        counts["without_signature"] += sum(not one.signatures for one in same)
-        after, done = keys[-1], done + len(keys)
-        context.checkpoint(done, done + len(keys))
+    counts: Counter[str] = Counter(signed=0, without_signature=0, made_again=0)
+    for first in range(0, len(wheelsets), TOGETHER):
+        together = wheelsets[first : first + TOGETHER]
+        counts["made_again"] += _forget_outdated(context, together)
+        after: WindowKey | None = None
+        while (keys := _stored(context, together, after, counts)) is not None:
+            after = keys[-1]
+            context.checkpoint(first, len(wheelsets))
+    return counts
+
+
+def _stored(
+    context: JobContext, wheelsets: Sequence[str], after: WindowKey | None, counts: Counter[str]
+) -> Sequence[WindowKey] | None:
+    """Store the signatures of the next windows and return their keys; None where there are none."""
+    with context.storage.read() as unit:
+        keys = unit.signatures.missing(wheelsets, BATCH, after)
+        if not keys:
+            return None
+        found = _made(unit, context, keys, counts)
+    with context.storage.write() as unit:
+        now = {record.key: record.content_digest for record in unit.windows.several(keys, held=True)}
+        same = [one for one in found if now.get((one.wheelset, one.start_ns)) == one.window_digest]
+        unit.signatures.put_all(same)
+    counts["signed"] += sum(bool(one.signatures) for one in same)
+    counts["without_signature"] += sum(not one.signatures for one in same)
+    return keys
 
 
 def assumed_digest(assumed: Assumed, parameters: SignatureParameters, layouts: Mapping[str, int | None]) -> str:
@@ -71,15 +85,52 @@ def assumed_digest(assumed: Assumed, parameters: SignatureParameters, layouts: M
     return hashlib.sha256(text.encode()).hexdigest()
 
 
+def usable(
+    unit: UnitOfWork, context: JobContext, known: Sequence[KnownSignatures]
+) -> tuple[list[KnownSignatures], Counter[ReasonCode]]:
+    """Return the signatures that are made as they would be now and are finite, and how many windows have none.
+
+    Those that were made otherwise and whose samples are purged cannot be made again: their places may be others.
+
+    Parameters
+    ----------
+    unit
+        Classes and layouts are read.
+    context
+        Settings.
+    known
+        Signatures of windows.
+    """
+    classes, layouts = ClassLookup(unit, context.settings.estimation), _layout_versions(unit)
+    found, left_out, digests = [], Counter[ReasonCode](), dict[tuple[str, str], str]()
+    for one in known:
+        pair = one.found.vehicle, one.found.wheelset
+        if pair not in digests:
+            assumed = classes.assumed(*pair)
+            digests[pair] = (
+                "" if isinstance(assumed, Reason) else assumed_digest(assumed, context.settings.signatures, layouts)
+            )
+        finite = tuple(item for item in one.found.signatures if item.finite)
+        if digests[pair] != one.found.assumed:
+            left_out[ReasonCode.SAMPLES_PURGED] += 1
+        elif not finite:
+            left_out[ReasonCode.NOT_FINITE] += 1
+        else:
+            found.append(replace(one, found=replace(one.found, signatures=finite)))
+    return found, left_out
+
+
 def _layout_versions(unit: UnitOfWork) -> dict[str, int | None]:
-    return {one.code: unit.tracks.layout_version(one.code) for one in unit.tracks.sections()}
+    standings = unit.tracks.standings()
+    versions = {code: standing.layout for code, standing in standings.items()}
+    return {one.code: versions.get(one.code) for one in unit.tracks.sections()}
 
 
-def _forget_outdated(context: JobContext) -> int:
+def _forget_outdated(context: JobContext, wheelsets: Sequence[str]) -> int:
     """Remove signatures of another class, other parameters or layouts, whose samples are there; return how many."""
     with context.storage.write() as unit:
         classes, layouts, gone = ClassLookup(unit, context.settings.estimation), _layout_versions(unit), 0
-        for vehicle, wheelset, before in unit.signatures.assumptions():
+        for vehicle, wheelset, before in unit.signatures.assumptions(wheelsets):
             assumed = classes.assumed(vehicle, wheelset)
             if isinstance(assumed, Reason):
                 continue
@@ -120,8 +171,13 @@ def _of_window(
     layout: TrackLayout | None,
     parameters: SignatureParameters,
 ) -> WindowSignatures:
-    window = loader.load(record, assumed.windows.vehicle_class)
-    made = window if isinstance(window, Reason) else window_signatures(window, assumed.windows, parameters, layout)
+    try:
+        window = loader.load(record, assumed.windows.vehicle_class)
+        made = window if isinstance(window, Reason) else window_signatures(window, assumed.windows, parameters, layout)
+    except Exception as error:
+        if isinstance(error, TreadwatchError | OSError | MemoryError) or not fails_alone(error):
+            raise
+        made = Reason(code_of_error(error), first_line(error))
     return WindowSignatures(
         wheelset=record.wheelset,
         start_ns=record.start_ns,

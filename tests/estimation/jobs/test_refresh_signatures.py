@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from sqlalchemy import update
 
 from api.comparison import trial
 from api.comparison.truth import TrueWheelset, read_truth
+from api.settings import Settings
 from estimation.jobs import refresh_signatures
 from estimation.jobs.job import JobContext
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
-from estimation.values.signatures import Basis
+from estimation.values.signatures import Basis, Signature, SignatureRecord, WindowSignatures
+from fleet_db.migrate import upgrade
+from fleet_db.models import WindowRow
+from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.signatures import SignatureStore
 from ingest.simulator.scenario_file import load_scenario
 
 SCENARIO = """\
@@ -107,11 +115,155 @@ def test_wheelsets_are_judged_by_the_others_and_near_the_truth(ran: Ran) -> None
     assert max(errors) < 0.04
 
 
-def test_a_second_run_finds_nothing_to_do(ran: Ran) -> None:
+def test_intervals_hold_the_truth_though_geometries_share_their_errors(ran: Ran) -> None:
+    storage, _, truth, _ = ran
+    held = []
+    for serial, true in truth.items():
+        conicity = answer(storage, serial).answer.conicity
+        if conicity.low is not None and conicity.high is not None:
+            held.append(conicity.low <= true.conicity[-1] <= conicity.high)
+    assert len(held) >= 8
+    assert np.mean(held) >= 0.9
+
+
+def test_a_second_run_reads_counters_alone(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
     _, context, _, _ = ran
+    for method in ("known", "missing", "assumptions", "answered"):
+        monkeypatch.setattr(SignatureStore, method, None)
     counts = refresh_signatures.run(context)
     assert counts["unchanged"] == 12
     assert counts["answered"] == counts["signed"] == counts["without_signature"] == counts["made_again"] == 0
+
+
+def test_a_wheelset_to_which_something_happened_is_looked_at_and_found_unchanged(ran: Ran) -> None:
+    storage, context, _, _ = ran
+    with storage.write() as unit:
+        unit.changes.touch("W03")
+    counts = refresh_signatures.run(context)
+    assert counts["answered"] == 0
+    assert counts["unchanged"] == 12
+
+
+def answer(storage: SqlStorage, serial: str) -> SignatureRecord:
+    with storage.read() as unit:
+        found = unit.signatures.answer(serial)
+    assert found is not None
+    return found
+
+
+@contextmanager
+def stored_otherwise(
+    ran: Ran, change: Callable[[Signature], Signature], wheelsets: Collection[str]
+) -> Iterator[Mapping[str, int]]:
+    """Yield what a run counts after the signatures of some wheelsets were stored otherwise; it is undone at the end."""
+    storage, context, _, _ = ran
+    with storage.read() as unit:
+        before = [one.found for one in unit.signatures.known() if one.found.wheelset in wheelsets]
+    after = [replace(one, signatures=tuple(change(item) for item in one.signatures)) for one in before]
+
+    def put(found: Sequence[WindowSignatures]) -> Mapping[str, int]:
+        with storage.write() as unit:
+            unit.signatures.put_all(found)
+            for serial in wheelsets:
+                unit.changes.touch(serial)
+        return refresh_signatures.run(context)
+
+    try:
+        yield put(after)
+    finally:
+        put(before)
+
+
+def test_entries_of_another_class_teach_nothing_and_its_wheelsets_have_no_library(ran: Ran) -> None:
+    with stored_otherwise(ran, lambda one: replace(one, vehicle_class="another"), {"W02"}):
+        record = answer(ran[0], "W07")
+        assert record.left_out["other_vehicle_class"] > 0
+        assert "W02" not in {one.wheelset for one in record.answer.used}
+        alone = answer(ran[0], "W02").answer.conicity
+    assert alone.value is None
+    assert alone.reason is not None
+    assert alone.reason.code is ReasonCode.LIBRARY_TOO_SMALL
+
+
+def test_entries_of_track_that_was_tamped_since_are_retired(ran: Ran) -> None:
+    """The two vehicles that ran first saw another track on two stretches than the last one."""
+    earlier = {f"W{number:02d}" for number in range(12) if number % 3 != 2}  # the third vehicle ran last
+
+    def of_old_track(one: Signature) -> Signature:
+        worked_on = one.place is not None and one.place.cell in {3, 4}
+        factor = np.exp(np.linspace(-2.0, 2.0, len(one.spectra)))[:, None]
+        return replace(one, spectra=factor * one.spectra) if worked_on else one
+
+    with stored_otherwise(ran, of_old_track, earlier) as counts:
+        assert counts["retired"] > 0, counts
+        record = answer(ran[0], "W11")
+        assert record.left_out["section_changed"] == counts["retired"]
+        assert record.signatures > 0
+        old = answer(ran[0], "W00")
+        assert old.signatures < answer(ran[0], "W11").signatures, "its own stretches of the old track do not count"
+    assert "section_changed" not in answer(ran[0], "W11").left_out
+
+
+def test_signatures_that_are_no_finite_numbers_count_nowhere(ran: Ran) -> None:
+    with stored_otherwise(ran, lambda one: replace(one, spectra=np.full_like(one.spectra, np.nan)), {"W04"}):
+        silent = answer(ran[0], "W04")
+        others = [answer(ran[0], serial) for serial in ("W05", "W06")]
+    assert silent.answer.conicity.value is None
+    assert silent.answer.conicity.reason is not None
+    assert silent.answer.conicity.reason.code is ReasonCode.NO_SIGNATURE
+    assert all(one.left_out["not_finite"] > 0 for one in others)
+    assert any(one.answer.conicity.value is not None for one in others)
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"least_wheelsets": 13}, ReasonCode.LIBRARY_TOO_SMALL),
+        ({"least_spread": 1.0}, ReasonCode.LIBRARY_ALIKE),
+        ({"most_std": 1e-9}, ReasonCode.LIBRARY_TOO_SMALL),
+    ],
+    ids=["too few wheelsets", "all alike", "nothing is known well enough"],
+)
+def test_a_library_that_teaches_nothing_says_why(ran: Ran, change: dict[str, float], code: ReasonCode) -> None:
+    storage, context, _, _ = ran
+    settings = replace(context.settings, signatures=replace(context.settings.signatures, **change))
+    counts = refresh_signatures.run(replace(context, settings=settings))
+    assert counts["estimated"] == 0
+    for serial in ("W00", "W11"):
+        record = answer(storage, serial)
+        assert record.answer.conicity.reason is not None
+        assert record.answer.conicity.reason.code is code
+        assert record.answer.states == ()
+        assert record.disagreement is None
+    refresh_signatures.run(context)
+
+
+def test_signatures_whose_samples_are_purged_stay_and_are_left_out_where_they_would_be_made_otherwise(ran: Ran) -> None:
+    storage, context, _, _ = ran
+    windows = table_of(WindowRow)
+    of_one = windows.c.wheelset == "W09"
+    with storage.write() as unit:
+        unit.connection.execute(update(windows).where(of_one).values(samples_purged_ns=1))
+        unit.changes.touch("W09")
+    refresh_signatures.run(context)
+    assert answer(storage, "W09").signatures > 0
+    wider = replace(context.settings, signatures=replace(context.settings.signatures, cell=250.0))
+    counts = refresh_signatures.run(replace(context, settings=wider))
+    assert counts["made_again"] > 0
+    assert answer(storage, "W08").left_out["samples_purged"] > 0
+    assert "W09" not in {one.wheelset for one in answer(storage, "W08").answer.used}
+    with storage.write() as unit:
+        unit.connection.execute(update(windows).where(of_one).values(samples_purged_ns=None))
+        unit.changes.touch("W09")
+    refresh_signatures.run(context)
+
+
+def test_an_empty_database_has_nothing_to_do(tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path, database_url=None, raw_store=None, _env_file=None)  # type: ignore[call-arg] # of pydantic-settings
+    upgrade(settings.url)
+    with trial.opened(settings) as (_, context):
+        counts = refresh_signatures.run(context)
+    assert set(counts.values()) == {0}
 
 
 def test_a_wheelset_that_was_turned_has_no_answer_and_teaches_nothing_about_its_old_profile(

@@ -50,6 +50,7 @@ def draw() -> Draw:
         std: float = 0.003,
         start_ns: int = 0,
         shift: dict[Place, np.ndarray] | None = None,
+        rougher: float = 0.0,
     ) -> list[LibraryEntry]:
         rng = np.random.default_rng(seed)
         found = []
@@ -58,7 +59,7 @@ def draw() -> Draw:
             on_file = float(conicity + std * rng.standard_normal())
             for section in range(first_section, first_section + sections):
                 tracks = np.random.default_rng([99, section])
-                level = tracks.normal(0.0, 0.4)
+                level = tracks.normal(0.0, 0.4) + rougher
                 speed = float(rng.uniform(14, 20))
                 for cell in range(4):
                     place = Place(f"S{section}", cell)
@@ -73,7 +74,7 @@ def draw() -> Draw:
                             0,
                             on_file,
                             std,
-                            ConicitySource.GEOMETRY,
+                            ConicitySource.MEASURED_PROFILES,
                             (one.wheelset,),
                         )
                     )

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.signature_cases import Plan, SimulatedFleet, entries, fleet
+from bench.signature_cases import SimulatedFleet, entries
+from bench.signature_fleets import Plan, fleet
 from estimation.signatures.answer import judged
 from estimation.signatures.library import Library, library
 from estimation.signatures.parameters import SignatureParameters

@@ -10,7 +10,7 @@ import pytest
 
 from bench.signature_cases import Wheelset, tracks, wheelset, window_of, window_parameters
 from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.spectra import band_spectra, coherence
+from estimation.signatures.spectra import band_spectra
 from estimation.signatures.window_signatures import window_signatures
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
@@ -106,6 +106,13 @@ def test_windows_of_poor_quality_are_refused(window: Window, change: dict[str, f
     assert reason(replace(window, quality=replace(window.quality, **change))) is code
 
 
+def test_a_signal_that_does_not_move_gives_no_signature(window: Window) -> None:
+    """Its power is zero, which has no logarithm."""
+    still = np.zeros(len(window.valid))
+    quiet = replace(window, roll_acceleration=still)
+    assert reason(quiet) is ReasonCode.NOT_FINITE
+
+
 def test_standing_short_curved_and_reversed_windows_are_refused(window: Window) -> None:
     n = len(window.valid)
     assert reason(replace(window, speed=np.full(n, 1.0))) is ReasonCode.NOT_MOVING
@@ -155,10 +162,3 @@ def test_a_wave_is_in_its_band_and_at_its_wavelength() -> None:
     band = next(k for k in range(PARAMETERS.bands) if PARAMETERS.wavelengths[k] > 9.0 > PARAMETERS.wavelengths[k + 1])
     assert np.argmax(spectra[:, 1]) == band
     assert peak == pytest.approx(9.0, rel=0.05)
-
-
-def test_wheelsets_over_the_same_track_are_coherent_and_others_are_not() -> None:
-    rng = np.random.default_rng(1)
-    track, other = rng.standard_normal((2, 20_000))
-    np.testing.assert_allclose(coherence(track, 0.3 * track, PARAMETERS), 1.0)
-    assert coherence(track, other, PARAMETERS).max() < 0.1
