@@ -46,7 +46,7 @@ class FrictionParameters:
     class_std: float = 0.15  # of 1/mu, relative: errors of creep coefficient, yaw spring and load on file scale it
     track_std: float = 0.45  # of 1/mu of a place: the error of the alignment is the same in all passes
     change_std: float = 0.2  # of the logarithm of 1/mu from a place to the next
-    anew: float = 0.05  # share of places whose friction has nothing to do with that of the place before
+    fresh: float = 0.05  # share of places whose friction has nothing to do with that of the place before
     least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
     rounds: int = 12
 
@@ -205,7 +205,7 @@ def _along(
     widened = (left / np.maximum(scatter, left)) ** 2
     misfits = sums.by_place(_own_misfits(sums, found.creep, found.slope))
     known = AlongParameters(
-        parameters.usual, parameters.usual_std, parameters.track_std, parameters.change_std, parameters.anew
+        parameters.usual, parameters.usual_std, parameters.track_std, parameters.change_std, parameters.fresh
     )
     return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), known)
 
