@@ -2,7 +2,7 @@
 
 Every row is a scenario file in ``bench/adhesion_scenarios``; every seed of it is simulated and estimated by the pure
 functions that the jobs use (``adhesion_case``). Results are appended to ``--out`` after every case, a line of JSON
-each, and what is there is not run again. The passes of each case stay in ``--sums``: ``--again`` pools them anew, which
+each, and what is there is not run again. The passes of each case stay in ``--sums``: ``--again`` pools them, which
 judges a change of pooling or decision in seconds.
 """
 
@@ -107,7 +107,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--rows", type=_rows, default=list(ROWS), help="names, with commas between (default: all)")
     parser.add_argument("--out", type=Path, default=Path("bench-results/adhesion.jsonl"), help="lines of JSON")
     parser.add_argument("--sums", type=Path, default=Path("bench-results/adhesion-sums"), help="folder of the passes")
-    parser.add_argument("--again", action="store_true", help="run no case, pool the passes of those in --out anew")
+    parser.add_argument("--again", action="store_true", help="run no case, pool the passes of those in --out again")
     parser.add_argument("--print-only", action="store_true", help="print the tables of what --out holds")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/adhesion.md")
     return parser.parse_args(arguments)

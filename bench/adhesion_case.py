@@ -31,6 +31,7 @@ from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackSectionRecord
 from ingest.simulator.axle_motion import contact_of, true_geometry
+from ingest.simulator.creep_laws import CreepLaw
 from ingest.simulator.scenario import Scenario
 
 AMPLITUDES = np.arange(4, 13) * 0.25e-3  # m
@@ -87,7 +88,7 @@ def score(scenario: Scenario, folder: Path) -> AdhesionScore:
     geometries = _geometries(fleet.windows, motions, parameters)
     done.conicity_all = _conicity_errors(scenario, fleet, geometries)
     passes = list(_passes(fleet, motions, parameters, geometries, done))
-    if scenario.running.friction is None:
+    if scenario.running.creep.law is CreepLaw.LINEAR:
         return done
     s = np.arange(fleet.track.s[0], fleet.track.s[-1], STEP)
     stored = StoredPasses(scenario.section.code, tuple(passes), s, fleet.friction(0, s), _length(fleet))

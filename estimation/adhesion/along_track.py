@@ -1,8 +1,8 @@
 """The friction of places that adjoin: what passes say of each, and that friction mostly changes little over a place.
 
 A chain over the places with 1/mu on a grid (a hidden Markov model, Rabiner 1989). From a place to the next one the
-logarithm of 1/mu changes with a std; now and then a place begins anew with what is known of rails beforehand, as leaves
-begin somewhere.
+logarithm of 1/mu changes with a std; some places have nothing in common with the one before, as leaf fall has a
+sharp end: they begin with what is known of rails beforehand.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class AlongParameters:
     usual_std: float
     place_std: float  # error of a place that all its passes share
     change_std: float  # of the logarithm of 1/mu from a place to the next
-    anew: float  # share of places that begin anew
+    fresh: float  # share of places that have nothing in common with the one before
 
 
 def along_track(cells: IntArray, misfits: FloatArray, parameters: AlongParameters) -> Along:
@@ -62,7 +62,7 @@ def along_track(cells: IntArray, misfits: FloatArray, parameters: AlongParameter
     prior /= prior.sum()
     logarithm = np.log(GRID)
     steps = np.exp(-0.5 * ((logarithm[:, None] - logarithm) / parameters.change_std) ** 2)
-    steps = (1.0 - parameters.anew) * steps / steps.sum(axis=1, keepdims=True) + parameters.anew * prior
+    steps = (1.0 - parameters.fresh) * steps / steps.sum(axis=1, keepdims=True) + parameters.fresh * prior
     likelihoods = _likelihoods(misfits, parameters.place_std, width)
     adjoins = np.diff(cells) == 1
     forward, back = np.empty_like(likelihoods), np.ones_like(likelihoods)

@@ -43,9 +43,10 @@ class FrictionParameters:
     usual_std: float = 3.0  # of it
     most_usual: float = 5.0  # 1/mu of places that show b: where creep is far from linear its law matters more
     law_std: float = 0.1  # of 1/mu, relative: creep laws differ
+    class_std: float = 0.15  # of 1/mu, relative: errors of creep coefficient, yaw spring and load on file scale it
     track_std: float = 0.45  # of 1/mu of a place: the error of the alignment is the same in all passes
     change_std: float = 0.2  # of the logarithm of 1/mu from a place to the next
-    anew: float = 0.05  # share of places whose friction has nothing to do with that of the place before
+    fresh: float = 0.05  # share of places whose friction has nothing to do with that of the place before
     least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
     rounds: int = 12
 
@@ -204,7 +205,7 @@ def _along(
     widened = (left / np.maximum(scatter, left)) ** 2
     misfits = sums.by_place(_own_misfits(sums, found.creep, found.slope))
     known = AlongParameters(
-        parameters.usual, parameters.usual_std, parameters.track_std, parameters.change_std, parameters.anew
+        parameters.usual, parameters.usual_std, parameters.track_std, parameters.change_std, parameters.fresh
     )
     return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), known)
 
@@ -225,7 +226,8 @@ def _cell(
     if left > LEARNT * parameters.usual_std:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"creep is so small in {n} passes that it shows no friction")
         return CellFriction(cell, Estimate.unknown(small, float(n)), 0.0, 0.0, n)
-    systematic = float(np.hypot(parameters.law_std * inverse, by_creep))
+    relative = float(np.hypot(parameters.law_std, parameters.class_std))
+    systematic = float(np.hypot(relative * inverse, by_creep))
     half = float(np.hypot(stdtrit(n - 1, 0.975) * sampled, NORMAL_95 * systematic))
     std = float(np.hypot(sampled, systematic))
     probability = float(stdtr(n - 1, (inverse - 1.0 / parameters.low) / std))

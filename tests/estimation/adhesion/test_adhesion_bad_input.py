@@ -123,7 +123,7 @@ def test_profiles_without_a_shape_leave_forces_and_no_friction(estimated_fleet: 
 
 
 def test_windows_that_leave_the_section_leave_its_friction(estimated_fleet: EstimatedFleet, tmp_path: Path) -> None:
-    """They lose their position, or are assembled anew of other samples."""
+    """They lose their position, or are assembled again of other samples."""
     code = estimated_fleet.scenario.section.code
     with fleet_with(estimated_fleet, tmp_path, lambda _: None) as (storage, context):
         with storage.write() as unit:

@@ -38,13 +38,13 @@ def test_three_places_are_the_sum_over_all_courses() -> None:
         assert found.std[place] == pytest.approx(np.sqrt(marginal @ GRID**2 - mean**2), rel=0.05)
 
 
-def test_places_behind_a_gap_and_places_that_begin_anew_stand_alone() -> None:
+def test_places_behind_a_gap_and_places_with_nothing_in_common_stand_alone() -> None:
     inverse = np.array([3.0, 9.0])
     alone = [along_track(np.array([0]), misfits_of(inverse[[place]], 0.5), KNOWN) for place in (0, 1)]
     gap = along_track(np.array([0, 2]), misfits_of(inverse, 0.5), KNOWN)
     assert gap.mean == pytest.approx([one.mean[0] for one in alone], rel=1e-12)
-    anew = along_track(np.array([0, 1]), misfits_of(inverse, 0.5), AlongParameters(3.3, 3.0, 0.45, 0.2, 1.0))
-    assert anew.mean == pytest.approx(gap.mean, rel=1e-9)
+    alike = along_track(np.array([0, 1]), misfits_of(inverse, 0.5), AlongParameters(3.3, 3.0, 0.45, 0.2, 1.0))
+    assert alike.mean == pytest.approx(gap.mean, rel=1e-9)
 
 
 def test_a_sharp_end_stays_where_it_is_and_noise_gets_less() -> None:

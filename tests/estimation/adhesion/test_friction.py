@@ -101,7 +101,7 @@ def test_intervals_and_lower_bounds_cover() -> None:
     for seed in range(12):
         frictions = np.random.default_rng([seed, 5]).uniform(0.06, 0.45, 14)
         passes = [a_pass(100 * seed + number, tuple(frictions)) for number in range(8)]
-        apart = replace(KNOWN, anew=1.0)  # neighbours here have nothing in common
+        apart = replace(KNOWN, fresh=1.0)  # neighbours here have nothing in common
         for cell, true in zip(section_friction(passes, apart), frictions, strict=True):
             bounded.append(cell.at_least <= true)
             if cell.friction.low is not None and cell.friction.high is not None:
@@ -131,7 +131,7 @@ def test_what_is_measured_beyond_the_ends_of_a_section_is_no_place_of_it() -> No
 def test_passes_that_scatter_by_more_than_the_noise_say_less() -> None:
     def std_of(frictions: Sequence[float]) -> float:
         passes = [a_pass(number, [0.1] * 5 + [one] + [0.1] * 6) for number, one in enumerate(frictions)]
-        found = section_friction(passes, replace(KNOWN, law_std=0.0, anew=1.0))[5].friction
+        found = section_friction(passes, replace(KNOWN, law_std=0.0, class_std=0.0, fresh=1.0))[5].friction
         assert found.std is not None
         assert found.value is not None
         return found.std / found.value**2
@@ -143,7 +143,8 @@ def test_what_decides_on_low_adhesion_is_pinned() -> None:
     assert (KNOWN.low, KNOWN.likely, KNOWN.at_ends) == (0.15, 0.6, 0.3)
     assert (KNOWN.fewest_passes, KNOWN.least_upper, LEARNT) == (3, 0.6, 0.7)
     assert (KNOWN.usual, KNOWN.usual_std, KNOWN.most_usual, KNOWN.creep_error_std) == (3.3, 3.0, 5.0, 0.1)
-    assert (KNOWN.law_std, KNOWN.track_std, KNOWN.change_std, KNOWN.anew) == (0.1, 0.45, 0.2, 0.05)
+    assert (KNOWN.law_std, KNOWN.class_std, KNOWN.track_std) == (0.1, 0.15, 0.45)
+    assert (KNOWN.change_std, KNOWN.fresh) == (0.2, 0.05)
     assert CELL_LENGTH == 50.0
 
     def cell(number: int, probability: float, value: float | None = 0.1) -> CellFriction:
