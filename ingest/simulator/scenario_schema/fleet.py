@@ -15,6 +15,7 @@ from ingest.simulator.scenario import (
     FaultKind,
     SideFiles,
     VehiclePlan,
+    WeakDamper,
     WheelsetPlan,
     usual_offsets,
 )
@@ -132,6 +133,18 @@ class WheelsetTable(InputTable):
         )
 
 
+class WeakDamperTable(InputTable):
+    """``[vehicles.weak_damper]``."""
+
+    share: float = Field(ge=0.0, le=2.0)
+    from_campaign: int = Field(default=1, ge=1)
+    running_gear: int | None = Field(default=None, ge=1)
+
+    def plan(self) -> WeakDamper:
+        """Return the damper."""
+        return WeakDamper(self.share, self.from_campaign, self.running_gear)
+
+
 class VehicleTable(InputTable):
     """``[[vehicles]]``."""
 
@@ -140,6 +153,7 @@ class VehicleTable(InputTable):
     max_speed_km_h: float = Field(gt=0.0, le=400.0)
     axle_offsets_m: IncreasingNumbers | None = None
     wheelsets: list[WheelsetTable] = Field(min_length=1, max_length=MAX_AXLES)
+    weak_damper: WeakDamperTable | None = None
 
     @model_validator(mode="after")
     def _check_offsets(self) -> Self:
@@ -178,4 +192,5 @@ class VehicleTable(InputTable):
             max_speed=KM_PER_HOUR * self.max_speed_km_h,
             axle_offsets=self.offsets(bogie),
             wheelsets=tuple(wheelset.plan(folder, radius) for wheelset in self.wheelsets),
+            weak_damper=None if self.weak_damper is None else self.weak_damper.plan(),
         )

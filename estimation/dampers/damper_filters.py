@@ -1,0 +1,147 @@
+"""One stationary Kalman filter for each particle over the damping, and for each parameter that is uncertain beside it.
+
+Particles do not move: a damper does not change within a window, and what windows say at the same shares adds up. So
+the filters of a class are made once. States are the deflections of ``suspension_equations`` and the offset between the
+sensors above and those of the wheelsets, a random walk; the noise of the wheelsets' sensors drives the deflections.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg
+
+from estimation.dampers.suspension_equations import suspension_equations, uncertain_parameters
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.dampers import SHARES
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
+
+OFFSET_CORNER_HZ = 0.3  # below it the offset of the sensors explains what they measure
+LEAST_DENSITY = 1e-5  # m/s2 per root hertz, of sensors that have no noise on file
+KEPT = 8  # classes
+GAIN = "gain"  # of the sensors above over those of the wheelsets
+
+
+@dataclass(frozen=True, slots=True)
+class DamperFilters:
+    """Filters of q particles and 1 + v variants of each: as on file, then with one parameter off by one std."""
+
+    transition: FloatArray  # (q, 1 + v, n, n) over a sample
+    by_input: FloatArray  # (q, 1 + v, 2, n) by the input at its begin and its end
+    measured: FloatArray  # (q, 1 + v, n)
+    gain: FloatArray  # (q, 1 + v, n)
+    innovation_std: float  # m/s2, largest of the particles, of sensors as on file
+
+    def __post_init__(self) -> None:
+        q, v, n = self.measured.shape
+        object.__setattr__(self, "transition", frozen_array(self.transition, (q, v, n, n), name="transition"))
+        object.__setattr__(self, "by_input", frozen_array(self.by_input, (q, v, 2, n), name="by_input"))
+        object.__setattr__(self, "measured", frozen_array(self.measured, (q, v, n), name="measured"))
+        object.__setattr__(self, "gain", frozen_array(self.gain, (q, v, n), name="gain"))
+
+
+def damper_filters(vehicle_class: VehicleClass, step_s: float) -> DamperFilters:
+    """Return the filters of a class.
+
+    Parameters
+    ----------
+    vehicle_class
+        Masses and suspension with their stds, and sensors.
+    step_s
+        Between samples, s.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The class has no stationary filter.
+    """
+    return _filters(_Kept(vehicle_class), step_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """A class, compared by what its filters follow from."""
+
+    vehicle_class: VehicleClass
+
+    def __hash__(self) -> int:
+        return hash((self.vehicle_class.parameters, self.vehicle_class.bogie, self.vehicle_class.sensors))
+
+
+@lru_cache(maxsize=KEPT)
+def _filters(kept: _Kept, step_s: float) -> DamperFilters:
+    vehicle_class = kept.vehicle_class
+    variants = ({}, *({name: std} for name, std in variant_stds(vehicle_class).items()))
+    made = [[_one(vehicle_class, share, one, step_s) for one in variants] for share in SHARES]
+    parts = [np.array([[getattr(one, name) for one in row] for row in made]) for name in _Filter.__slots__[:-1]]
+    return DamperFilters(*parts, max(row[0].innovation_std for row in made))
+
+
+def variant_stds(vehicle_class: VehicleClass) -> Mapping[str, float]:
+    """Return the relative std of each uncertain parameter, and of the gain of the sensors above.
+
+    Parameters
+    ----------
+    vehicle_class
+        The class on file.
+    """
+    sensors, axles = vehicle_class.sensors, _axles(vehicle_class)
+    gain = math.hypot(sensors.lateral.scale_std, sensors.mass_lateral.scale_std) / math.sqrt(axles)
+    return {**uncertain_parameters(vehicle_class), GAIN: max(gain, LEAST_GAIN_STD)}
+
+
+LEAST_GAIN_STD = 0.002
+
+
+def _axles(vehicle_class: VehicleClass) -> int:
+    return 1 if vehicle_class.bogie is None else AXLES_OF_A_BOGIE
+
+
+@dataclass(frozen=True, slots=True)
+class _Filter:
+    transition: FloatArray
+    by_input: FloatArray
+    measured: FloatArray
+    gain: FloatArray
+    innovation_std: float
+
+
+def _one(vehicle_class: VehicleClass, share: float, stds: Mapping[str, float], step_s: float) -> _Filter:
+    factors = {name: 1.0 + std for name, std in stds.items() if name != GAIN}
+    equations = suspension_equations(vehicle_class, share, factors)
+    n = len(equations.rates) + 1
+    rates, by_input, measured = np.zeros((n, n)), np.zeros(n), np.ones(n)
+    rates[:-1, :-1], by_input[:-1] = equations.rates, equations.by_input
+    measured[:-1] = (1.0 + stds.get(GAIN, 0.0)) * equations.measured
+    of_wheelsets, above = _densities(vehicle_class.sensors, _axles(vehicle_class))
+    intensity = np.outer(by_input, by_input) * of_wheelsets**2 / 2.0
+    intensity[-1, -1] = (2.0 * math.pi * OFFSET_CORNER_HZ) ** 2 * above**2 / 2.0
+    unit = above**2 / (2.0 * step_s)  # variance of what is measured above, which all covariances are over
+    # Van Loan 1978: transition and covariance over a sample from one exponential
+    block = scipy.linalg.expm(step_s * np.block([[-rates, intensity / unit], [np.zeros((n, n)), rates.T]]))
+    transition = np.ascontiguousarray(block[n:, n:].T)
+    process = transition @ block[:n, n:]
+    row = measured[None, :]
+    predicted = scipy.linalg.solve_discrete_are(transition.T, row.T, 0.5 * (process + process.T), np.eye(1))
+    variance = float(measured @ predicted @ measured) + 1.0
+    gain = predicted @ measured / variance
+    return _Filter(transition, _held(rates, by_input, step_s), measured, gain, math.sqrt(unit * variance))
+
+
+def _held(rates: FloatArray, by_input: FloatArray, step_s: float) -> FloatArray:
+    """Return what an input that runs straight from one sample to the next adds, (2, n) by its begin and its end."""
+    n = len(rates)
+    whole = np.zeros((n + 2, n + 2))
+    whole[:n, :n], whole[:n, n], whole[n, n + 1] = step_s * rates, step_s * by_input, 1.0
+    made = scipy.linalg.expm(whole)
+    return np.stack([made[:n, n] - made[:n, n + 1], made[:n, n + 1]])
+
+
+def _densities(sensors: SensorLayout, axles: int) -> tuple[float, float]:
+    """Return the noise density of the means of the wheelsets' sensors, and of those above, m/s2 per root hertz."""
+    found = [max(one.noise_density, LEAST_DENSITY) for one in (sensors.lateral, sensors.mass_lateral)]
+    return found[0] / math.sqrt(axles), found[1] / math.sqrt(axles)
