@@ -9,32 +9,41 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 import scipy.linalg
 
+from estimation.dampers import damper_kernels as kernels
 from estimation.dampers.suspension_equations import suspension_equations, uncertain_parameters
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.dampers.thinning import between_samples, low_pass, stride_of
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.dampers import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
 
 OFFSET_CORNER_HZ = 0.3  # below it the offset of the sensors explains what they measure
 LEAST_DENSITY = 1e-5  # m/s2 per root hertz, of sensors that have no noise on file
 KEPT = 8  # classes
+LEAST_SCALE_STD = 0.01  # of a sensor, whatever is on file
 GAIN = "gain"  # of the sensors above over those of the wheelsets
+SOURCES = ("mean", "apart_below", "apart_above")
+"""Accelerations that filters take: means of both axles, and those of sensors whose scales are apart by one std."""
 
 
 @dataclass(frozen=True, slots=True)
 class DamperFilters:
-    """Filters of q particles and 1 + v variants of each: as on file, then with one parameter off by one std."""
+    """Filters of q particles and 1 + v variants of each: as on file, then with one thing off by one std."""
 
     transition: FloatArray  # (q, 1 + v, n, n) over a sample
     by_input: FloatArray  # (q, 1 + v, 2, n) by the input at its begin and its end
     measured: FloatArray  # (q, 1 + v, n)
     gain: FloatArray  # (q, 1 + v, n)
+    source: IntArray  # (1 + v,) which of ``SOURCES`` each takes
+    apart: tuple[float, float]  # std of half the difference of two sensors' scales, below and above
     innovation_std: float  # m/s2, largest of the particles, of sensors as on file
+    step_s: float  # between the samples that they take
+    noise: FloatArray  # (q - 1, v + 2, v + 2) what the sensors' noise adds to the products of a sample
 
     def __post_init__(self) -> None:
         q, v, n = self.measured.shape
@@ -42,24 +51,27 @@ class DamperFilters:
         object.__setattr__(self, "by_input", frozen_array(self.by_input, (q, v, 2, n), name="by_input"))
         object.__setattr__(self, "measured", frozen_array(self.measured, (q, v, n), name="measured"))
         object.__setattr__(self, "gain", frozen_array(self.gain, (q, v, n), name="gain"))
+        added = (q - 1, v + 1, v + 1)
+        object.__setattr__(self, "noise", frozen_array(self.noise, added, name="noise"))
+        object.__setattr__(self, "source", frozen_array(self.source, (v,), np.int64, name="source"))
 
 
-def damper_filters(vehicle_class: VehicleClass, step_s: float) -> DamperFilters:
+def damper_filters(vehicle_class: VehicleClass, sample_interval_s: float) -> DamperFilters:
     """Return the filters of a class.
 
     Parameters
     ----------
     vehicle_class
         Masses and suspension with their stds, and sensors.
-    step_s
-        Between samples, s.
+    sample_interval_s
+        Between samples as measured, s.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         The class has no stationary filter.
     """
-    return _filters(_Kept(vehicle_class), step_s)
+    return _filters(_Kept(vehicle_class), sample_interval_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +85,73 @@ class _Kept:
 
 
 @lru_cache(maxsize=KEPT)
-def _filters(kept: _Kept, step_s: float) -> DamperFilters:
-    vehicle_class = kept.vehicle_class
-    variants = ({}, *({name: std} for name, std in variant_stds(vehicle_class).items()))
+def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
+    vehicle_class, step_s = kept.vehicle_class, stride_of(sample_interval_s) * sample_interval_s
+    variants: list[Mapping[str, float]] = [{}, *({name: std} for name, std in variant_stds(vehicle_class).items())]
+    sources = [0] * len(variants)
+    if vehicle_class.bogie is not None:
+        variants, sources = [*variants, {}, {}], [*sources, 1, 2]
     made = [[_one(vehicle_class, share, one, step_s) for one in variants] for share in SHARES]
     parts = [np.array([[getattr(one, name) for one in row] for row in made]) for name in _Filter.__slots__[:-1]]
-    return DamperFilters(*parts, max(row[0].innovation_std for row in made))
+    apart = [std / math.sqrt(2.0) for std in _scale_stds(vehicle_class.sensors)]
+    largest = max(row[0].innovation_std for row in made)
+    size = len(sources) + 1
+    noiseless = np.zeros((len(SHARES) - 1, size, size))
+    made_of = DamperFilters(*parts, np.array(sources), (apart[0], apart[1]), largest, step_s, noiseless)
+    return replace(made_of, noise=_of_noise(made_of, vehicle_class, sample_interval_s))
+
+
+def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) -> FloatArray:
+    """Return what the noise of the sensors adds to the products of a sample on average, (q - 1, v + 2, v + 2)."""
+    stride, taps = stride_of(dt), low_pass(dt)
+    count = round(RESPONSE_S / filters.step_s)
+    products = np.zeros_like(filters.noise)
+    counted, silent = np.ones(count, np.bool_), np.zeros((len(SOURCES), count))
+    for phase in range(stride):
+        response = np.zeros(count)
+        part = taps[phase::stride]
+        response[1 : 1 + len(part)] = part
+        for below in (True, False):
+            std = _densities(vehicle_class.sensors, _axles(vehicle_class))[0 if below else 1] / math.sqrt(2.0 * dt)
+            one = std * (between_samples(response) if below else response)
+            mean = np.tile(one, (len(SOURCES), 1))
+            apart = silent.copy()
+            apart[1 if below else 2] = filters.apart[0 if below else 1] * one
+            for signal in (mean, apart):
+                add_products(filters, *((signal, silent) if below else (silent, signal)), counted, products)
+    return products + np.tril(products, -1).transpose(0, 2, 1)
+
+
+RESPONSE_S = 30.0  # after which the filters have forgotten
+
+
+def add_products(
+    filters: DamperFilters, below: FloatArray, above: FloatArray, counted: BoolArray, products: FloatArray
+) -> None:
+    """Add the products of the innovations over a segment.
+
+    Parameters
+    ----------
+    filters
+        Of a class.
+    below, above
+        (k, s) accelerations of wheelsets and of what is above, as ``SOURCES`` names them, m/s2.
+    counted
+        (s,) samples whose innovations are summed.
+    products
+        (q - 1, v + 2, v + 2) the lower half of each is added to.
+    """
+    kernels.add_products(
+        filters.transition,
+        filters.by_input,
+        filters.measured,
+        filters.gain,
+        filters.source,
+        frozen_array(below, (len(SOURCES), None), name="below"),
+        frozen_array(above, (len(SOURCES), None), name="above"),
+        frozen_array(counted, (None,), np.bool_, name="counted"),
+        products,
+    )
 
 
 def variant_stds(vehicle_class: VehicleClass) -> Mapping[str, float]:
@@ -89,12 +162,12 @@ def variant_stds(vehicle_class: VehicleClass) -> Mapping[str, float]:
     vehicle_class
         The class on file.
     """
-    sensors, axles = vehicle_class.sensors, _axles(vehicle_class)
-    gain = math.hypot(sensors.lateral.scale_std, sensors.mass_lateral.scale_std) / math.sqrt(axles)
-    return {**uncertain_parameters(vehicle_class), GAIN: max(gain, LEAST_GAIN_STD)}
+    gain = math.hypot(*_scale_stds(vehicle_class.sensors)) / math.sqrt(_axles(vehicle_class))
+    return {**uncertain_parameters(vehicle_class), GAIN: gain}
 
 
-LEAST_GAIN_STD = 0.002
+def _scale_stds(sensors: SensorLayout) -> tuple[float, float]:
+    return max(sensors.lateral.scale_std, LEAST_SCALE_STD), max(sensors.mass_lateral.scale_std, LEAST_SCALE_STD)
 
 
 def _axles(vehicle_class: VehicleClass) -> int:

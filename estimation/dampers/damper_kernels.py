@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 
 @compiled(nogil=True)
@@ -14,6 +14,7 @@ def add_products(
     by_input: FloatArray,
     measured: FloatArray,
     gain: FloatArray,
+    source: IntArray,
     below: FloatArray,
     above: FloatArray,
     counted: BoolArray,
@@ -25,8 +26,10 @@ def add_products(
     ----------
     transition, by_input, measured, gain
         (q, v, n, n), (q, v, 2, n), (q, v, n) and (q, v, n) of the filters.
+    source
+        (v,) which row of the accelerations each variant takes.
     below, above
-        (s,) accelerations of the wheelsets and of what is above them, m/s2.
+        (k, s) accelerations of the wheelsets and of what is above them, m/s2.
     counted
         (s,) samples whose innovations are summed.
     products
@@ -35,19 +38,20 @@ def add_products(
     q, v, n = measured.shape
     state, innovations, signals = np.zeros((q, v, n)), np.zeros((q, v)), np.zeros(v + 1)
     corrected = np.zeros(n)
-    for i in range(len(below) - 1):
+    for i in range(below.shape[1] - 1):
         for particle in range(q):
             for variant in range(v):
                 x, C, K = state[particle, variant], measured[particle, variant], gain[particle, variant]
                 F, G = transition[particle, variant], by_input[particle, variant]
-                innovation = above[i]
+                row = source[variant]
+                innovation = above[row, i]
                 for k in range(n):
                     innovation -= C[k] * x[k]
                 innovations[particle, variant] = innovation
                 for k in range(n):
                     corrected[k] = x[k] + K[k] * innovation
                 for k in range(n):
-                    total = G[0, k] * below[i] + G[1, k] * below[i + 1]
+                    total = G[0, k] * below[row, i] + G[1, k] * below[row, i + 1]
                     for j in range(n):
                         total += F[k, j] * corrected[j]
                     x[k] = total

@@ -1,29 +1,25 @@
 """What one window of a running gear says of its lateral damper: the products of its particles' innovations.
 
-Accelerations are low-passed and thinned out first: what bodies and bogie frames do as stiff bodies is below some 12 Hz,
-and the vibration of axle boxes above. Both signals get the same filter, which the equations do not notice.
+The noise of the wheelsets' sensors is in what the filters take for their input, and would pull their parameters. What
+noise as on file adds to the products is known, and is taken off (bias-compensated least squares).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from scipy.signal import firwin, kaiserord, oaconvolve
 
 from estimation.adhesion.gear_segments import GearSegment, GearSegments
-from estimation.dampers import damper_kernels as kernels
-from estimation.dampers.damper_filters import DamperFilters, damper_filters
+from estimation.dampers.damper_filters import DamperFilters, add_products, damper_filters
 from estimation.dampers.suspension_equations import nominal_damping, uncertain_parameters
+from estimation.dampers.thinning import PASSED_HZ, between_samples, low_pass, stride_of, thinned
 from estimation.motion.integration import bridged
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 from estimation.values.dampers import DamperSums
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.vehicle.vehicle_class import VehicleClass
 
-PASSED_HZ, STOPPED_HZ, STOPPED_DB = 11.0, 17.0, 70.0
-STEP_S = 0.016  # between the samples that the filters take
 SETTLE_S = 6.0  # at the begin of a segment, whose deflections are not known
 FEWEST_SAMPLES = 600.0  # of a window that are counted: 10 s
 MOST_UNEXPLAINED = 0.15  # mean square of the innovations over that of the acceleration above
@@ -52,22 +48,20 @@ def window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> WindowSums:
     refused = not_judged(vehicle_class)
     if refused is not None:
         return WindowSums(refused)
-    stride = max(round(STEP_S / gear.sample_interval_s), 1)
-    step_s = stride * gear.sample_interval_s
-    filters = damper_filters(vehicle_class, step_s)
+    filters = damper_filters(vehicle_class, gear.sample_interval_s)
     q, v, _ = filters.measured.shape
     products = np.zeros((q - 1, v + 1, v + 1))
     count, square = 0, 0.0
     for segment in gear.segments:
-        taken = _taken(segment, gear, stride)
+        taken = _taken(segment, gear, filters.apart)
         if taken is None:
             continue
-        _add(filters, taken, products)
+        add_products(filters, taken.below, taken.above, taken.counted, products)
         count += int(taken.counted.sum())
-        square += float((taken.above[taken.counted] ** 2).sum())
+        square += float((taken.above[0, taken.counted] ** 2).sum())
     if count < FEWEST_SAMPLES:
         return WindowSums(Reason(ReasonCode.TOO_FEW_USABLE, f"{count} samples of deflections are known"))
-    return _judged(products, count, square, step_s, filters)
+    return _judged(products, count, square, filters)
 
 
 def not_judged(vehicle_class: VehicleClass) -> Reason | None:
@@ -89,60 +83,36 @@ def not_judged(vehicle_class: VehicleClass) -> Reason | None:
 
 @dataclass(frozen=True, slots=True)
 class _Taken:
-    below: FloatArray  # (s,) m/s2
+    """Accelerations as ``SOURCES`` names them, (k, s) m/s2, and which samples count, (s,)."""
+
+    below: FloatArray
     above: FloatArray
     counted: BoolArray
 
     def __post_init__(self) -> None:
         for name in ("below", "above"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (None,), name=name))
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (None, None), name=name))
         object.__setattr__(self, "counted", frozen_array(self.counted, (None,), np.bool_, name="counted"))
 
 
-def _taken(segment: GearSegment, gear: GearSegments, stride: int) -> _Taken | None:
+def _taken(segment: GearSegment, gear: GearSegments, apart: tuple[float, float]) -> _Taken | None:
     """Return the samples that the filters take of a segment; None where it is too short."""
     axles, known, dt = gear.axles, segment.axles[0].known, gear.sample_interval_s
-    taps = _taps(dt)
-    half = len(taps) // 2
+    stride, half = stride_of(dt), len(low_pass(dt)) // 2
     settle = round(SETTLE_S / (stride * dt))
     if len(known) - 2 * half < 2 * settle * stride:
         return None
-    lateral = segment.accelerations[: 2 * axles : 2].mean(axis=0)
-    signals = [bridged(values, known) for values in (lateral, segment.accelerations[2 * axles :].mean(axis=0))]
-    below, above = (oaconvolve(values, taps, mode="valid")[::stride] for values in signals)
+    signals = [segment.accelerations[: 2 * axles : 2], segment.accelerations[2 * axles :]]
+    taken = [[thinned(bridged(one, known), dt) for one in rows] for rows in signals]
+    (below, below_apart), (above, above_apart) = ((np.mean(rows, axis=0), 0.5 * (rows[0] - rows[-1])) for rows in taken)
+    raised = between_samples(below)
     counted = known[half : len(known) - half][::stride].copy()
     counted[:settle] = counted[-1:] = False
-    return _Taken(_between_samples(below), above, counted)
+    of_wheelsets = np.stack([raised, raised + apart[0] * between_samples(below_apart), raised])
+    return _Taken(of_wheelsets, np.stack([above, above, above + apart[1] * above_apart]), counted)
 
 
-@lru_cache(maxsize=4)
-def _taps(dt: float) -> FloatArray:
-    count, beta = kaiserord(STOPPED_DB, 2.0 * dt * (STOPPED_HZ - PASSED_HZ))
-    taps = firwin(count | 1, 0.5 * (PASSED_HZ + STOPPED_HZ), window=("kaiser", beta), fs=1.0 / dt)
-    return frozen_array(taps, (None,), name="taps")
-
-
-def _between_samples(values: FloatArray) -> FloatArray:
-    """Return what, run straight from sample to sample, is the signal: a straight line takes (pi f dt)^2/3 of it."""
-    raised = values.copy()
-    raised[1:-1] -= np.diff(values, 2) / 12.0
-    return raised
-
-
-def _add(filters: DamperFilters, taken: _Taken, products: FloatArray) -> None:
-    kernels.add_products(
-        filters.transition,
-        filters.by_input,
-        filters.measured,
-        filters.gain,
-        taken.below,
-        taken.above,
-        taken.counted,
-        products,
-    )
-
-
-def _judged(products: FloatArray, count: int, square: float, step_s: float, filters: DamperFilters) -> WindowSums:
+def _judged(products: FloatArray, count: int, square: float, filters: DamperFilters) -> WindowSums:
     """Return sums over the mean square of the innovations of the best particle, where its filter has followed."""
     whole = products + np.tril(products, -1).transpose(0, 2, 1)
     least = min(_least(one, count) for one in whole)
@@ -151,8 +121,8 @@ def _judged(products: FloatArray, count: int, square: float, step_s: float, filt
     if not (np.isfinite(innovation) and innovation <= FOLLOWED):
         text = f"innovations are {np.sqrt(innovation):.1f} times what is expected, at most {np.sqrt(FOLLOWED):g} times"
         return WindowSums(Reason(ReasonCode.DIVERGED, f"{text} is believed"), float(innovation))
-    independent = count * min(2.0 * PASSED_HZ * step_s, 1.0)
-    return WindowSums(DamperSums(whole * (independent / count / least), independent), float(innovation))
+    independent = count * min(2.0 * PASSED_HZ * filters.step_s, 1.0)
+    return WindowSums(DamperSums((whole - count * filters.noise) * (independent / count / least), independent), float(innovation))
 
 
 def _least(products: FloatArray, count: int) -> float:
