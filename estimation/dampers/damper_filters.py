@@ -41,7 +41,6 @@ class DamperFilters:
     gain: FloatArray  # (q, 1 + v, n)
     source: IntArray  # (1 + v,) which of ``SOURCES`` each takes
     apart: tuple[float, float]  # std of half the difference of two sensors' scales, below and above
-    innovation_std: float  # m/s2, largest of the particles, of sensors as on file
     step_s: float  # between the samples that they take
     noise: FloatArray  # (q - 1, v + 2, v + 2) what the sensors' noise adds to the products of a sample
 
@@ -92,12 +91,11 @@ def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
     if vehicle_class.bogie is not None:
         variants, sources = [*variants, {}, {}], [*sources, 1, 2]
     made = [[_one(vehicle_class, share, one, step_s) for one in variants] for share in SHARES]
-    parts = [np.array([[getattr(one, name) for one in row] for row in made]) for name in _Filter.__slots__[:-1]]
+    parts = [np.array([[getattr(one, name) for one in row] for row in made]) for name in _Filter.__slots__]
     apart = [std / math.sqrt(2.0) for std in _scale_stds(vehicle_class.sensors)]
-    largest = max(row[0].innovation_std for row in made)
     size = len(sources) + 1
     noiseless = np.zeros((len(SHARES) - 1, size, size))
-    made_of = DamperFilters(*parts, np.array(sources), (apart[0], apart[1]), largest, step_s, noiseless)
+    made_of = DamperFilters(*parts, np.array(sources), (apart[0], apart[1]), step_s, noiseless)
     return replace(made_of, noise=_of_noise(made_of, vehicle_class, sample_interval_s))
 
 
@@ -180,7 +178,6 @@ class _Filter:
     by_input: FloatArray
     measured: FloatArray
     gain: FloatArray
-    innovation_std: float
 
 
 def _one(vehicle_class: VehicleClass, share: float, stds: Mapping[str, float], step_s: float) -> _Filter:
@@ -202,7 +199,7 @@ def _one(vehicle_class: VehicleClass, share: float, stds: Mapping[str, float], s
     predicted = scipy.linalg.solve_discrete_are(transition.T, row.T, 0.5 * (process + process.T), np.eye(1))
     variance = float(measured @ predicted @ measured) + 1.0
     gain = predicted @ measured / variance
-    return _Filter(transition, _held(rates, by_input, step_s), measured, gain, math.sqrt(unit * variance))
+    return _Filter(transition, _held(rates, by_input, step_s), measured, gain)
 
 
 def _held(rates: FloatArray, by_input: FloatArray, step_s: float) -> FloatArray:

@@ -8,13 +8,13 @@ its weight. What windows tell beyond that is seen from leaving groups of them ou
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import chdtri, ndtr
 
 from estimation.values.arrays import FloatArray
-from estimation.values.dampers import SHARES, DamperSums, GearDamper, WindowDamper
+from estimation.values.dampers import SHARES, GearDamper, WindowDamper
 from estimation.values.intervals import NORMAL_95, jackknife_std, with_interval
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -22,6 +22,10 @@ from estimation.values.reasons import Reason, ReasonCode
 BETWEEN = 16  # shares at which the posterior is, from one particle to the next
 GROUPS = 12  # of windows that are left out together
 FEWEST = 4  # windows
+LARGEST_SHARE = 1.9  # the particles end at 2
+APART = 3.0  # standard deviations between two halves of the windows that do not belong together
+CHANGED = 0.1  # of the share, which halves differ by at least then
+LEAST_CURVATURE = 0.2  # of the other parameters' information with their priors: below it noise makes all of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +44,8 @@ class DamperParameters:
         Of a share that is published.
     most_diverged
         Share of the windows.
-    largest_errors
-        Of the other parameters: mean square over their stds.
+    surest
+        Probability at which the errors of the other parameters are larger than those of any vehicle of the class.
     """
 
     span_km: float = 5_000.0
@@ -49,7 +53,116 @@ class DamperParameters:
     likely: float = 0.9
     widest_std: float = 0.2
     most_diverged: float = 0.2
-    largest_errors: float = 4.0
+    surest: float = 0.99
+
+
+def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -> GearDamper:
+    """Return what the newest windows of a running gear say of its damper; in any order they say the same.
+
+    Parameters
+    ----------
+    windows
+        Of one running gear, at least one.
+    parameters
+        Of span and publication.
+    """
+    ordered = sorted(windows, key=lambda one: one.start_ns)
+    newest = ordered[-1]
+    chosen = [
+        one
+        for one in ordered
+        if one.class_digest == newest.class_digest and newest.odometer_km - one.odometer_km <= parameters.span_km
+    ]
+    told = _newest_alike([one for one in chosen if one.sums is not None])
+    since = [one for one in chosen if not told or one.start_ns >= told[0].start_ns]
+    diverged = sum(_diverged(one) for one in since)
+    share = _share(told, diverged, newest, parameters)
+    std = None if share.low is None or share.high is None else 0.5 * (share.high - share.low) / NORMAL_95
+    weak = None
+    if share.value is not None and std is not None:
+        weak = float(ndtr((parameters.weak_share - share.value) / std))
+        share = replace(share, low=max(share.value - NORMAL_95 * std, 0.0))
+    first, last = (told or since)[0], (told or since)[-1]
+    return GearDamper(
+        vehicle=newest.vehicle,
+        first_axle=newest.first_axle,
+        share=share,
+        weak_probability=weak,
+        weak=None if weak is None else weak >= parameters.likely,
+        windows=len(told),
+        diverged=diverged,
+        refused=len(since) - len(told) - diverged,
+        from_ns=first.start_ns,
+        to_ns=last.start_ns,
+        from_km=first.odometer_km,
+        to_km=last.odometer_km,
+    )
+
+
+def _diverged(one: WindowDamper) -> bool:
+    return one.reason is not None and one.reason.code is ReasonCode.DIVERGED
+
+
+def _share(told: Sequence[WindowDamper], diverged: int, newest: WindowDamper, parameters: DamperParameters) -> Estimate:
+    """Return the share that windows tell, or why it is not published."""
+    count, mismatch = float(len(told)), Status.MODEL_MISMATCH
+    if diverged > parameters.most_diverged * (len(told) + diverged):
+        text = f"the filters of the suspension have diverged in {diverged} of {len(told) + diverged} windows"
+        return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
+    if not told and newest.reason is not None:
+        return Estimate.unknown(newest.reason)
+    if len(told) < FEWEST:
+        text = f"{len(told)} windows show the suspension, {FEWEST} are needed"
+        return Estimate.unknown(Reason(ReasonCode.TOO_FEW_WINDOWS, text), count)
+    found, sampled = _replicated(told)
+    if found is None or not np.isfinite(sampled):
+        return Estimate.unknown(_not_excited("their noise alone makes up what accelerations show"), count)
+    size = _sums(told).shape[-1] - 2
+    if found.share > LARGEST_SHARE or found.errors * size > float(chdtri(size, 1.0 - parameters.surest)):
+        text = (
+            f"a share of {found.share:.2f} with other parameters {np.sqrt(found.errors):.1f} of their standard"
+            " deviations off is none of this class; check class and sensors"
+        )
+        return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
+    systematic = float(np.hypot(found.std, newest.mass_std * found.share))
+    if np.hypot(sampled, systematic) > parameters.widest_std:
+        return Estimate.unknown(_not_excited(f"the std of its share would be {np.hypot(sampled, systematic):.2f}"), count)
+    return with_interval(found.share, sampled, systematic, min(len(told), GROUPS), count)
+
+
+def _not_excited(why: str) -> Reason:
+    return Reason(ReasonCode.DAMPER_NOT_EXCITED, f"what is above the wheelsets does not show the damper: {why}")
+
+
+def _newest_alike(told: Sequence[WindowDamper]) -> Sequence[WindowDamper]:
+    """Return the newest windows that tell of one damper: halved until both halves agree."""
+    while len(told) >= 4 * FEWEST:
+        halves = told[: len(told) // 2], told[len(told) // 2 :]
+        (old, old_std), (new, new_std) = (_replicated(half) for half in halves)
+        if old is None or new is None:
+            return told
+        apart = abs(new.share - old.share)
+        if not apart > max(APART * float(np.hypot(old_std, new_std)), CHANGED):
+            return told
+        told = halves[1]
+    return told
+
+
+def _sums(told: Sequence[WindowDamper]) -> FloatArray:
+    return np.array([one.sums.products for one in told if one.sums is not None])
+
+
+def _replicated(told: Sequence[WindowDamper]) -> tuple[Posterior | None, float]:
+    """Return what windows say, and the std of its share from groups of them left out."""
+    sums = _sums(told)
+    groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), GROUPS))])
+    total = groups.sum(axis=0)
+    found = posterior(total)
+    left_out = [posterior(total - group) for group in groups]
+    shares = [one.share for one in left_out if one is not None]
+    if found is None or len(shares) < len(groups):
+        return None, float("nan")
+    return found, float(jackknife_std(np.array([found.share, *shares])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +174,8 @@ class Posterior:
     errors: float
 
 
-def posterior(sums: FloatArray) -> Posterior:
-    """Return what sums say.
+def posterior(sums: FloatArray) -> Posterior | None:
+    """Return what sums say; None where the noise of the sensors would make up all of it.
 
     Parameters
     ----------
@@ -77,6 +190,8 @@ def posterior(sums: FloatArray) -> Posterior:
     mixed = sums[:, None, 1:-1, 0] + t[:, None] * sums[:, None, 1:-1, -1]
     size = sums.shape[1] - 2
     precision = sums[:, None, 1:-1, 1:-1] + np.eye(size)
+    if np.linalg.eigvalsh(precision)[..., 0].min() < LEAST_CURVATURE:
+        return None
     best = -np.linalg.solve(np.broadcast_to(precision, (*mixed.shape, size)), mixed[..., None])[..., 0]
     square = own + (mixed * best).sum(axis=-1)
     left = np.linalg.slogdet(precision)[1]
@@ -86,4 +201,5 @@ def posterior(sums: FloatArray) -> Posterior:
     mean = float(weight @ share)
     spread = float(weight @ (share - mean) ** 2)
     errors = float(weight @ (best**2).mean(axis=-1).ravel())
-    return Posterior(mean, float(np.sqrt(spread + np.mean(apart[:1]) ** 2 / (12.0 * BETWEEN**2))), errors)
+    between = float(weight @ np.repeat(apart, BETWEEN)) / BETWEEN
+    return Posterior(mean, float(np.sqrt(spread + between**2 / 12.0)), errors)

@@ -22,14 +22,13 @@ from estimation.vehicle.vehicle_class import VehicleClass
 
 SETTLE_S = 6.0  # at the begin of a segment, whose deflections are not known
 FEWEST_SAMPLES = 600.0  # of a window that are counted: 10 s
-MOST_UNEXPLAINED = 0.15  # mean square of the innovations over that of the acceleration above
+MOST_UNEXPLAINED = 0.05  # mean square of the innovations beside noise, over that of the acceleration above
 LARGEST_STD = 0.25  # relative, of parameters beside the damper: beyond it their effect is not proportional
-FOLLOWED = 9.0
 
 
 @dataclass(frozen=True, slots=True)
 class WindowSums:
-    """The sums of a window, or why there are none, and how well the filters followed."""
+    """The sums of a window, or why there are none; mean square of the innovations over the largest that is believed."""
 
     sums: DamperSums | Reason
     innovation: float | None = None
@@ -116,11 +115,10 @@ def _judged(products: FloatArray, count: int, square: float, filters: DamperFilt
     """Return sums over the mean square of the innovations of the best particle, where its filter has followed."""
     whole = products + np.tril(products, -1).transpose(0, 2, 1)
     least = min(_least(one, count) for one in whole)
-    expected = filters.innovation_std**2 + MOST_UNEXPLAINED * square / count / FOLLOWED
-    innovation = least / expected
-    if not (np.isfinite(innovation) and innovation <= FOLLOWED):
-        text = f"innovations are {np.sqrt(innovation):.1f} times what is expected, at most {np.sqrt(FOLLOWED):g} times"
-        return WindowSums(Reason(ReasonCode.DIVERGED, f"{text} is believed"), float(innovation))
+    innovation = least / (float(filters.noise[:, 0, 0].max()) + MOST_UNEXPLAINED * square / count)
+    if not (np.isfinite(innovation) and innovation <= 1.0):
+        text = f"the innovations of the suspension's filters are {np.sqrt(innovation):.1f} times what is believed"
+        return WindowSums(Reason(ReasonCode.DIVERGED, f"{text}; check class and sensors"), float(innovation))
     independent = count * min(2.0 * PASSED_HZ * filters.step_s, 1.0)
     return WindowSums(DamperSums((whole - count * filters.noise) * (independent / count / least), independent), float(innovation))
 

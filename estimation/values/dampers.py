@@ -40,26 +40,30 @@ class WindowDamper:
 
     Attributes
     ----------
-    vehicle, first_axle, start_ns
-        Which running gear, and when.
+    vehicle, first_axle, wheelset, start_ns
+        Which running gear, the wheelset of its first axle, and when.
     odometer_km
         Of the vehicle.
     content_digest
-        Of the samples of all its wheelsets.
+        Of the samples of that wheelset.
     class_digest
         Of the class that it was judged by: sums of another one do not add up with these.
+    mass_std
+        Relative, of the mass above the wheelsets on file. Accelerations show damping over mass.
     innovation
-        Mean square of the innovations over what is expected of a filter that follows; None without a filter.
+        Mean square of the innovations over the largest that is believed; None without a filter.
     sums
         None with ``reason``.
     """
 
     vehicle: str
     first_axle: int
+    wheelset: str
     start_ns: int
     odometer_km: float
     content_digest: str
     class_digest: str
+    mass_std: float
     innovation: float | None = None
     sums: DamperSums | None = None
     reason: Reason | None = None
