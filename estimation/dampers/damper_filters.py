@@ -91,12 +91,19 @@ def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
     if vehicle_class.bogie is not None:
         variants, sources = [*variants, {}, {}], [*sources, 1, 2]
     made = [[_one(vehicle_class, share, one, step_s) for one in variants] for share in SHARES]
-    parts = [np.array([[getattr(one, name) for one in row] for row in made]) for name in _Filter.__slots__]
     apart = [std / math.sqrt(2.0) for std in _scale_stds(vehicle_class.sensors)]
     size = len(sources) + 1
-    noiseless = np.zeros((len(SHARES) - 1, size, size))
-    made_of = DamperFilters(*parts, np.array(sources), (apart[0], apart[1]), step_s, noiseless)
-    return replace(made_of, noise=_of_noise(made_of, vehicle_class, sample_interval_s))
+    filters = DamperFilters(
+        transition=np.array([[one.transition for one in row] for row in made]),
+        by_input=np.array([[one.by_input for one in row] for row in made]),
+        measured=np.array([[one.measured for one in row] for row in made]),
+        gain=np.array([[one.gain for one in row] for row in made]),
+        source=np.array(sources),
+        apart=(apart[0], apart[1]),
+        step_s=step_s,
+        noise=np.zeros((len(SHARES) - 1, size, size)),
+    )
+    return replace(filters, noise=_of_noise(filters, vehicle_class, sample_interval_s))
 
 
 def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) -> FloatArray:
@@ -116,7 +123,8 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
             apart = silent.copy()
             apart[1 if below else 2] = filters.apart[0 if below else 1] * one
             for signal in (mean, apart):
-                add_products(filters, *((signal, silent) if below else (silent, signal)), counted, products)
+                both = (signal, silent) if below else (silent, signal)
+                add_products(filters, both[0], both[1], counted, products)
     return products + np.tril(products, -1).transpose(0, 2, 1)
 
 

@@ -126,7 +126,9 @@ def _share(told: Sequence[WindowDamper], diverged: int, newest: WindowDamper, pa
         return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
     systematic = float(np.hypot(found.std, newest.mass_std * found.share))
     if np.hypot(sampled, systematic) > parameters.widest_std:
-        return Estimate.unknown(_not_excited(f"the std of its share would be {np.hypot(sampled, systematic):.2f}"), count)
+        return Estimate.unknown(
+            _not_excited(f"the std of its share would be {np.hypot(sampled, systematic):.2f}"), count
+        )
     return with_interval(found.share, sampled, systematic, min(len(told), GROUPS), count)
 
 

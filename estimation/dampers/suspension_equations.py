@@ -64,7 +64,20 @@ def nominal_damping(vehicle_class: VehicleClass) -> float:
     return vehicle_class.parameters.lateral_damping if bogie is None else bogie.secondary_lateral_damping
 
 
-def suspension_equations(vehicle_class: VehicleClass, share: float, factors: Mapping[str, float]) -> SuspensionEquations:
+def mass_std(vehicle_class: VehicleClass) -> float:
+    """Return the relative std of the mass that follows the wheelsets: accelerations show damping over mass.
+
+    Parameters
+    ----------
+    vehicle_class
+        The class on file.
+    """
+    return vehicle_class.std_of("suspended_mass" if vehicle_class.bogie is None else "frame_mass")
+
+
+def suspension_equations(
+    vehicle_class: VehicleClass, share: float, factors: Mapping[str, float]
+) -> SuspensionEquations:
     """Return the equations of a running gear whose damper has a share of the damping on file.
 
     Parameters

@@ -12,12 +12,14 @@ import numpy as np
 
 from estimation.adhesion.gear_segments import GearSegment, GearSegments
 from estimation.dampers.damper_filters import DamperFilters, add_products, damper_filters
-from estimation.dampers.suspension_equations import nominal_damping, uncertain_parameters
+from estimation.dampers.suspension_equations import mass_std, nominal_damping, uncertain_parameters
 from estimation.dampers.thinning import PASSED_HZ, between_samples, low_pass, stride_of, thinned
 from estimation.motion.integration import bridged
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
-from estimation.values.dampers import DamperSums
+from estimation.values.dampers import DamperSums, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Window
+from estimation.vehicle.class_on_file import ClassOnFile
 from estimation.vehicle.vehicle_class import VehicleClass
 
 SETTLE_S = 6.0  # at the begin of a segment, whose deflections are not known
@@ -32,6 +34,39 @@ class WindowSums:
 
     sums: DamperSums | Reason
     innovation: float | None = None
+
+
+def window_damper(
+    first: Window, content_digest: str, gear: GearSegments | Reason, on_file: ClassOnFile
+) -> WindowDamper:
+    """Return what a window says of the damper of a running gear, or why it says nothing.
+
+    Parameters
+    ----------
+    first
+        The window of its first wheelset.
+    content_digest
+        Of the samples of that.
+    gear
+        Segments of all its wheelsets, or why there are none.
+    on_file
+        Class of the vehicle.
+    """
+    vehicle_class = on_file.vehicle_class
+    found = WindowSums(gear) if isinstance(gear, Reason) else window_sums(gear, vehicle_class)
+    return WindowDamper(
+        vehicle=first.vehicle,
+        first_axle=first.axle,
+        wheelset=first.wheelset,
+        start_ns=first.start_ns,
+        odometer_km=1e-3 * first.odometer_m,
+        content_digest=content_digest,
+        class_digest=on_file.digest,
+        mass_std=mass_std(vehicle_class),
+        innovation=found.innovation,
+        sums=None if isinstance(found.sums, Reason) else found.sums,
+        reason=found.sums if isinstance(found.sums, Reason) else None,
+    )
 
 
 def window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> WindowSums:
@@ -75,7 +110,9 @@ def not_judged(vehicle_class: VehicleClass) -> Reason | None:
         return Reason(ReasonCode.DAMPER_NOT_ON_FILE, f"class {vehicle_class.code!r} has no lateral damper on file")
     for name, std in uncertain_parameters(vehicle_class).items():
         if std > LARGEST_STD:
-            text = f"{name} of class {vehicle_class.code!r} is known to {std:.0%} only, at most {LARGEST_STD:.0%} will do"
+            text = (
+                f"{name} of class {vehicle_class.code!r} is known to {std:.0%} only, at most {LARGEST_STD:.0%} will do"
+            )
             return Reason(ReasonCode.SUSPENSION_UNCERTAIN, text)
     return None
 
@@ -120,7 +157,9 @@ def _judged(products: FloatArray, count: int, square: float, filters: DamperFilt
         text = f"the innovations of the suspension's filters are {np.sqrt(innovation):.1f} times what is believed"
         return WindowSums(Reason(ReasonCode.DIVERGED, f"{text}; check class and sensors"), float(innovation))
     independent = count * min(2.0 * PASSED_HZ * filters.step_s, 1.0)
-    return WindowSums(DamperSums((whole - count * filters.noise) * (independent / count / least), independent), float(innovation))
+    return WindowSums(
+        DamperSums((whole - count * filters.noise) * (independent / count / least), independent), float(innovation)
+    )
 
 
 def _least(products: FloatArray, count: int) -> float:
