@@ -36,33 +36,85 @@ def add_products(
         (q - 1, v + 1, v + 1) of innovations, of their changes, and of the difference to the next particle; added to.
     """
     q, v, n = measured.shape
-    state, innovations, signals = np.zeros((q, v, n)), np.zeros((q, v)), np.zeros(v + 1)
-    corrected = np.zeros(n)
+    state, innovations, signals, corrected = np.zeros((q, v, n)), np.zeros((q, v)), np.zeros(v + 1), np.zeros(n)
     for i in range(below.shape[1] - 1):
         for particle in range(q):
             for variant in range(v):
-                x, C, K = state[particle, variant], measured[particle, variant], gain[particle, variant]
-                F, G = transition[particle, variant], by_input[particle, variant]
                 row = source[variant]
-                innovation = above[row, i]
-                for k in range(n):
-                    innovation -= C[k] * x[k]
-                innovations[particle, variant] = innovation
-                for k in range(n):
-                    corrected[k] = x[k] + K[k] * innovation
-                for k in range(n):
-                    total = G[0, k] * below[row, i] + G[1, k] * below[row, i + 1]
-                    for j in range(n):
-                        total += F[k, j] * corrected[j]
-                    x[k] = total
-        if not counted[i]:
-            continue
-        for particle in range(q - 1):
-            own = innovations[particle]
-            signals[0] = own[0]
-            for variant in range(1, v):
-                signals[variant] = own[variant] - own[0]
-            signals[v] = innovations[particle + 1, 0] - own[0]
-            for a in range(v + 1):
-                for b in range(a + 1):
-                    products[particle, a, b] += signals[a] * signals[b]
+                innovations[particle, variant] = step(
+                    transition[particle, variant],
+                    by_input[particle, variant],
+                    measured[particle, variant],
+                    gain[particle, variant],
+                    below[row, i],
+                    below[row, i + 1],
+                    above[row, i],
+                    state[particle, variant],
+                    corrected,
+                )
+        if counted[i]:
+            add_outer(innovations, signals, products)
+
+
+@compiled(nogil=True)
+def step(
+    transition: FloatArray,
+    by_input: FloatArray,
+    measured: FloatArray,
+    gain: FloatArray,
+    now: float,
+    then: float,
+    above: float,
+    state: FloatArray,
+    corrected: FloatArray,
+) -> float:
+    """Take a filter on by a sample; return its innovation.
+
+    Parameters
+    ----------
+    transition, by_input, measured, gain
+        (n, n), (2, n), (n,) and (n,) of the filter.
+    now, then, above
+        Accelerations of the wheelsets at this sample and at the next, and of what is above at this one, m/s2.
+    state
+        (n,) changed.
+    corrected
+        (n,) work space.
+    """
+    n = len(state)
+    innovation = above
+    for k in range(n):
+        innovation -= measured[k] * state[k]
+    for k in range(n):
+        corrected[k] = state[k] + gain[k] * innovation
+    for k in range(n):
+        total = by_input[0, k] * now + by_input[1, k] * then
+        for j in range(n):
+            total += transition[k, j] * corrected[j]
+        state[k] = total
+    return innovation
+
+
+@compiled(nogil=True)
+def add_outer(innovations: FloatArray, signals: FloatArray, products: FloatArray) -> None:
+    """Add the products of the innovations of a sample to the lower half of every particle's.
+
+    Parameters
+    ----------
+    innovations
+        (q, v) of the variants of every particle, m/s2.
+    signals
+        (v + 1,) work space.
+    products
+        (q - 1, v + 1, v + 1) added to.
+    """
+    q, v = innovations.shape
+    for particle in range(q - 1):
+        own = innovations[particle, 0]
+        signals[0] = own
+        for variant in range(1, v):
+            signals[variant] = innovations[particle, variant] - own
+        signals[v] = innovations[particle + 1, 0] - own
+        for a in range(v + 1):
+            for b in range(a + 1):
+                products[particle, a, b] += signals[a] * signals[b]

@@ -73,25 +73,25 @@ def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -
         for one in ordered
         if one.class_digest == newest.class_digest and newest.odometer_km - one.odometer_km <= parameters.span_km
     ]
-    told = _newest_alike([one for one in chosen if one.sums is not None])
-    since = [one for one in chosen if not told or one.start_ns >= told[0].start_ns]
+    shown = _newest_alike([one for one in chosen if one.sums is not None])
+    since = [one for one in chosen if not shown or one.start_ns >= shown[0].start_ns]
     diverged = sum(_diverged(one) for one in since)
-    share = _share(told, diverged, newest, parameters)
+    share = _share(shown, diverged, newest, parameters)
     std = None if share.low is None or share.high is None else 0.5 * (share.high - share.low) / NORMAL_95
     weak = None
     if share.value is not None and std is not None:
         weak = float(ndtr((parameters.weak_share - share.value) / std))
         share = replace(share, low=max(share.value - NORMAL_95 * std, 0.0))
-    first, last = (told or since)[0], (told or since)[-1]
+    first, last = (shown or since)[0], (shown or since)[-1]
     return GearDamper(
         vehicle=newest.vehicle,
         first_axle=newest.first_axle,
         share=share,
         weak_probability=weak,
         weak=None if weak is None else weak >= parameters.likely,
-        windows=len(told),
+        windows=len(shown),
         diverged=diverged,
-        refused=len(since) - len(told) - diverged,
+        refused=len(since) - len(shown) - diverged,
         from_ns=first.start_ns,
         to_ns=last.start_ns,
         from_km=first.odometer_km,
@@ -103,21 +103,20 @@ def _diverged(one: WindowDamper) -> bool:
     return one.reason is not None and one.reason.code is ReasonCode.DIVERGED
 
 
-def _share(told: Sequence[WindowDamper], diverged: int, newest: WindowDamper, parameters: DamperParameters) -> Estimate:
+def _share(shown: Sequence[WindowDamper], diverged: int, newest: WindowDamper, parameters: DamperParameters) -> Estimate:
     """Return the share that windows tell, or why it is not published."""
-    count, mismatch = float(len(told)), Status.MODEL_MISMATCH
-    if diverged > parameters.most_diverged * (len(told) + diverged):
-        text = f"the filters of the suspension have diverged in {diverged} of {len(told) + diverged} windows"
+    count, mismatch = float(len(shown)), Status.MODEL_MISMATCH
+    if diverged > parameters.most_diverged * (len(shown) + diverged):
+        text = f"the filters of the suspension have diverged in {diverged} of {len(shown) + diverged} windows"
         return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
-    if not told and newest.reason is not None:
-        return Estimate.unknown(newest.reason)
-    if len(told) < FEWEST:
-        text = f"{len(told)} windows show the suspension, {FEWEST} are needed"
-        return Estimate.unknown(Reason(ReasonCode.TOO_FEW_WINDOWS, text), count)
-    found, sampled = _replicated(told)
+    if len(shown) < FEWEST:
+        text = f"{len(shown)} windows show the suspension, {FEWEST} are needed"
+        few = Reason(ReasonCode.TOO_FEW_WINDOWS, text)
+        return Estimate.unknown(few if shown or newest.reason is None else newest.reason, count)
+    found, sampled = _replicated(shown)
     if found is None or not np.isfinite(sampled):
         return Estimate.unknown(_not_excited("their noise alone makes up what accelerations show"), count)
-    size = _sums(told).shape[-1] - 2
+    size = _sums(shown).shape[-1] - 2
     if found.share > LARGEST_SHARE or found.errors * size > float(chdtri(size, 1.0 - parameters.surest)):
         text = (
             f"a share of {found.share:.2f} with other parameters {np.sqrt(found.errors):.1f} of their standard"
@@ -125,38 +124,37 @@ def _share(told: Sequence[WindowDamper], diverged: int, newest: WindowDamper, pa
         )
         return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
     systematic = float(np.hypot(found.std, newest.mass_std * found.share))
-    if np.hypot(sampled, systematic) > parameters.widest_std:
-        return Estimate.unknown(
-            _not_excited(f"the std of its share would be {np.hypot(sampled, systematic):.2f}"), count
-        )
-    return with_interval(found.share, sampled, systematic, min(len(told), GROUPS), count)
+    std = float(np.hypot(sampled, systematic))
+    if std > parameters.widest_std:
+        return Estimate.unknown(_not_excited(f"the standard deviation of its share would be {std:.2f}"), count)
+    return with_interval(found.share, sampled, systematic, min(len(shown), GROUPS), count)
 
 
 def _not_excited(why: str) -> Reason:
     return Reason(ReasonCode.DAMPER_NOT_EXCITED, f"what is above the wheelsets does not show the damper: {why}")
 
 
-def _newest_alike(told: Sequence[WindowDamper]) -> Sequence[WindowDamper]:
+def _newest_alike(shown: Sequence[WindowDamper]) -> Sequence[WindowDamper]:
     """Return the newest windows that tell of one damper: halved until both halves agree."""
-    while len(told) >= 4 * FEWEST:
-        halves = told[: len(told) // 2], told[len(told) // 2 :]
+    while len(shown) >= 4 * FEWEST:
+        halves = shown[: len(shown) // 2], shown[len(shown) // 2 :]
         (old, old_std), (new, new_std) = (_replicated(half) for half in halves)
         if old is None or new is None:
-            return told
+            return shown
         apart = abs(new.share - old.share)
         if not apart > max(APART * float(np.hypot(old_std, new_std)), CHANGED):
-            return told
-        told = halves[1]
-    return told
+            return shown
+        shown = halves[1]
+    return shown
 
 
-def _sums(told: Sequence[WindowDamper]) -> FloatArray:
-    return np.array([one.sums.products for one in told if one.sums is not None])
+def _sums(shown: Sequence[WindowDamper]) -> FloatArray:
+    return np.array([one.sums.products for one in shown if one.sums is not None])
 
 
-def _replicated(told: Sequence[WindowDamper]) -> tuple[Posterior | None, float]:
+def _replicated(shown: Sequence[WindowDamper]) -> tuple[Posterior | None, float]:
     """Return what windows say, and the std of its share from groups of them left out."""
-    sums = _sums(told)
+    sums = _sums(shown)
     groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), GROUPS))])
     total = groups.sum(axis=0)
     found = posterior(total)

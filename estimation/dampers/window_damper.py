@@ -22,7 +22,7 @@ from estimation.values.windows import Window
 from estimation.vehicle.class_on_file import ClassOnFile
 from estimation.vehicle.vehicle_class import VehicleClass
 
-SETTLE_S = 6.0  # at the begin of a segment, whose deflections are not known
+UNKNOWN_S = 6.0  # at the begin of a segment, whose deflections are not known
 FEWEST_SAMPLES = 600.0  # of a window that are counted: 10 s
 MOST_UNEXPLAINED = 0.05  # mean square of the innovations beside noise, over that of the acceleration above
 LARGEST_STD = 0.25  # relative, of parameters beside the damper: beyond it their effect is not proportional
@@ -135,15 +135,15 @@ def _taken(segment: GearSegment, gear: GearSegments, apart: tuple[float, float])
     """Return the samples that the filters take of a segment; None where it is too short."""
     axles, known, dt = gear.axles, segment.axles[0].known, gear.sample_interval_s
     stride, half = stride_of(dt), len(low_pass(dt)) // 2
-    settle = round(SETTLE_S / (stride * dt))
-    if len(known) - 2 * half < 2 * settle * stride:
+    unknown = round(UNKNOWN_S / (stride * dt))
+    if len(known) - 2 * half < 2 * unknown * stride:
         return None
     signals = [segment.accelerations[: 2 * axles : 2], segment.accelerations[2 * axles :]]
     taken = [[thinned(bridged(one, known), dt) for one in rows] for rows in signals]
     (below, below_apart), (above, above_apart) = ((np.mean(rows, axis=0), 0.5 * (rows[0] - rows[-1])) for rows in taken)
     raised = between_samples(below)
     counted = known[half : len(known) - half][::stride].copy()
-    counted[:settle] = counted[-1:] = False
+    counted[:unknown] = counted[-1:] = False
     of_wheelsets = np.stack([raised, raised + apart[0] * between_samples(below_apart), raised])
     return _Taken(of_wheelsets, np.stack([above, above, above + apart[1] * above_apart]), counted)
 
