@@ -103,7 +103,9 @@ def _diverged(one: WindowDamper) -> bool:
     return one.reason is not None and one.reason.code is ReasonCode.DIVERGED
 
 
-def _share(shown: Sequence[WindowDamper], diverged: int, newest: WindowDamper, parameters: DamperParameters) -> Estimate:
+def _share(
+    shown: Sequence[WindowDamper], diverged: int, newest: WindowDamper, parameters: DamperParameters
+) -> Estimate:
     """Return the share that windows tell, or why it is not published."""
     count, mismatch = float(len(shown)), Status.MODEL_MISMATCH
     if diverged > parameters.most_diverged * (len(shown) + diverged):
