@@ -38,7 +38,7 @@ ROWS: Mapping[str, str] = {
     "single wheelset": "paper_known",
 }
 SHARES = (1.0, 0.5, 0.2)
-CAMPAIGNS = 6
+CAMPAIGNS = 4
 CAMPAIGN_S = 120.0
 DRAWN = ("_mass", "_inertia", "_stiffness", "_damping")
 P = TypeVar("P", VehicleParameters, BogieParameters)

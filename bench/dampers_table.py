@@ -108,7 +108,7 @@ def page_body(found: Sequence[Score]) -> list[str]:
     reasons = ", ".join(f"`{code}` {count}" for code, count in refused.most_common()) or "none"
     head = (
         f"Seeds {', '.join(map(str, seeds))}: each vehicle has masses, springs and other dampers drawn by the standard"
-        " deviations of its class, and 12 windows of 60 s. The share is that of the damping on file which is left."
+        " deviations of its class, and 8 windows of 60 s. The share is that of the damping on file which is left."
     )
     return [
         head,

@@ -19,7 +19,7 @@ def pack_window_damper(found: WindowDamper) -> bytes:
         return pack(WINDOW, VERSION, scalars, {})
     products = found.sums.products
     rows, columns = np.tril_indices(products.shape[-1])
-    scalars["samples"] = float(found.sums.samples).hex()
+    scalars |= {"samples": float(found.sums.samples).hex(), "curved": found.sums.curved}
     return pack(WINDOW, VERSION, scalars, {"products": products[:, rows, columns]})
 
 
@@ -47,7 +47,7 @@ def unpack_window_damper(blob: bytes, *, where: str) -> WindowDamper:
     products = np.zeros((len(half), size, size))
     products[:, rows, columns] = half
     products[:, columns, rows] = half
-    sums = DamperSums(products, float.fromhex(packed.scalars["samples"]))
+    sums = DamperSums(products, float.fromhex(packed.scalars["samples"]), packed.scalars["curved"])
     return value_of(WindowDamper, packed.scalars, {}, sums=sums)
 
 

@@ -33,7 +33,10 @@ SOURCES = ("mean", "apart_below", "apart_above")
 
 @dataclass(frozen=True, slots=True)
 class DamperFilters:
-    """Filters of q particles and 1 + v variants of each: as on file, then with one thing off by one std."""
+    """Filters of q particles and 1 + v variants of each: as on file, then with one thing off by one std.
+
+    Masses and springs are off to both sides, so that their effect is known to the second order.
+    """
 
     transition: FloatArray  # (q, 1 + v, n, n) over a sample
     by_input: FloatArray  # (q, 1 + v, 2, n) by the input at its begin and its end
@@ -42,7 +45,9 @@ class DamperFilters:
     source: IntArray  # (1 + v,) which of ``SOURCES`` each takes
     apart: tuple[float, float]  # std of half the difference of two sensors' scales, below and above
     step_s: float  # between the samples that they take
-    noise: FloatArray  # (q - 1, v + 2, v + 2) what the sensors' noise adds to the products of a sample
+    signals: FloatArray  # (m, v + 2) of the innovations of a particle's variants, and of the next particle's first
+    curved: int  # parameters whose effect has a second order, p
+    noise: FloatArray  # (q - 1, m, m) what the sensors' noise adds to the products of the signals in a sample
 
     def __post_init__(self) -> None:
         q, v, n = self.measured.shape
@@ -50,8 +55,9 @@ class DamperFilters:
         object.__setattr__(self, "by_input", frozen_array(self.by_input, (q, v, 2, n), name="by_input"))
         object.__setattr__(self, "measured", frozen_array(self.measured, (q, v, n), name="measured"))
         object.__setattr__(self, "gain", frozen_array(self.gain, (q, v, n), name="gain"))
-        added = (q - 1, v + 1, v + 1)
-        object.__setattr__(self, "noise", frozen_array(self.noise, added, name="noise"))
+        m = len(self.signals)
+        object.__setattr__(self, "signals", frozen_array(self.signals, (m, v + 1), name="signals"))
+        object.__setattr__(self, "noise", frozen_array(self.noise, (q - 1, m, m), name="noise"))
         object.__setattr__(self, "source", frozen_array(self.source, (v,), np.int64, name="source"))
 
 
@@ -86,13 +92,16 @@ class _Kept:
 @lru_cache(maxsize=KEPT)
 def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
     vehicle_class, step_s = kept.vehicle_class, stride_of(sample_interval_s) * sample_interval_s
-    variants: list[Mapping[str, float]] = [{}, *({name: std} for name, std in variant_stds(vehicle_class).items())]
+    physical, gain = uncertain_parameters(vehicle_class), {GAIN: gain_std(vehicle_class)}
+    variants: list[Mapping[str, float]] = [{}]
+    variants += [{name: sign * std} for sign in (1.0, -1.0) for name, std in physical.items()] + [gain]
     sources = [0] * len(variants)
     if vehicle_class.bogie is not None:
         variants, sources = [*variants, {}, {}], [*sources, 1, 2]
     made = [[_one(vehicle_class, share, one, step_s) for one in variants] for share in SHARES]
     apart = [std / math.sqrt(2.0) for std in _scale_stds(vehicle_class.sensors)]
-    size = len(sources) + 1
+    signals = _signals(len(physical), len(sources))
+    size = len(signals)
     filters = DamperFilters(
         transition=np.array([[one.transition for one in row] for row in made]),
         by_input=np.array([[one.by_input for one in row] for row in made]),
@@ -101,16 +110,30 @@ def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
         source=np.array(sources),
         apart=(apart[0], apart[1]),
         step_s=step_s,
+        signals=signals,
+        curved=len(physical),
         noise=np.zeros((len(SHARES) - 1, size, size)),
     )
     return replace(filters, noise=_of_noise(filters, vehicle_class, sample_interval_s))
+
+
+def _signals(physical: int, variants: int) -> FloatArray:
+    """Return what signals are made of (m, variants + 1): half differences of two variants, and their half second ones."""
+    nominal, following = 0, variants
+    rows = [np.eye(variants + 1)[nominal]]
+    plus, minus = (np.eye(variants + 1)[1 + k * physical : 1 + (k + 1) * physical] for k in (0, 1))
+    rows += list(0.5 * (plus - minus))
+    rows += [one - rows[0] for one in np.eye(variants + 1)[1 + 2 * physical : variants]]
+    rows += list(0.5 * (plus + minus) - rows[0])
+    return np.stack([*rows, np.eye(variants + 1)[following] - rows[0]])
 
 
 def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) -> FloatArray:
     """Return what the noise of the sensors adds to the products of a sample on average, (q - 1, v + 2, v + 2)."""
     stride, taps = stride_of(dt), low_pass(dt)
     count = round(RESPONSE_S / filters.step_s)
-    products = np.zeros_like(filters.noise)
+    variants = len(filters.source) + 1
+    products = np.zeros((len(SHARES) - 1, variants, variants))
     counted, silent = np.ones(count, np.bool_), np.zeros((len(SOURCES), count))
     for phase in range(stride):
         response = np.zeros(count)
@@ -125,7 +148,21 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
             for signal in (mean, apart):
                 both = (signal, silent) if below else (silent, signal)
                 add_products(filters, both[0], both[1], counted, products)
-    return products + np.tril(products, -1).transpose(0, 2, 1)
+    return of_signals(filters, products)
+
+
+def of_signals(filters: DamperFilters, products: FloatArray) -> FloatArray:
+    """Return the products (q - 1, m, m) of the signals.
+
+    Parameters
+    ----------
+    filters
+        Of a class.
+    products
+        (q - 1, v + 2, v + 2) of the innovations, lower halves.
+    """
+    whole = products + np.tril(products, -1).transpose(0, 2, 1)
+    return np.asarray(filters.signals @ whole @ filters.signals.T)
 
 
 RESPONSE_S = 30.0  # after which the filters have forgotten
@@ -160,16 +197,15 @@ def add_products(
     )
 
 
-def variant_stds(vehicle_class: VehicleClass) -> Mapping[str, float]:
-    """Return the relative std of each uncertain parameter, and of the gain of the sensors above.
+def gain_std(vehicle_class: VehicleClass) -> float:
+    """Return the relative std of the scale of the sensors above over that of the wheelsets'.
 
     Parameters
     ----------
     vehicle_class
         The class on file.
     """
-    gain = math.hypot(*_scale_stds(vehicle_class.sensors)) / math.sqrt(_axles(vehicle_class))
-    return {**uncertain_parameters(vehicle_class), GAIN: gain}
+    return math.hypot(*_scale_stds(vehicle_class.sensors)) / math.sqrt(_axles(vehicle_class))
 
 
 def _scale_stds(sensors: SensorLayout) -> tuple[float, float]:

@@ -33,7 +33,7 @@ def add_products(
     counted
         (s,) samples whose innovations are summed.
     products
-        (q - 1, v + 1, v + 1) of innovations, of their changes, and of the difference to the next particle; added to.
+        (q - 1, v + 1, v + 1) of the innovations of a particle's variants, and of the next particle's first; added to.
     """
     q, v, n = measured.shape
     state, innovations, signals, corrected = np.zeros((q, v, n)), np.zeros((q, v)), np.zeros(v + 1), np.zeros(n)
@@ -110,11 +110,9 @@ def add_outer(innovations: FloatArray, signals: FloatArray, products: FloatArray
     """
     q, v = innovations.shape
     for particle in range(q - 1):
-        own = innovations[particle, 0]
-        signals[0] = own
-        for variant in range(1, v):
-            signals[variant] = innovations[particle, variant] - own
-        signals[v] = innovations[particle + 1, 0] - own
+        for variant in range(v):
+            signals[variant] = innovations[particle, variant]
+        signals[v] = innovations[particle + 1, 0]
         for a in range(v + 1):
             for b in range(a + 1):
                 products[particle, a, b] += signals[a] * signals[b]

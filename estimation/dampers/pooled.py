@@ -25,6 +25,8 @@ FEWEST = 4  # windows
 LARGEST_SHARE = 1.9  # the particles end at 2
 APART = 3.0  # standard deviations between two halves of the windows that do not belong together
 CHANGED = 0.1  # of the share, which halves differ by at least then
+ROUNDS = 5  # of Gauss and Newton
+FARTHEST = 6.0  # standard deviations that they look at
 LEAST_CURVATURE = 0.2  # of the other parameters' information with their priors: below it noise makes all of it
 
 
@@ -118,7 +120,7 @@ def _share(
     found, sampled = _replicated(shown)
     if found is None or not np.isfinite(sampled):
         return Estimate.unknown(_not_excited("their noise alone makes up what accelerations show"), count)
-    size = _sums(shown).shape[-1] - 2
+    size = found.parameters
     if found.share > LARGEST_SHARE or found.errors * size > float(chdtri(size, 1.0 - parameters.surest)):
         text = (
             f"a share of {found.share:.2f} with other parameters {np.sqrt(found.errors):.1f} of their standard"
@@ -159,8 +161,9 @@ def _replicated(shown: Sequence[WindowDamper]) -> tuple[Posterior | None, float]
     sums = _sums(shown)
     groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), GROUPS))])
     total = groups.sum(axis=0)
-    found = posterior(total)
-    left_out = [posterior(total - group) for group in groups]
+    curved = next(one.sums.curved for one in shown if one.sums is not None)
+    found = posterior(total, curved)
+    left_out = [posterior(total - group, curved) for group in groups]
     shares = [one.share for one in left_out if one is not None]
     if found is None or len(shares) < len(groups):
         return None, float("nan")
@@ -174,34 +177,56 @@ class Posterior:
     share: float
     std: float
     errors: float
+    parameters: int  # beside the share
 
 
-def posterior(sums: FloatArray) -> Posterior | None:
+def posterior(sums: FloatArray, curved: int) -> Posterior | None:
     """Return what sums say; None where the noise of the sensors would make up all of it.
 
     Parameters
     ----------
     sums
-        (q - 1, m, m) products of the innovations of q particles over the windows.
+        (q - 1, m, m) products of the signals of q particles over the windows.
+    curved
+        Parameters whose effect has a second order.
     """
     t = (np.arange(BETWEEN) + 0.5) / BETWEEN
     low, apart = np.array(SHARES[:-1]), np.diff(SHARES)
     share = (low[:, None] + apart[:, None] * t).ravel()
-    # signals of a share between two particles: innovations, and their changes by the other parameters
-    own = sums[:, 0, 0, None] + 2.0 * t * sums[:, 0, -1, None] + t**2 * sums[:, -1, -1, None]
-    mixed = sums[:, None, 1:-1, 0] + t[:, None] * sums[:, None, 1:-1, -1]
-    size = sums.shape[1] - 2
-    precision = sums[:, None, 1:-1, 1:-1] + np.eye(size)
-    if np.linalg.eigvalsh(precision)[..., 0].min() < LEAST_CURVATURE:
+    products, between = np.repeat(sums, BETWEEN, axis=0), np.tile(t, len(low))
+    found = _conditional(products, between, curved)
+    if found is None:
         return None
-    best = -np.linalg.solve(np.broadcast_to(precision, (*mixed.shape, size)), mixed[..., None])[..., 0]
-    square = own + (mixed * best).sum(axis=-1)
-    left = np.linalg.slogdet(precision)[1]
-    likelihood = -0.5 * (square + left).ravel()
+    errors, square, precision = found
+    likelihood = -0.5 * (square + np.linalg.slogdet(precision)[1])
     weight = np.exp(likelihood - likelihood.max()) * np.repeat(apart, BETWEEN)
     weight /= weight.sum()
     mean = float(weight @ share)
-    spread = float(weight @ (share - mean) ** 2)
-    errors = float(weight @ (best**2).mean(axis=-1).ravel())
-    between = float(weight @ np.repeat(apart, BETWEEN)) / BETWEEN
-    return Posterior(mean, float(np.sqrt(spread + between**2 / 12.0)), errors)
+    spread = float(weight @ (share - mean) ** 2) + float(weight @ np.repeat(apart, BETWEEN) / BETWEEN) ** 2 / 12.0
+    return Posterior(mean, float(np.sqrt(spread)), float(weight @ (errors**2).mean(axis=1)), errors.shape[1])
+
+
+def _conditional(
+    products: FloatArray, between: FloatArray, curved: int
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return the errors (n, k) of the other parameters that are likeliest given a share, their square and precision.
+
+    By Gauss and Newton: their effect has a first and, for the first of them, a second order.
+    """
+    n, m, _ = products.shape
+    k = m - 2 - curved
+    errors, rows = np.zeros((n, k)), np.arange(curved)
+    for _ in range(ROUNDS):
+        signals = np.concatenate([np.ones((n, 1)), errors, errors[:, :curved] ** 2, between[:, None]], axis=1)
+        changes = np.zeros((n, m, k))
+        changes[:, 1 : 1 + k] = np.eye(k)
+        changes[:, 1 + k + rows, rows] = 2.0 * errors[:, :curved]
+        left = np.einsum("nab,nb->na", products, signals)
+        precision = changes.transpose(0, 2, 1) @ products @ changes + np.eye(k)
+        if np.linalg.eigvalsh(precision)[:, 0].min() < LEAST_CURVATURE:
+            return None
+        gradient = np.einsum("nak,na->nk", changes, left) + errors
+        errors = np.clip(errors - np.linalg.solve(precision, gradient[..., None])[..., 0], -FARTHEST, FARTHEST)
+    signals = np.concatenate([np.ones((n, 1)), errors, errors[:, :curved] ** 2, between[:, None]], axis=1)
+    square = np.einsum("na,nab,nb->n", signals, products, signals) + (errors**2).sum(axis=1)
+    return errors, square, precision

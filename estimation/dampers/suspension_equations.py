@@ -21,8 +21,14 @@ from estimation.values.arrays import FloatArray, frozen_array
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
 
-SINGLE_UNCERTAIN = ("suspended_mass", "lateral_stiffness")
-BOGIE_UNCERTAIN = ("frame_mass", "lateral_stiffness", "lateral_damping", "secondary_lateral_stiffness", "body_mass")
+SINGLE_UNCERTAIN = {"lateral_stiffness": "suspended_mass"}
+BOGIE_UNCERTAIN = {
+    "lateral_stiffness": "frame_mass",
+    "lateral_damping": "frame_mass",
+    "secondary_lateral_stiffness": "body_mass",
+    "body_mass": "frame_mass",
+}
+"""Parameters beside the damper, each over the mass that accelerations show it with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +47,20 @@ class SuspensionEquations:
 
 
 def uncertain_parameters(vehicle_class: VehicleClass) -> Mapping[str, float]:
-    """Return the relative standard deviation of each parameter but the damper by the name of its field.
+    """Return the relative standard deviation of each parameter but the damper, over a mass, by the name of its field.
+
+    Accelerations show ratios alone, and each mode follows from one of them: that of the body from its spring over its
+    mass, whatever that is over the frame's.
 
     Parameters
     ----------
     vehicle_class
         The class on file.
     """
-    names = SINGLE_UNCERTAIN if vehicle_class.bogie is None else BOGIE_UNCERTAIN
-    return {name: vehicle_class.std_of(name) for name in names}
+    ratios = SINGLE_UNCERTAIN if vehicle_class.bogie is None else BOGIE_UNCERTAIN
+    return {
+        name: float(np.hypot(vehicle_class.std_of(name), vehicle_class.std_of(mass))) for name, mass in ratios.items()
+    }
 
 
 def nominal_damping(vehicle_class: VehicleClass) -> float:
@@ -87,14 +98,17 @@ def suspension_equations(
     share
         Of the damping.
     factors
-        By which other parameters differ from the class, by the names of their fields.
+        By which other parameters differ from the class, by the names of their fields; with the mass of the body its
+        spring does too.
     """
     p, bogie = vehicle_class.parameters, vehicle_class.bogie
     p = replace(p, **{name: value * getattr(p, name) for name, value in factors.items() if hasattr(p, name)})
     if bogie is None:
         return _single(p, share)
-    of_bogie = {name: value * getattr(bogie, name) for name, value in factors.items() if hasattr(bogie, name)}
-    return _bogie(p, replace(bogie, **of_bogie), share)
+    body = factors.get("body_mass", 1.0)
+    spring = body * factors.get("secondary_lateral_stiffness", 1.0) * bogie.secondary_lateral_stiffness
+    changed = replace(bogie, body_mass=body * bogie.body_mass, secondary_lateral_stiffness=spring)
+    return _bogie(p, changed, share)
 
 
 def _single(p: VehicleParameters, share: float) -> SuspensionEquations:

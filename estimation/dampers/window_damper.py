@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.adhesion.gear_segments import GearSegment, GearSegments
-from estimation.dampers.damper_filters import DamperFilters, add_products, damper_filters
+from estimation.dampers.damper_filters import DamperFilters, add_products, damper_filters, of_signals
 from estimation.dampers.suspension_equations import mass_std, nominal_damping, uncertain_parameters
 from estimation.dampers.thinning import PASSED_HZ, between_samples, low_pass, stride_of, thinned
 from estimation.motion.integration import bridged
@@ -23,9 +23,10 @@ from estimation.vehicle.class_on_file import ClassOnFile
 from estimation.vehicle.vehicle_class import VehicleClass
 
 UNKNOWN_S = 6.0  # at the begin of a segment, whose deflections are not known
+LEAST_EXCITATION = 3.0  # what motion shows of the damper over what noise does
 FEWEST_SAMPLES = 600.0  # of a window that are counted: 10 s
 MOST_UNEXPLAINED = 0.05  # mean square of the innovations beside noise, over that of the acceleration above
-LARGEST_STD = 0.25  # relative, of parameters beside the damper: beyond it their effect is not proportional
+LARGEST_STD = 0.3  # relative, of parameters beside the damper: beyond it their effect is not proportional
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,16 +151,35 @@ def _taken(segment: GearSegment, gear: GearSegments, apart: tuple[float, float])
 
 def _judged(products: FloatArray, count: int, square: float, filters: DamperFilters) -> WindowSums:
     """Return sums over the mean square of the innovations of the best particle, where its filter has followed."""
-    whole = products + np.tril(products, -1).transpose(0, 2, 1)
+    whole = of_signals(filters, products)
     least = min(_least(one, count) for one in whole)
     innovation = least / (float(filters.noise[:, 0, 0].max()) + MOST_UNEXPLAINED * square / count)
     if not (np.isfinite(innovation) and innovation <= 1.0):
         text = f"the innovations of the suspension's filters are {np.sqrt(innovation):.1f} times what is believed"
         return WindowSums(Reason(ReasonCode.DIVERGED, f"{text}; check class and sensors"), float(innovation))
     independent = count * min(2.0 * PASSED_HZ * filters.step_s, 1.0)
+    scale = independent / count / least
+    excited = _excitation(whole * scale, count * scale * filters.noise)
+    if not excited > LEAST_EXCITATION:
+        text = f"the motion shows the damper {max(excited, 0.0):.1f} times as much as noise does"
+        few = Reason(ReasonCode.DAMPER_NOT_EXCITED, f"{text}, {LEAST_EXCITATION:g} times are needed")
+        return WindowSums(few, float(innovation))
     return WindowSums(
-        DamperSums((whole - count * filters.noise) * (independent / count / least), independent), float(innovation)
+        DamperSums((whole - count * filters.noise) * scale, independent, filters.curved), float(innovation)
     )
+
+
+def _excitation(products: FloatArray, noise: FloatArray) -> float:
+    """Return what motion makes of the part that only the damper explains over what noise makes of it.
+
+    Least over the particles. That part is the change from one particle to the next without what others explain of it.
+    """
+    others = products[:, 1:-1, 1:-1] + np.eye(products.shape[-1] - 2)
+    explained = np.linalg.solve(others, products[:, 1:-1, -1:])[..., 0]
+    direction = np.concatenate([-explained, np.ones((len(products), 1))], axis=1)
+    inner = slice(1, None)
+    whole, of_noise = (np.einsum("pa,pab,pb->p", direction, m[:, inner, inner], direction) for m in (products, noise))
+    return float((whole / of_noise).min() - 1.0)
 
 
 def _least(products: FloatArray, count: int) -> float:

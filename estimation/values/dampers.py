@@ -21,13 +21,15 @@ GEAR = tuple[str, int]
 class DamperSums:
     """Products of the innovations of q particles, summed over the samples of a window; they add up in any order.
 
-    Of a particle there are m signals: its innovations, by how much each of the uncertain parameters changes them (one
-    standard deviation of its class), and by how much they differ from those of the next particle. All are over the rms
-    of the innovations of the best particle, so that windows count by what is known in them.
+    Of a particle there are m signals: its innovations, by how much each of k uncertain parameters changes them (one
+    standard deviation of its class), the second order of that for the first p of them, and by how much they differ from
+    those of the next particle. All are over the rms of the innovations of the best particle, so that windows count by
+    what is known in them.
     """
 
     products: FloatArray  # (q - 1, m, m)
     samples: float  # independent ones
+    curved: int  # p
 
     def __post_init__(self) -> None:
         q, m = len(SHARES) - 1, self.products.shape[-1]
