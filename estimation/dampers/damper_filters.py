@@ -27,8 +27,9 @@ LEAST_DENSITY = 1e-5  # m/s2 per root hertz, of sensors that have no noise on fi
 KEPT = 8  # classes
 LEAST_SCALE_STD = 0.01  # of a sensor, whatever is on file
 GAIN = "gain"  # of the sensors above over those of the wheelsets
-SOURCES = ("mean", "apart_below", "apart_above")
-"""Accelerations that filters take: means of both axles, and those of sensors whose scales are apart by one std."""
+SOURCES = ("mean", "apart_below", "apart_above", "late")
+"""Accelerations that filters take: means of both axles; of sensors with scales apart; of nodes with clocks apart."""
+LATE_STD_S = 1e-3  # half the difference of two nodes' times
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
     variants += [{name: sign * std} for sign in (1.0, -1.0) for name, std in physical.items()] + [gain]
     sources = [0] * len(variants)
     if vehicle_class.bogie is not None:
-        variants, sources = [*variants, {}, {}], [*sources, 1, 2]
+        variants, sources = [*variants, {}, {}, {}], [*sources, 1, 2, 3]
     made = [[_one(vehicle_class, share, one, step_s) for one in variants] for share in SHARES]
     apart = [std / math.sqrt(2.0) for std in _scale_stds(vehicle_class.sensors)]
     signals = _signals(len(physical), len(sources))
@@ -118,7 +119,7 @@ def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
 
 
 def _signals(physical: int, variants: int) -> FloatArray:
-    """Return what signals are made of (m, variants + 1): half differences of two variants, and their half second ones."""
+    """Return what signals are made of (m, variants + 1): half differences of two variants, half second ones."""
     nominal, following = 0, variants
     rows = [np.eye(variants + 1)[nominal]]
     plus, minus = (np.eye(variants + 1)[1 + k * physical : 1 + (k + 1) * physical] for k in (0, 1))
@@ -145,6 +146,7 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
             mean = np.tile(one, (len(SOURCES), 1))
             apart = silent.copy()
             apart[1 if below else 2] = filters.apart[0 if below else 1] * one
+            apart[3] = LATE_STD_S * np.gradient(one, filters.step_s)
             for signal in (mean, apart):
                 both = (signal, silent) if below else (silent, signal)
                 add_products(filters, both[0], both[1], counted, products)

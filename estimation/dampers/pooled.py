@@ -25,6 +25,8 @@ FEWEST = 4  # windows
 LARGEST_SHARE = 1.9  # the particles end at 2
 APART = 3.0  # standard deviations between two halves of the windows that do not belong together
 CHANGED = 0.1  # of the share, which halves differ by at least then
+MODEL_STD = 0.03  # of a share, that cross level, clocks and scales of nodes make; docs/results/dampers.md
+LEAST_STD = 0.01  # of any share, for the same
 ROUNDS = 5  # of Gauss and Newton
 FARTHEST = 6.0  # standard deviations that they look at
 LEAST_CURVATURE = 0.2  # of the other parameters' information with their priors: below it noise makes all of it
@@ -127,7 +129,8 @@ def _share(
             " deviations off is none of this class; check class and sensors"
         )
         return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
-    systematic = float(np.hypot(found.std, newest.mass_std * found.share))
+    of_share = np.hypot(newest.mass_std, MODEL_STD) * found.share
+    systematic = float(np.linalg.norm([found.std, of_share, LEAST_STD]))
     std = float(np.hypot(sampled, systematic))
     if std > parameters.widest_std:
         return Estimate.unknown(_not_excited(f"the standard deviation of its share would be {std:.2f}"), count)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.adhesion.gear_segments import GearSegment, GearSegments
-from estimation.dampers.damper_filters import DamperFilters, add_products, damper_filters, of_signals
+from estimation.dampers.damper_filters import LATE_STD_S, DamperFilters, add_products, damper_filters, of_signals
 from estimation.dampers.suspension_equations import mass_std, nominal_damping, uncertain_parameters
 from estimation.dampers.thinning import PASSED_HZ, between_samples, low_pass, stride_of, thinned
 from estimation.motion.integration import bridged
@@ -23,6 +23,7 @@ from estimation.vehicle.class_on_file import ClassOnFile
 from estimation.vehicle.vehicle_class import VehicleClass
 
 UNKNOWN_S = 6.0  # at the begin of a segment, whose deflections are not known
+MODEL_ERROR = 0.02  # of the acceleration above, that stiff bodies do not explain whatever their parameters
 LEAST_EXCITATION = 3.0  # what motion shows of the damper over what noise does
 FEWEST_SAMPLES = 600.0  # of a window that are counted: 10 s
 MOST_UNEXPLAINED = 0.05  # mean square of the innovations beside noise, over that of the acceleration above
@@ -142,15 +143,17 @@ def _taken(segment: GearSegment, gear: GearSegments, apart: tuple[float, float])
     signals = [segment.accelerations[: 2 * axles : 2], segment.accelerations[2 * axles :]]
     taken = [[thinned(bridged(one, known), dt) for one in rows] for rows in signals]
     (below, below_apart), (above, above_apart) = ((np.mean(rows, axis=0), 0.5 * (rows[0] - rows[-1])) for rows in taken)
-    raised = between_samples(below)
+    raised, raised_apart = between_samples(below), between_samples(below_apart)
+    late = LATE_STD_S / (stride * dt)
     counted = known[half : len(known) - half][::stride].copy()
     counted[:unknown] = counted[-1:] = False
-    of_wheelsets = np.stack([raised, raised + apart[0] * between_samples(below_apart), raised])
-    return _Taken(of_wheelsets, np.stack([above, above, above + apart[1] * above_apart]), counted)
+    of_wheelsets = [raised, raised + apart[0] * raised_apart, raised, raised + late * np.gradient(raised_apart)]
+    of_above = [above, above, above + apart[1] * above_apart, above + late * np.gradient(above_apart)]
+    return _Taken(np.stack(of_wheelsets), np.stack(of_above), counted)
 
 
 def _judged(products: FloatArray, count: int, square: float, filters: DamperFilters) -> WindowSums:
-    """Return sums over the mean square of the innovations of the best particle, where its filter has followed."""
+    """Return sums over the mean square of what the best particle does not explain, where its filter has followed."""
     whole = of_signals(filters, products)
     least = min(_least(one, count) for one in whole)
     innovation = least / (float(filters.noise[:, 0, 0].max()) + MOST_UNEXPLAINED * square / count)
@@ -158,7 +161,7 @@ def _judged(products: FloatArray, count: int, square: float, filters: DamperFilt
         text = f"the innovations of the suspension's filters are {np.sqrt(innovation):.1f} times what is believed"
         return WindowSums(Reason(ReasonCode.DIVERGED, f"{text}; check class and sensors"), float(innovation))
     independent = count * min(2.0 * PASSED_HZ * filters.step_s, 1.0)
-    scale = independent / count / least
+    scale = independent / (count * least + MODEL_ERROR**2 * square)
     excited = _excitation(whole * scale, count * scale * filters.noise)
     if not excited > LEAST_EXCITATION:
         text = f"the motion shows the damper {max(excited, 0.0):.1f} times as much as noise does"

@@ -23,8 +23,8 @@ class DamperSums:
 
     Of a particle there are m signals: its innovations, by how much each of k uncertain parameters changes them (one
     standard deviation of its class), the second order of that for the first p of them, and by how much they differ from
-    those of the next particle. All are over the rms of the innovations of the best particle, so that windows count by
-    what is known in them.
+    those of the next particle. All are over the rms of what the best particle does not explain, so that windows count
+    by what is known in them.
     """
 
     products: FloatArray  # (q - 1, m, m)
