@@ -73,7 +73,10 @@ def test_the_interval_holds_what_is_not_known_of_the_mass() -> None:
     )
     assert known.std is not None
     assert loose.std is not None
-    assert loose.std == pytest.approx(np.hypot(known.std, 0.1 * (known.value or 0.0)), rel=1e-6)
+    assert known.value is not None
+    assert loose.std == pytest.approx(np.hypot(known.std, 0.1 * known.value), rel=1e-6)
+    assert known.std > np.hypot(0.03 * known.value, 0.01)
+    assert (pooled.MODEL_STD, pooled.LEAST_STD) == (0.03, 0.01)
 
 
 def test_few_windows_say_nothing() -> None:
@@ -93,7 +96,9 @@ def test_the_reason_of_windows_is_that_of_the_gear_where_none_says_anything() ->
 def test_more_than_a_fifth_of_diverged_windows_is_a_mismatch() -> None:
     reason = Reason(ReasonCode.DIVERGED, "diverged")
     windows = of_soft(1.0, 8)
-    one, two = ([replace(w, sums=None, reason=reason) if i < k else w for i, w in enumerate(windows)] for k in (1, 2))
+    one, two = (
+        [replace(w, sums=None, reason=reason) if 0 < i <= k else w for i, w in enumerate(windows)] for k in (1, 2)
+    )
     assert gear_damper(one, USUAL).share.status is Status.ESTIMATED
     assert gear_damper(one, USUAL).diverged == 1
     found = gear_damper(two, USUAL)
@@ -124,11 +129,10 @@ def test_a_share_beyond_the_particles_is_a_mismatch() -> None:
 
 
 def test_a_damper_that_hardly_moves_is_not_judged() -> None:
-    for size in (0.0, 3e-4):
-        windows = [judged(windows_of(SOFT, 0.3, k, size=size), SOFT) for k in range(6)]
-        found = gear_damper(windows, USUAL)
-        assert code_of(found) is ReasonCode.DAMPER_NOT_EXCITED
-        assert found.weak is None
+    windows = [judged(windows_of(SOFT, 0.3, k, size=3e-4), SOFT) for k in range(6)]
+    found = gear_damper(windows, USUAL)
+    assert code_of(found) is ReasonCode.DAMPER_NOT_EXCITED
+    assert (found.weak, found.refused) == (None, 6)
     found = gear_damper(of_soft(1.0), USUAL)
     assert found.share.std is not None
     narrow = gear_damper(of_soft(1.0), replace(USUAL, widest_std=0.99 * found.share.std))

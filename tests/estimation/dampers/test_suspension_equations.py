@@ -29,17 +29,26 @@ def test_the_frame_accelerates_as_in_the_equations_of_the_whole_running_gear() -
     assert (equations.rates @ deflections)[3] == pytest.approx(body_rate - nodes.mean(), rel=1e-12)
 
 
+def test_each_ratio_has_the_stds_of_both() -> None:
+    stds = {"frame_mass": 0.03, "body_mass": 0.04, "lateral_stiffness": 0.04, "secondary_lateral_stiffness": 0.03}
+    found = uncertain_parameters(replace(SOFT, relative_std=stds))
+    assert found["lateral_stiffness"] == pytest.approx(0.05)
+    assert found["secondary_lateral_stiffness"] == pytest.approx(0.05)
+    assert found["body_mass"] == pytest.approx(0.05)
+    assert found["lateral_damping"] == pytest.approx(np.hypot(0.1, 0.03))
+
+
 @pytest.mark.parametrize("vehicle_class", [SOFT, SINGLE])
 def test_what_is_above_follows_by_the_complex_stiffness(vehicle_class: VehicleClass) -> None:
     omega = np.array([1.0, 4.0, 20.0, 60.0])
     factors = dict.fromkeys(uncertain_parameters(vehicle_class), 1.1)
-    bogie = vehicle_class.bogie
-    own = {name: 1.1 * getattr(vehicle_class.parameters, name) for name in factors if bogie is None or name in {
-        "lateral_stiffness", "lateral_damping"}}  # fmt: skip
-    changed = replace(vehicle_class, parameters=replace(vehicle_class.parameters, **own))
+    p, bogie = vehicle_class.parameters, vehicle_class.bogie
+    changed = replace(vehicle_class, parameters=replace(p, lateral_stiffness=1.1 * p.lateral_stiffness))
     if bogie is not None:
-        of_bogie = {name: 1.1 * getattr(bogie, name) for name in factors if hasattr(bogie, name)}
-        changed = replace(changed, bogie=replace(bogie, **of_bogie))
+        both = replace(changed.parameters, lateral_damping=1.1 * p.lateral_damping)
+        spring = 1.1**2 * bogie.secondary_lateral_stiffness  # its own factor, and that of the body above it
+        heavier = replace(bogie, body_mass=1.1 * bogie.body_mass, secondary_lateral_stiffness=spring)
+        changed = replace(changed, parameters=both, bogie=heavier)
     equations = suspension_equations(vehicle_class, 0.4, factors)
     n = len(equations.rates)
     found = [
