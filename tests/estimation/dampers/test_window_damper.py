@@ -145,7 +145,7 @@ def test_scales_of_sensors_count_by_what_is_on_file_and_at_least_a_hundredth() -
 
 def test_what_noise_adds_to_the_products_is_known() -> None:
     """Accelerations that are noise alone, through the filters: the products of their samples are those on file."""
-    filters, count = damper_filters(SOFT, 0.004), 40
+    filters, count = damper_filters(SOFT, 0.004), 20
     variants = len(filters.source) + 1
     products = np.zeros((len(SHARES) - 1, variants, variants))
     samples = 0
@@ -160,4 +160,5 @@ def test_what_noise_adds_to_the_products_is_known() -> None:
     found = of_signals(filters, products) / samples
     scale = np.sqrt(np.einsum("paa->pa", filters.noise))
     apart = (found - filters.noise) / (scale[:, :, None] * scale[:, None, :])
-    assert np.abs(apart).max() < 0.25
+    assert np.abs(apart).max() < 0.4
+    assert np.abs(apart).mean() < 0.03
