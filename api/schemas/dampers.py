@@ -25,8 +25,8 @@ class DamperState(Representation):
     refused_windows: int = Field(description="Windows that say nothing of the damper.")
     measured_from: Timestamp = Field(description="Start of the first window that counts.")
     measured_to: Timestamp = Field(description="Start of the last window that counts.")
-    odometer_from_km: float
-    odometer_to_km: float
+    odometer_from_km: float = Field(description="Odometer of the vehicle at the first window.")
+    odometer_to_km: float = Field(description="Odometer of the vehicle at the last window.")
 
 
 class Dampers(Representation):
