@@ -1,4 +1,4 @@
-"""Small inputs that run the compiled kernels of the estimators: see ``api.kernel_runs``."""
+"""Small inputs that run the compiled kernels of the estimators and of dampers: see ``api.kernel_runs``."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from estimation.dampers import damper_kernels
 from estimation.estimators import filter_kernels, hidden_kernels
 from estimation.estimators.block_filters import Inputs
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, frozen_array
 
 
 def _filters() -> Iterator[FloatArray]:
@@ -47,4 +48,17 @@ def _hidden() -> Iterator[FloatArray]:
     yield from (posterior, sums, counts)
 
 
-RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (_filters, _hidden)
+def _dampers() -> Iterator[FloatArray]:
+    rng = np.random.default_rng(13)
+    q, v, n, samples = 3, 2, 2, 6
+    products = np.zeros((q - 1, v + 1, v + 1))
+    shapes = ((q, v, n, n), (q, v, 2, n), (q, v, n), (q, v, n))
+    fixed = [frozen_array(0.3 * rng.standard_normal(shape), shape, name="filters") for shape in shapes]
+    source = frozen_array([0, 1], (v,), np.int64, name="source")
+    below, above = (frozen_array(rng.standard_normal((3, samples)), (3, samples), name="above") for _ in range(2))
+    counted = frozen_array(np.arange(samples) % 3 > 0, (samples,), np.bool_, name="counted")
+    damper_kernels.add_products(fixed[0], fixed[1], fixed[2], fixed[3], source, below, above, counted, products)
+    yield products
+
+
+RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (_filters, _hidden, _dampers)

@@ -42,6 +42,7 @@ WITH_OPTIONS = (
     "fleet",
     "adhesion",
     "rails",
+    "dampers",
 )
 LONG = (
     "signals",

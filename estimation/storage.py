@@ -13,6 +13,7 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition
 from estimation.values.claims import Claimed
+from estimation.values.dampers import GearDamper, WindowDamper
 from estimation.values.exact_table import ExactTable, RolledPart
 from estimation.values.geometry import BinTable, FilledCells, GeometryRecord, IntervalDigest, TableKey, WindowTable
 from estimation.values.interval_conicities import IntervalConicities
@@ -248,6 +249,16 @@ class Adhesion(Protocol):
     def during(self, section: str, from_ns: int, to_ns: int) -> Sequence[SectionAdhesion]: ...
 
 
+class Dampers(Protocol):
+    """What windows say of the lateral dampers of running gears, and what they say together."""
+
+    def put(self, found: WindowDamper) -> None: ...
+    def newest(self, vehicle: str, first_axle: int, limit: int) -> Sequence[WindowDamper]: ...
+    def forget(self, vehicle: str, first_axle: int, before_ns: int) -> int: ...
+    def put_gear(self, found: GearDamper, code_version: str, recorded_ns: int) -> bool: ...
+    def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]: ...
+
+
 class Signatures(Protocol):
     """Wear signatures of windows, and the newest answer about every wheelset."""
 
@@ -399,6 +410,8 @@ class UnitOfWork(Protocol):
     def alerts(self) -> Alerts: ...
     @property
     def adhesion(self) -> Adhesion: ...
+    @property
+    def dampers(self) -> Dampers: ...
     @property
     def signatures(self) -> Signatures: ...
     @property

@@ -26,6 +26,7 @@ from fleet_db.stores.audit import AuditStore
 from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.corrections import CorrectionStore
+from fleet_db.stores.dampers import DamperStore
 from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
@@ -93,6 +94,7 @@ class SqlUnitOfWork:
     trends: TrendStore = field(init=False)
     suspensions: SuspensionStore = field(init=False)
     adhesion: AdhesionStore = field(init=False)
+    dampers: DamperStore = field(init=False)
     signatures: SignatureStore = field(init=False)
     alerts: AlertStore = field(init=False)
     feed_branches: FeedBranchStore = field(init=False)
@@ -135,6 +137,7 @@ class SqlUnitOfWork:
         self.trends = TrendStore(connection, self.changes)
         self.suspensions = SuspensionStore(connection)
         self.adhesion = AdhesionStore(connection)
+        self.dampers = DamperStore(connection)
         self.signatures = SignatureStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.plausibility = PlausibilityStore(connection, self.windows)

@@ -137,6 +137,8 @@ RULES: Mapping[str, Rule] = {
     "window_bin_tables": _of_wheelset,
     "window_positions": _of_wheelset,
     "window_adhesion": _of_wheelset,
+    "window_dampers": _of_vehicle,
+    "gear_dampers": _of_vehicle,
     "webhooks": _of_webhook,
     "webhook_fleets": _of_webhook,
     "webhook_deliveries": _of_webhook,

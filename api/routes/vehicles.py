@@ -9,7 +9,7 @@ from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answe
 from api.known import require_known
 from api.parameters import Code, FleetFilter
 from api.problems import described
-from api.schemas import registry, suspension
+from api.schemas import dampers, registry, suspension
 from api.schemas.common import Page
 from api.services import ServicesDep
 from estimation.trend.suspension import SuspensionParameters, suspension_changes
@@ -53,3 +53,12 @@ def get_suspension(request: Request, services: ServicesDep, code: Code, _held: I
         newest = unit.suspensions.newest(usual.recent + usual.most_past)
     change = suspension_changes(newest, usual).get(code)
     return answer(request, suspension.suspension(code, findings, change))
+
+
+@router.get("/{code}/dampers", response_model=dampers.Dampers, responses=described(404))
+def get_dampers(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
+    """Return the state of the lateral dampers of a vehicle, one for each running gear."""
+    with services.storage.read() as unit:
+        unit.registry.vehicle(code)
+        found = unit.dampers.of_vehicle(code)
+    return answer(request, dampers.dampers(code, found))

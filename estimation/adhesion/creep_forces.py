@@ -19,22 +19,19 @@ import numpy as np
 
 from estimation.adhesion import smoother_kernels as kernels
 from estimation.adhesion.gear_equations import AXLE
+from estimation.adhesion.gear_segments import ROLL, GearSegment, GearSegments, gear_segments
 from estimation.adhesion.stationary_filter import FilterParameters, StationaryFilter, stationary_filter
 from estimation.adhesion.vibration import without_vibration
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
+from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import ACCELERATIONS, Window
-from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
+from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import VehicleClass
 
 MOST_INNOVATION = 10.0  # mean square of a channel's innovations over what the filter expects; see docs/adhesion.md
-ROLL, LATERAL, YAW, MASS = (
-    ACCELERATIONS.index(f"{name}_acceleration") for name in ("roll", "lateral", "yaw", "mass_lateral")
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,21 +82,31 @@ def contact_forces(
     ValueError
         The windows are not those of a running gear of the class.
     """
-    axles = 1 if vehicle_class.bogie is None else 2
-    if len(windows) != axles or len({(one.start_ns, len(one.valid)) for one in windows}) != 1:
-        raise ValueError(f"{len(windows)} windows for a running gear of {axles} wheelsets, or not of one time")
-    usable = np.logical_and.reduce([moving_samples(window, signals) for window in windows])
-    if not usable.any():
-        return Reason(ReasonCode.NO_USABLE_SAMPLE, "no sample of the running gear can be used")
-    found = [integrate(window, usable, signals).segments for window in windows]
-    if not found[0]:
-        return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
+    segments = gear_segments(windows, vehicle_class, signals)
+    return segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, parameters)
+
+
+def forces_on(
+    gear: GearSegments, vehicle_class: VehicleClass, parameters: ForceParameters
+) -> tuple[ContactForces, ...] | Reason:
+    """Return the forces on each wheelset of a running gear, or why they cannot be had.
+
+    Parameters
+    ----------
+    gear
+        Uninterrupted segments of its windows.
+    vehicle_class
+        Of the vehicle.
+    parameters
+        Of the filter.
+    """
+    axles, usable = gear.axles, gear.usable
     values = np.full((axles, len(_NAMED), len(usable)), np.nan)
     worst, vibrating = 0.0, False
-    for parts in zip(*found, strict=True):
-        found_here = _smoothed(windows, parts, vehicle_class, parameters.filter)
-        values[:, :, parts[0].part] = found_here.named
-        worst, vibrating = max(worst, found_here.innovation), vibrating or found_here.vibrating
+    for segment in gear.segments:
+        found = _smoothed(gear, segment, vehicle_class, parameters.filter)
+        values[:, :, segment.axles[0].part] = found.named
+        worst, vibrating = max(worst, found.innovation), vibrating or found.vibrating
     if not (np.isfinite(worst) and worst <= parameters.most_innovation):
         return Reason(
             ReasonCode.DIVERGED,
@@ -123,19 +130,18 @@ class _Smoothed:
 
 
 def _smoothed(
-    windows: Sequence[Window], parts: Sequence[IntegratedSegment], vehicle_class: VehicleClass, known: FilterParameters
+    gear: GearSegments, segment: GearSegment, vehicle_class: VehicleClass, known: FilterParameters
 ) -> _Smoothed:
     """Return the named signals of a segment."""
-    p, first = vehicle_class.parameters, parts[0]
+    p, parts, rolls = vehicle_class.parameters, segment.axles, segment.rolls
+    first = parts[0]
     speed = float(first.speed.mean())
-    made = stationary_filter(vehicle_class, windows[0].sample_interval_s, speed, known)
-    rolls = [remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts]
+    made = stationary_filter(vehicle_class, gear.sample_interval_s, speed, known)
     roll_rates = [remove_wander(one.rates[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts]
     measurements = np.zeros((len(first.speed), len(made.measured)))
-    accelerations, vibrating = without_vibration(
-        _accelerations(windows, parts, rolls), first.known, windows[0].sample_interval_s, slice(0, 2 * made.axles, 2)
-    )
-    measurements[:, : made.accelerations] = accelerations.T
+    lateral = slice(0, 2 * made.axles, 2)
+    steady, vibrating = without_vibration(segment.accelerations, first.known, gear.sample_interval_s, lateral)
+    measurements[:, : made.accelerations] = steady.T
     measurements[:, -made.axles :] = p.nominal_radius * np.stack(roll_rates, axis=1) / first.speed[:, None]
     states, innovations = smoothed_states(made, measurements, first.known, first.speed)
     squares = (innovations[first.known, : made.accelerations] / made.innovation_std[: made.accelerations]) ** 2
@@ -182,28 +188,6 @@ def smoothed_states(
     )
     kernels.smooth_back(back, predicted, filtered)
     return filtered * made.scale, innovations
-
-
-def _accelerations(
-    windows: Sequence[Window], parts: Sequence[IntegratedSegment], rolls: Sequence[FloatArray]
-) -> FloatArray:
-    """Return the accelerations (3 a, m) without gravity and means: lateral and yaw of each axle, then those above.
-
-    The sensors above are on one frame, which rests on both axles and rolls with their mean.
-    """
-    part, known = parts[0].part, parts[0].known
-    mean_roll = np.mean(rolls, axis=0)
-    rows = []
-    for window, roll in zip(windows, rolls, strict=True):
-        rows += [_level(window, LATERAL, part, roll), getattr(window, ACCELERATIONS[YAW])[part]]
-    rows += [_level(window, MASS, part, mean_roll) for window in windows]
-    values = np.stack(rows)
-    return np.where(known, values - values[:, known].mean(axis=1)[:, None], 0.0)
-
-
-def _level(window: Window, channel: int, part: slice, roll: FloatArray) -> FloatArray:
-    values = getattr(window, ACCELERATIONS[channel])[part]
-    return np.asarray(values - GRAVITY * roll if window.measures_gravity else values)
 
 
 def _named(

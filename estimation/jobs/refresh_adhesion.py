@@ -1,4 +1,4 @@
-"""Job: creep forces of windows, friction of sections, and alerts of low adhesion.
+"""Job: creep forces of windows, the dampers above them, friction of sections, and alerts of low adhesion.
 
 Each window is read once, after its wheelset has a geometry. The windows of a section that were looked at are pooled
 with those of the hours before; where the stretches of low friction have changed, the windows on them are estimated
@@ -20,7 +20,8 @@ from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.jobs.steps.section_looks import NO_SECTION, note_sections, section_news
-from estimation.jobs.steps.window_creep import creep_of_windows
+from estimation.jobs.steps.store_dampers import store_dampers
+from estimation.jobs.steps.window_creep import CreepOfWindows, creep_of_windows
 from estimation.storage import UnitOfWork
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import CloseReason
@@ -68,15 +69,16 @@ def _windows(context: JobContext, section: str, counts: Counter[str]) -> set[int
     while True:
         with context.storage.read() as unit:
             keys = unit.adhesion.waiting(section, last, BATCH)
-            found = creep_of_windows(unit, keys, context.settings.estimation) if keys else []
+            read = creep_of_windows(unit, keys, context.settings.estimation) if keys else CreepOfWindows((), ())
         if not keys:
             return starts
-        last = keys[-1]
+        last, found = keys[-1], read.creep
         with context.storage.write() as unit:
             now = {one.key: one.content_digest for one in unit.windows.several([one.key for one in found])}
             for one in found:
                 if now.get(one.key) == one.content_digest:
                     unit.adhesion.put(one)
+            store_dampers(unit, read.dampers, context)
         counts["windows"] += len(found)
         counts["refused"] += sum(one.reason is not None for one in found)
         starts.update(start_ns for _, start_ns in keys)

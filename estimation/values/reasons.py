@@ -129,6 +129,19 @@ class ReasonCode(StrEnum):
         "The profiles on file do not have the rolling radius difference that was measured. Check wheel and rail.",
     )
     NO_CREEP_CURVE = "no_creep_curve", "The rolling radius difference of the wheelset is not known well enough yet."
+    # dampers
+    DAMPER_NOT_ON_FILE = (
+        "damper_not_on_file",
+        "The class has no lateral damper on file, so that there is nothing to compare with. Register its damping.",
+    )
+    SUSPENSION_UNCERTAIN = (
+        "suspension_uncertain",
+        "The springs or masses of the class are known too badly to judge its damper. Register them with smaller stds.",
+    )
+    DAMPER_NOT_EXCITED = (
+        "damper_not_excited",
+        "What is above the wheelsets moves too little, or too unlike its class, to show the damper.",
+    )
     # geometry
     TOO_FEW_BLOCKS = "too_few_blocks", "Too few blocks of running time for an interval."
     TOO_FEW_BINS = "too_few_bins", "Too few bins around the centre have samples."

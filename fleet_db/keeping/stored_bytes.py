@@ -37,6 +37,7 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "geometries": ("geometry_estimates", "wheelset_bins"),
     "trends": ("trends",),
     "signatures": ("wear_signatures", "signature_answers"),
+    "dampers": ("window_dampers", "gear_dampers"),
     "alignments": ("track_alignments", "track_versions", "track_reports", "track_epochs", "track_epoch_windows"),
     "receipts": ("chunks", "raw_marks", "recording_changes", "quarantine", "stale_spans"),
     "alerts and worklist": ("alerts", "alert_events", "worklist_entries", "worklist_alerts", "webhook_deliveries"),

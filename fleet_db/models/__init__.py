@@ -6,6 +6,7 @@ from fleet_db.models.alerts import AlertEventRow, AlertRow
 from fleet_db.models.base import Base
 from fleet_db.models.bin_tables import WheelsetBinRow, WindowBinTableRow
 from fleet_db.models.chunks import ChunkRow
+from fleet_db.models.dampers import GearDamperRow, WindowDamperRow
 from fleet_db.models.feed_branches import FeedBranchRow
 from fleet_db.models.fleets import FleetRow
 from fleet_db.models.geometries import GeometryRow
@@ -54,6 +55,7 @@ __all__ = [
     "ChunkRow",
     "FeedBranchRow",
     "FleetRow",
+    "GearDamperRow",
     "GeometryRow",
     "IdempotencyRow",
     "JobOwnerRow",
@@ -104,6 +106,7 @@ __all__ = [
     "WheelsetRow",
     "WindowAdhesionRow",
     "WindowBinTableRow",
+    "WindowDamperRow",
     "WindowPositionRow",
     "WindowRow",
     "WorkClaimRow",

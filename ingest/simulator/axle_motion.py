@@ -11,7 +11,8 @@ from scipy.ndimage import convolve1d
 
 from estimation.contact.table import ContactTable
 from estimation.errors import ContactError, ProfileError, ScenarioError
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
 from ingest.simulator.campaign import VehicleRun
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
@@ -134,18 +135,42 @@ def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> R
     axles
         As :func:`together` returns them.
     """
-    code, running = run.vehicle.code, scenario.running
+    running = scenario.running
+    parameters, bogie = true_suspension(scenario, run.vehicle, axles[0], run.campaign)
     shares = running.shares_of_traction(len(run.vehicle.wheelsets))
     factor = friction_factor(running, scenario.seed, run.campaign)
     return RunningGear(
-        parameters=vehicle_parameters(scenario, code),
-        bogie=vehicle_bogie(scenario, code),
+        parameters=parameters,
+        bogie=bogie,
         creep=replace(running.creep, friction=min(factor * running.creep.friction, 1.0)),
         wheels=tuple(_wheels(scenario, run, axle) for axle in axles) if running.out_of_round else (),
         traction=tuple(shares[axle] for axle in axles) if running.traction else None,
         braking=(1.0,) * len(axles) if running.traction else None,
         nominal_radii=tuple(run.vehicle.wheelsets[axle].nominal_radius for axle in axles),
     )
+
+
+def true_suspension(
+    scenario: Scenario, vehicle: VehiclePlan, axle: int, campaign: int
+) -> tuple[VehicleParameters, BogieParameters | None]:
+    """Return the true parameters of the running gear of an axle: of its vehicle, less what its damper has lost.
+
+    Parameters
+    ----------
+    scenario
+        Parameters and their errors.
+    vehicle
+        The vehicle.
+    axle, campaign
+        From 0.
+    """
+    parameters, bogie = vehicle_parameters(scenario, vehicle.code), vehicle_bogie(scenario, vehicle.code)
+    weak, gear = vehicle.weak_damper, axle if bogie is None else axle // AXLES_OF_A_BOGIE
+    if weak is None or campaign + 1 < weak.from_campaign or weak.running_gear not in (None, gear + 1):
+        return parameters, bogie
+    if bogie is None:
+        return replace(parameters, lateral_damping=weak.share * parameters.lateral_damping), None
+    return parameters, replace(bogie, secondary_lateral_damping=weak.share * bogie.secondary_lateral_damping)
 
 
 def _wheels(scenario: Scenario, run: VehicleRun, axle: int) -> tuple[Wheel, Wheel]:

@@ -72,6 +72,18 @@ class WheelsetPlan:
 
 
 @dataclass(frozen=True, slots=True)
+class WeakDamper:
+    """A lateral damper that has lost some of its damping from campaign ``from_campaign`` (counted from 1) on.
+
+    It is the damper between frame and body of a bogie, or above a single wheelset.
+    """
+
+    share: float  # of its damping that is left
+    from_campaign: int = 1
+    running_gear: int | None = None  # counted from 1; None: every one of the vehicle
+
+
+@dataclass(frozen=True, slots=True)
 class VehiclePlan:
     """A vehicle and its wheelsets, front to rear."""
 
@@ -81,6 +93,7 @@ class VehiclePlan:
     axle_offsets: tuple[float, ...]  # m behind the position reference
     wheelsets: tuple[WheelsetPlan, ...]
     longest_run: float = math.inf  # s, where its runs end before those of the others
+    weak_damper: WeakDamper | None = None
 
 
 def usual_offsets(axles: int, bogie: BogieParameters | None = None) -> tuple[float, ...]:

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.contact.profiles import MeasuredProfiles, Profile
-from estimation.storage import Storage
+from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
+from estimation.values.dampers import GearDamper
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
 from estimation.values.rails import (
@@ -335,6 +337,23 @@ def wheelset_rails() -> WheelsetRailsRecord:
     return WheelsetRailsRecord(RAILS_AMPLITUDES, part, "d" * 64, "test", RECORDED)
 
 
+def gear_dampers() -> list[GearDamper]:
+    """Return the dampers of the first vehicle: a weak one, and one that its windows do not show."""
+    vehicle = suspension_findings()[0].vehicle
+    few = Estimate.unknown(Reason(ReasonCode.TOO_FEW_WINDOWS, "2 windows show the suspension, 4 are needed"), 2.0)
+    weak = with_interval(0.31, 0.02, 0.02, 9, 9.0)
+    to_ns = suspension_findings()[0].to_ns
+    return [
+        GearDamper(vehicle, 1, weak, 0.99, weak.high is not None, 9, 1, 0, to_ns - 10**12, to_ns, 1000.0, 1010.5),
+        GearDamper(vehicle, 3, few, None, None, 2, 0, 3, to_ns - 10**12, to_ns, 1000.0, 1010.5),
+    ]
+
+
+def _put_dampers(unit: UnitOfWork) -> None:
+    for damper in gear_dampers():
+        unit.dampers.put_gear(damper, "1", damper.to_ns)
+
+
 def suspension_findings() -> list[SuspensionFinding]:
     """Return those of 8 days, of a vehicle whose spring softens and of another."""
     ratios = [("V-0", day, 1.0 if day < 5 else 0.5) for day in range(8)] + [("V-1", day, 1.0) for day in range(8)]
@@ -389,6 +408,7 @@ def populate(storage: Storage) -> None:
         unit.trends.put(trend_record(RECORDED, 0.1875))
         unit.trends.put(trend_record(RECORDED + DAY, 0.25))
         unit.signatures.put_answer(signature_record())
+        _put_dampers(unit)
         for finding in suspension_findings():
             unit.suspensions.put(finding)
         unit.rails.put_found([section_rails()], [wheelset_rails()])

@@ -95,7 +95,21 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "UsedEntry": {"weight"},
         "RecordingWindows": {"made", "pending", "estimated", "refused"},
     }
-    counts = {"axle", "axles", "baseline", "gaps", "id", "n_windows", "number", "passes", "status", "version"}
+    counts = {
+        "diverged_windows",
+        "refused_windows",
+        "first_axle",
+        "axle",
+        "axles",
+        "baseline",
+        "gaps",
+        "id",
+        "n_windows",
+        "number",
+        "passes",
+        "status",
+        "version",
+    }
     counts |= {"interval", "windows", "faulty_windows", "hunting_windows", "implausible_windows", "rejected_recordings"}
     counts |= {"rejected_reasons", "reasons", "more_than", "member_count", "open_member_count", "numbers"}
     counts |= {"on_evaluations", "off_evaluations", "clear_seen"}

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
-from estimation.adhesion.creep_forces import ContactForces, ForceParameters, contact_forces
+from estimation.adhesion.creep_forces import ContactForces, ForceParameters, forces_on
+from estimation.adhesion.gear_segments import gear_segments
 from estimation.adhesion.window_adhesion import AdhesionInputs, refused, window_adhesion
+from estimation.dampers.window_damper import window_damper
 from estimation.errors import DamagedError, PurgedError
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
@@ -15,16 +18,23 @@ from estimation.jobs.steps.window_tracks import TrackLookup, tracks_of_batch
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
 from estimation.values.adhesion import WindowAdhesion
+from estimation.values.dampers import WindowDamper
 from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Window, WindowKey, WindowRecord
 
 
-def creep_of_windows(
-    unit: UnitOfWork, keys: Sequence[WindowKey], settings: EstimationSettings
-) -> Sequence[WindowAdhesion]:
-    """Return what is found of the creep of windows; one that is not there any more is left out.
+@dataclass(frozen=True, slots=True)
+class CreepOfWindows:
+    """What windows say of their creep, and what they say of the dampers above, of which they were read once."""
+
+    creep: Sequence[WindowAdhesion]
+    dampers: Sequence[WindowDamper]
+
+
+def creep_of_windows(unit: UnitOfWork, keys: Sequence[WindowKey], settings: EstimationSettings) -> CreepOfWindows:
+    """Return what is found of windows; one that is not there any more is left out.
 
     Parameters
     ----------
@@ -38,7 +48,8 @@ def creep_of_windows(
     records = sorted(unit.windows.several(keys), key=lambda record: (record.vehicle, record.start_ns, record.axle))
     classes = ClassLookup(unit, settings)
     batch = inputs_of_batch(unit, records, classes)
-    return _Batch(unit, batch, tracks_of_batch(unit, records), classes).found(records)
+    found = _Batch(unit, batch, tracks_of_batch(unit, records), classes)
+    return CreepOfWindows(found.found(records), list(found.dampers.values()))
 
 
 class _Batch:
@@ -50,6 +61,7 @@ class _Batch:
         self.sections: Mapping[str, TrackSectionRecord] = {one.code: one for one in unit.tracks.sections()}
         self.geometries: dict[str, GeometryRecord | None] = {}
         self.gear: tuple[tuple[WindowKey, ...], tuple[ContactForces, ...] | Reason] | None = None
+        self.dampers: dict[tuple[str, int, int], WindowDamper] = {}
 
     def found(self, records: Sequence[WindowRecord]) -> Sequence[WindowAdhesion]:
         """Return the creep of every window that has samples."""
@@ -107,7 +119,6 @@ class _Batch:
 
     def _forces(self, record: WindowRecord, window: Window, assumed: Assumed) -> ContactForces | Reason:
         """Return the forces on the wheelset of a window; those of its gear are kept for the other axle."""
-        vehicle_class = assumed.windows.vehicle_class
         key = self._gear(record, assumed)
         if isinstance(key, Reason):
             return key
@@ -115,9 +126,22 @@ class _Batch:
             gear = self._loaded(key, window, assumed)
             if isinstance(gear, Reason):
                 return gear
-            self.gear = key, contact_forces(gear, vehicle_class, assumed.windows.signals, ForceParameters())
+            self.gear = key, self._gear_forces(key[0], gear, assumed)
         forces = self.gear[1]
         return forces if isinstance(forces, Reason) else forces[key.index(record.key)]
+
+    def _gear_forces(
+        self, first: WindowKey, gear: tuple[Window, ...], assumed: Assumed
+    ) -> tuple[ContactForces, ...] | Reason:
+        """Return the forces on a running gear; what its damper shows is kept beside."""
+        segments = gear_segments(gear, assumed.windows.vehicle_class, assumed.windows.signals)
+        record = self.inputs.records.get(first)
+        if record is not None and record.implausible is None:
+            found = window_damper(gear[0], record.content_digest, segments, assumed.on_file)
+            self.dampers[found.vehicle, found.first_axle, found.start_ns] = found
+        if isinstance(segments, Reason):
+            return segments
+        return forces_on(segments, assumed.windows.vehicle_class, ForceParameters())
 
     def _gear(self, record: WindowRecord, assumed: Assumed) -> tuple[WindowKey, ...] | Reason:
         """Return the windows of the running gear of a window, front axle first."""

@@ -16,6 +16,7 @@ from ingest.simulator.scenario import (
     FaultKind,
     SideFiles,
     VehiclePlan,
+    WeakDamper,
     WheelsetPlan,
     usual_offsets,
 )
@@ -133,6 +134,18 @@ class WheelsetTable(InputTable):
         )
 
 
+class WeakDamperTable(InputTable):
+    """``[vehicles.weak_damper]``."""
+
+    share: float = Field(ge=0.0, le=2.0)
+    from_campaign: int = Field(default=1, ge=1)
+    running_gear: int | None = Field(default=None, ge=1)
+
+    def plan(self) -> WeakDamper:
+        """Return the damper."""
+        return WeakDamper(self.share, self.from_campaign, self.running_gear)
+
+
 class VehicleTable(InputTable):
     """``[[vehicles]]``."""
 
@@ -142,6 +155,7 @@ class VehicleTable(InputTable):
     axle_offsets_m: IncreasingNumbers | None = None
     minutes_each: float | None = Field(default=None, gt=0.0)
     wheelsets: list[WheelsetTable] = Field(min_length=1, max_length=MAX_AXLES)
+    weak_damper: WeakDamperTable | None = None
 
     @model_validator(mode="after")
     def _check_offsets(self) -> Self:
@@ -181,4 +195,5 @@ class VehicleTable(InputTable):
             axle_offsets=self.offsets(bogie),
             wheelsets=tuple(wheelset.plan(folder, radius) for wheelset in self.wheelsets),
             longest_run=math.inf if self.minutes_each is None else 60.0 * self.minutes_each,
+            weak_damper=None if self.weak_damper is None else self.weak_damper.plan(),
         )

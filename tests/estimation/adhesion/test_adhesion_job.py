@@ -131,6 +131,29 @@ def test_rest_answers_friction_and_the_alert_links_to_it(deployed: Deployed) -> 
     assert (missing.status_code, before.status_code) == (404, 404)
 
 
+def test_dampers_are_judged_where_windows_are_read(deployed: Deployed) -> None:
+    """The windows are too few for a share; what each says is stored, and REST says why there is no more."""
+    vehicle = deployed.scenario.vehicles[0].code
+    with deployed.storage.read() as unit:
+        found = unit.dampers.of_vehicle(vehicle)
+        said = {one.first_axle: unit.dampers.newest(vehicle, one.first_axle, 100) for one in found}
+    assert [one.first_axle for one in found] == [1, 3]
+    for one in found:
+        assert one.windows + one.diverged + one.refused == len(said[one.first_axle])
+        assert one.share.reason is not None
+        assert one.share.reason.code is ReasonCode.TOO_FEW_WINDOWS
+        assert one.windows > 0
+        assert {window.wheelset for window in said[one.first_axle]} == {
+            deployed.scenario.vehicles[0].wheelsets[one.first_axle - 1].serial
+        }
+    answer, missing = asked(deployed.settings, (f"/v1/vehicles/{vehicle}/dampers", "/v1/vehicles/none/dampers"))
+    first = answer.json()["dampers"][0]
+    assert (first["first_axle"], first["weak"], first["weak_probability_1"]) == (1, None, None)
+    assert first["damping_share_1"]["value"] is None
+    assert first["damping_share_1"]["reason_code"] == "too_few_windows"
+    assert missing.status_code == 404
+
+
 def test_as_few_spans_as_hold_all_times_are_pooled() -> None:
     assert pool_ends([1, 5, 9, 30, 31], 8) == [9, 31]
     assert pool_ends([1, 5, 10, 30, 31], 8) == [1, 10, 31]

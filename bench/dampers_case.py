@@ -1,0 +1,166 @@
+"""One vehicle off its class with dampers of a known share: what is published of each, against the truth.
+
+The motion is the simulator's, the sensors its nodes (``adhesion_fleet``). Every parameter that the class states with a
+standard deviation is drawn by that, each by itself; the class on file stays.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from bench.adhesion_fleet import class_of, simulate
+from estimation.adhesion.gear_segments import gear_segments
+from estimation.dampers.pooled import DamperParameters, gear_damper
+from estimation.dampers.window_damper import window_damper
+from estimation.motion.parameters import SignalParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.windows import Window
+from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
+from ingest.simulator.drawn_fleet import with_seed
+from ingest.simulator.scenario import Scenario, WeakDamper
+from ingest.simulator.scenario_file import load_scenario
+
+SCENARIOS = Path(__file__).parent / "vehicle_scenarios"
+ROWS: Mapping[str, str] = {
+    "soft bogie": "soft_known",
+    "soft bogie, axle boxes vibrate": "vibration_5",
+    "soft bogie, all faults of sensors and track": "all_faults",
+    "coach": "coach_known",
+    "single wheelset": "paper_known",
+}
+SHARES = (1.0, 0.5, 0.2)
+CAMPAIGNS = 4
+CAMPAIGN_S = 120.0
+DRAWN = ("_mass", "_inertia", "_stiffness", "_damping")
+P = TypeVar("P", VehicleParameters, BogieParameters)
+
+
+def _reversed(window: Window) -> Window:
+    return replace(window, mass_lateral_acceleration=-window.mass_lateral_acceleration) if window.axle % 2 else window
+
+
+def _dead(window: Window) -> Window:
+    return (
+        replace(window, mass_lateral_acceleration=0.0 * window.mass_lateral_acceleration) if window.axle % 2 else window
+    )
+
+
+def _late(window: Window) -> Window:
+    return replace(window, mass_lateral_acceleration=np.roll(window.mass_lateral_acceleration, 2))
+
+
+BAD: Mapping[str, Callable[[Window], Window]] = {
+    "sensor above reversed": _reversed,
+    "sensor above dead": _dead,
+    "sensors above 8 ms late": _late,
+}
+OTHER_CLASS = "judged as the coach"
+
+
+@dataclass(frozen=True, slots=True)
+class DamperScore:
+    """One running gear; None where nothing is published."""
+
+    row: str
+    bad: str  # what is wrong with the input; empty for nothing
+    seed: int
+    share: float  # true
+    value: float | None
+    low: float | None
+    high: float | None
+    weak: bool | None
+    reason: str
+    windows: int
+    cpu_s: float  # of what windows say
+    running_s: float  # of wheelsets
+
+    def as_json(self) -> dict[str, object]:
+        """Return everything as JSON values."""
+        return asdict(self)
+
+
+def scores(row: str, seed: int, share: float) -> Iterator[DamperScore]:
+    """Yield the scores of the running gears of one vehicle.
+
+    Parameters
+    ----------
+    row
+        Of ``ROWS``.
+    seed
+        Of everything that is drawn.
+    share
+        Of the damping on file that is left.
+    """
+    on_file = _scenario(row, seed, share)
+    vehicle_class = class_of(on_file)
+    windows = [one.window for one in simulate(_off_its_class(on_file, vehicle_class, seed)).windows]
+    yield from _judged((row, "", seed, share), windows, vehicle_class)
+    if row != next(iter(ROWS)) or share != SHARES[0]:
+        return
+    for bad, spoilt in BAD.items():
+        yield from _judged((row, bad, seed, share), [spoilt(window) for window in windows], vehicle_class)
+    yield from _judged((row, OTHER_CLASS, seed, share), windows, class_of(_scenario("coach", seed, share)))
+
+
+def _scenario(row: str, seed: int, share: float) -> Scenario:
+    scenario = with_seed(load_scenario(SCENARIOS / f"{ROWS[row]}.toml"), seed)
+    first = replace(scenario.vehicles[0], weak_damper=WeakDamper(share))
+    sessions = replace(scenario.sessions, campaigns=CAMPAIGNS, duration=CAMPAIGN_S)
+    return replace(scenario, vehicles=(first,), sessions=sessions)
+
+
+def _off_its_class(scenario: Scenario, vehicle_class: VehicleClass, seed: int) -> Scenario:
+    """Return the scenario with its vehicle drawn; dampers that are looked for have the share on file exactly."""
+    rng = np.random.default_rng((seed, 7))
+    bogie, looked_for = scenario.bogie, "lateral_damping"
+    if bogie is not None:
+        looked_for = "secondary_lateral_damping"
+        bogie = _drawn(bogie, vehicle_class, looked_for, rng)
+    parameters = _drawn(scenario.parameters, vehicle_class, looked_for, rng)
+    return replace(scenario, parameters=parameters, bogie=bogie, vehicle_errors=None)
+
+
+def _drawn(given: P, vehicle_class: VehicleClass, looked_for: str, rng: np.random.Generator) -> P:
+    drawn = {
+        item.name: getattr(given, item.name) * (1.0 + vehicle_class.std_of(item.name) * rng.standard_normal())
+        for item in fields(given)
+        if item.name.endswith(DRAWN) and item.name != looked_for
+    }
+    return replace(given, **drawn)
+
+
+def _judged(
+    of: tuple[str, str, int, float], windows: Sequence[Window], vehicle_class: VehicleClass
+) -> Iterator[DamperScore]:
+    gears: dict[int, dict[int, list[Window]]] = defaultdict(lambda: defaultdict(list))
+    for window in windows:
+        gear = (window.axle - 1) // AXLES_OF_A_BOGIE if vehicle_class.bogie is not None else window.axle
+        gears[gear][window.start_ns].append(window)
+    on_file = ClassOnFile(vehicle_class, 0)
+    for times in gears.values():
+        began = time.process_time()
+        found = [
+            window_damper(gear[0], "", gear_segments(gear, vehicle_class, SignalParameters()), on_file)
+            for gear in times.values()
+        ]
+        spent = time.process_time() - began
+        damper = gear_damper(found, DamperParameters())
+        share = damper.share
+        running = sum(1e-9 * window.length_ns for gear in times.values() for window in gear)
+        reason = "" if share.reason is None else str(share.reason.code)
+        value = (share.value, share.low, share.high, damper.weak)
+        yield DamperScore(*of, *value, reason, damper.windows, spent, running)
+
+
+def errors_of(found: Sequence[Mapping[str, float]]) -> FloatArray:
+    """Return the errors (n,) of published shares."""
+    return np.array([one["value"] - one["share"] for one in found])

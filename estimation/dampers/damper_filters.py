@@ -1,0 +1,263 @@
+"""One stationary Kalman filter for each particle over the damping, and for each parameter that is uncertain beside it.
+
+Particles do not move: a damper does not change within a window, and what windows say at the same shares adds up. So
+the filters of a class are made once. States are the deflections of ``suspension_equations`` and the offset between the
+sensors above and those of the wheelsets, a random walk; the noise of the wheelsets' sensors drives the deflections.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg
+
+from estimation.dampers import damper_kernels as kernels
+from estimation.dampers.suspension_equations import suspension_equations, uncertain_parameters
+from estimation.dampers.thinning import between_samples, low_pass, stride_of
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.dampers import SHARES
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
+
+OFFSET_CORNER_HZ = 0.3  # below it the offset of the sensors explains what they measure
+LEAST_DENSITY = 1e-5  # m/s2 per root hertz, of sensors that have no noise on file
+KEPT = 8  # classes
+LEAST_SCALE_STD = 0.01  # of a sensor, whatever is on file
+GAIN = "gain"  # of the sensors above over those of the wheelsets
+SOURCES = ("mean", "apart_below", "apart_above", "late")
+"""Accelerations that filters take: means of both axles; of sensors with scales apart; of nodes with clocks apart."""
+LATE_STD_S = 1e-3  # half the difference of two nodes' times
+
+
+@dataclass(frozen=True, slots=True)
+class DamperFilters:
+    """Filters of q particles and 1 + v variants of each: as on file, then with one thing off by one std.
+
+    Masses and springs are off to both sides, so that their effect is known to the second order.
+    """
+
+    transition: FloatArray  # (q, 1 + v, n, n) over a sample
+    by_input: FloatArray  # (q, 1 + v, 2, n) by the input at its begin and its end
+    measured: FloatArray  # (q, 1 + v, n)
+    gain: FloatArray  # (q, 1 + v, n)
+    source: IntArray  # (1 + v,) which of ``SOURCES`` each takes
+    apart: tuple[float, float]  # std of half the difference of two sensors' scales, below and above
+    step_s: float  # between the samples that they take
+    signals: FloatArray  # (m, v + 2) of the innovations of a particle's variants, and of the next particle's first
+    curved: int  # parameters whose effect has a second order, p
+    noise: FloatArray  # (q - 1, m, m) what the sensors' noise adds to the products of the signals in a sample
+
+    def __post_init__(self) -> None:
+        q, v, n = self.measured.shape
+        object.__setattr__(self, "transition", frozen_array(self.transition, (q, v, n, n), name="transition"))
+        object.__setattr__(self, "by_input", frozen_array(self.by_input, (q, v, 2, n), name="by_input"))
+        object.__setattr__(self, "measured", frozen_array(self.measured, (q, v, n), name="measured"))
+        object.__setattr__(self, "gain", frozen_array(self.gain, (q, v, n), name="gain"))
+        m = len(self.signals)
+        object.__setattr__(self, "signals", frozen_array(self.signals, (m, v + 1), name="signals"))
+        object.__setattr__(self, "noise", frozen_array(self.noise, (q - 1, m, m), name="noise"))
+        object.__setattr__(self, "source", frozen_array(self.source, (v,), np.int64, name="source"))
+
+
+def damper_filters(vehicle_class: VehicleClass, sample_interval_s: float) -> DamperFilters:
+    """Return the filters of a class.
+
+    Parameters
+    ----------
+    vehicle_class
+        Masses and suspension with their stds, and sensors.
+    sample_interval_s
+        Between samples as measured, s.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The class has no stationary filter.
+    """
+    return _filters(_Kept(vehicle_class), sample_interval_s)
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """A class, compared by what its filters follow from."""
+
+    vehicle_class: VehicleClass
+
+    def __hash__(self) -> int:
+        return hash((self.vehicle_class.parameters, self.vehicle_class.bogie, self.vehicle_class.sensors))
+
+
+@lru_cache(maxsize=KEPT)
+def _filters(kept: _Kept, sample_interval_s: float) -> DamperFilters:
+    vehicle_class, step_s = kept.vehicle_class, stride_of(sample_interval_s) * sample_interval_s
+    physical, gain = uncertain_parameters(vehicle_class), {GAIN: gain_std(vehicle_class)}
+    variants: list[Mapping[str, float]] = [{}]
+    variants += [{name: sign * std} for sign in (1.0, -1.0) for name, std in physical.items()] + [gain]
+    sources = [0] * len(variants)
+    if vehicle_class.bogie is not None:
+        variants, sources = [*variants, {}, {}, {}], [*sources, 1, 2, 3]
+    made = [[_one(vehicle_class, share, one, step_s) for one in variants] for share in SHARES]
+    apart = [std / math.sqrt(2.0) for std in _scale_stds(vehicle_class.sensors)]
+    signals = _signals(len(physical), len(sources))
+    size = len(signals)
+    filters = DamperFilters(
+        transition=np.array([[one.transition for one in row] for row in made]),
+        by_input=np.array([[one.by_input for one in row] for row in made]),
+        measured=np.array([[one.measured for one in row] for row in made]),
+        gain=np.array([[one.gain for one in row] for row in made]),
+        source=np.array(sources),
+        apart=(apart[0], apart[1]),
+        step_s=step_s,
+        signals=signals,
+        curved=len(physical),
+        noise=np.zeros((len(SHARES) - 1, size, size)),
+    )
+    return replace(filters, noise=_of_noise(filters, vehicle_class, sample_interval_s))
+
+
+def _signals(physical: int, variants: int) -> FloatArray:
+    """Return what signals are made of (m, variants + 1): half differences of two variants, half second ones."""
+    nominal, following = 0, variants
+    rows = [np.eye(variants + 1)[nominal]]
+    plus, minus = (np.eye(variants + 1)[1 + k * physical : 1 + (k + 1) * physical] for k in (0, 1))
+    rows += list(0.5 * (plus - minus))
+    rows += [one - rows[0] for one in np.eye(variants + 1)[1 + 2 * physical : variants]]
+    rows += list(0.5 * (plus + minus) - rows[0])
+    return np.stack([*rows, np.eye(variants + 1)[following] - rows[0]])
+
+
+def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) -> FloatArray:
+    """Return what the noise of the sensors adds to the products of a sample on average, (q - 1, v + 2, v + 2)."""
+    stride, taps = stride_of(dt), low_pass(dt)
+    count = round(RESPONSE_S / filters.step_s)
+    variants = len(filters.source) + 1
+    products = np.zeros((len(SHARES) - 1, variants, variants))
+    counted, silent = np.ones(count, np.bool_), np.zeros((len(SOURCES), count))
+    for phase in range(stride):
+        response = np.zeros(count)
+        part = taps[phase::stride]
+        response[1 : 1 + len(part)] = part
+        for below in (True, False):
+            std = _densities(vehicle_class.sensors, _axles(vehicle_class))[0 if below else 1] / math.sqrt(2.0 * dt)
+            one = std * (between_samples(response) if below else response)
+            mean = np.tile(one, (len(SOURCES), 1))
+            apart = silent.copy()
+            apart[1 if below else 2] = filters.apart[0 if below else 1] * one
+            apart[3] = LATE_STD_S * np.gradient(one, filters.step_s)
+            for signal in (mean, apart):
+                both = (signal, silent) if below else (silent, signal)
+                add_products(filters, both[0], both[1], counted, products)
+    return of_signals(filters, products)
+
+
+def of_signals(filters: DamperFilters, products: FloatArray) -> FloatArray:
+    """Return the products (q - 1, m, m) of the signals.
+
+    Parameters
+    ----------
+    filters
+        Of a class.
+    products
+        (q - 1, v + 2, v + 2) of the innovations, lower halves.
+    """
+    whole = products + np.tril(products, -1).transpose(0, 2, 1)
+    return np.asarray(filters.signals @ whole @ filters.signals.T)
+
+
+RESPONSE_S = 30.0  # after which the filters have forgotten
+
+
+def add_products(
+    filters: DamperFilters, below: FloatArray, above: FloatArray, counted: BoolArray, products: FloatArray
+) -> None:
+    """Add the products of the innovations over a segment.
+
+    Parameters
+    ----------
+    filters
+        Of a class.
+    below, above
+        (k, s) accelerations of wheelsets and of what is above, as ``SOURCES`` names them, m/s2.
+    counted
+        (s,) samples whose innovations are summed.
+    products
+        (q - 1, v + 2, v + 2) the lower half of each is added to.
+    """
+    kernels.add_products(
+        filters.transition,
+        filters.by_input,
+        filters.measured,
+        filters.gain,
+        filters.source,
+        frozen_array(below, (len(SOURCES), None), name="below"),
+        frozen_array(above, (len(SOURCES), None), name="above"),
+        frozen_array(counted, (None,), np.bool_, name="counted"),
+        products,
+    )
+
+
+def gain_std(vehicle_class: VehicleClass) -> float:
+    """Return the relative std of the scale of the sensors above over that of the wheelsets'.
+
+    Parameters
+    ----------
+    vehicle_class
+        The class on file.
+    """
+    return math.hypot(*_scale_stds(vehicle_class.sensors)) / math.sqrt(_axles(vehicle_class))
+
+
+def _scale_stds(sensors: SensorLayout) -> tuple[float, float]:
+    return max(sensors.lateral.scale_std, LEAST_SCALE_STD), max(sensors.mass_lateral.scale_std, LEAST_SCALE_STD)
+
+
+def _axles(vehicle_class: VehicleClass) -> int:
+    return 1 if vehicle_class.bogie is None else AXLES_OF_A_BOGIE
+
+
+@dataclass(frozen=True, slots=True)
+class _Filter:
+    transition: FloatArray
+    by_input: FloatArray
+    measured: FloatArray
+    gain: FloatArray
+
+
+def _one(vehicle_class: VehicleClass, share: float, stds: Mapping[str, float], step_s: float) -> _Filter:
+    factors = {name: 1.0 + std for name, std in stds.items() if name != GAIN}
+    equations = suspension_equations(vehicle_class, share, factors)
+    n = len(equations.rates) + 1
+    rates, by_input, measured = np.zeros((n, n)), np.zeros(n), np.ones(n)
+    rates[:-1, :-1], by_input[:-1] = equations.rates, equations.by_input
+    measured[:-1] = (1.0 + stds.get(GAIN, 0.0)) * equations.measured
+    of_wheelsets, above = _densities(vehicle_class.sensors, _axles(vehicle_class))
+    intensity = np.outer(by_input, by_input) * of_wheelsets**2 / 2.0
+    intensity[-1, -1] = (2.0 * math.pi * OFFSET_CORNER_HZ) ** 2 * above**2 / 2.0
+    unit = above**2 / (2.0 * step_s)  # variance of what is measured above, which all covariances are over
+    # Van Loan 1978: transition and covariance over a sample from one exponential
+    block = scipy.linalg.expm(step_s * np.block([[-rates, intensity / unit], [np.zeros((n, n)), rates.T]]))
+    transition = np.ascontiguousarray(block[n:, n:].T)
+    process = transition @ block[:n, n:]
+    row = measured[None, :]
+    predicted = scipy.linalg.solve_discrete_are(transition.T, row.T, 0.5 * (process + process.T), np.eye(1))
+    variance = float(measured @ predicted @ measured) + 1.0
+    gain = predicted @ measured / variance
+    return _Filter(transition, _held(rates, by_input, step_s), measured, gain)
+
+
+def _held(rates: FloatArray, by_input: FloatArray, step_s: float) -> FloatArray:
+    """Return what an input that runs straight from one sample to the next adds, (2, n) by its begin and its end."""
+    n = len(rates)
+    whole = np.zeros((n + 2, n + 2))
+    whole[:n, :n], whole[:n, n], whole[n, n + 1] = step_s * rates, step_s * by_input, 1.0
+    made = scipy.linalg.expm(whole)
+    return np.stack([made[:n, n] - made[:n, n + 1], made[:n, n + 1]])
+
+
+def _densities(sensors: SensorLayout, axles: int) -> tuple[float, float]:
+    """Return the noise density of the means of the wheelsets' sensors, and of those above, m/s2 per root hertz."""
+    found = [max(one.noise_density, LEAST_DENSITY) for one in (sensors.lateral, sensors.mass_lateral)]
+    return found[0] / math.sqrt(axles), found[1] / math.sqrt(axles)

@@ -1,0 +1,235 @@
+"""The damper of a running gear from the sums of its windows: posterior over particles, interval, finding.
+
+Given a share of the damping the other parameters of the vehicle are linear in the innovations: their errors, of which
+the class states the standard deviations, are solved for in every particle (Rao and Blackwell), and leave their part in
+its weight. What windows tell beyond that is seen from leaving groups of them out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtri, ndtr
+
+from estimation.values.arrays import FloatArray
+from estimation.values.dampers import SHARES, GearDamper, WindowDamper
+from estimation.values.intervals import NORMAL_95, jackknife_std, with_interval
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode
+
+BETWEEN = 16  # shares at which the posterior is, from one particle to the next
+GROUPS = 12  # of windows that are left out together
+FEWEST = 4  # windows
+LARGEST_SHARE = 1.9  # the particles end at 2
+APART = 3.0  # standard deviations between two halves of the windows that do not belong together
+CHANGED = 0.1  # of the share, which halves differ by at least then
+MODEL_STD = 0.05  # of a share, that cross level, clocks and scales of nodes make; docs/results/dampers.md
+LEAST_STD = 0.01  # of any share, for the same
+ROUNDS = 5  # of Gauss and Newton
+FARTHEST = 6.0  # standard deviations that they look at
+LEAST_CURVATURE = 0.2  # of the other parameters' information with their priors: below it noise makes all of it
+
+
+@dataclass(frozen=True, slots=True)
+class DamperParameters:
+    """How far back windows count, and what is published.
+
+    Attributes
+    ----------
+    span_km
+        Of the odometer, back from the newest window.
+    weak_share
+        A damper with less of its damping is weak.
+    likely
+        Probability of that from which on it is a finding.
+    widest_std
+        Of a share that is published.
+    most_diverged
+        Share of the windows.
+    surest
+        Probability at which the errors of the other parameters are larger than those of any vehicle of the class.
+    """
+
+    span_km: float = 5_000.0
+    weak_share: float = 0.5
+    likely: float = 0.9
+    widest_std: float = 0.2
+    most_diverged: float = 0.2
+    surest: float = 0.99
+
+
+def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -> GearDamper:
+    """Return what the newest windows of a running gear say of its damper; in any order they say the same.
+
+    Parameters
+    ----------
+    windows
+        Of one running gear, at least one.
+    parameters
+        Of span and publication.
+    """
+    ordered = sorted(windows, key=lambda one: one.start_ns)
+    newest = ordered[-1]
+    chosen = [
+        one
+        for one in ordered
+        if one.class_digest == newest.class_digest and newest.odometer_km - one.odometer_km <= parameters.span_km
+    ]
+    shown = _newest_alike([one for one in chosen if one.sums is not None])
+    since = [one for one in chosen if not shown or one.start_ns >= shown[0].start_ns]
+    diverged = sum(_diverged(one) for one in since)
+    share = _share(shown, diverged, newest, parameters)
+    std = None if share.low is None or share.high is None else 0.5 * (share.high - share.low) / NORMAL_95
+    weak = None
+    if share.value is not None and std is not None:
+        weak = float(ndtr((parameters.weak_share - share.value) / std))
+        share = replace(share, low=max(share.value - NORMAL_95 * std, 0.0))
+    first, last = (shown or since)[0], (shown or since)[-1]
+    return GearDamper(
+        vehicle=newest.vehicle,
+        first_axle=newest.first_axle,
+        share=share,
+        weak_probability=weak,
+        weak=None if weak is None else weak >= parameters.likely,
+        windows=len(shown),
+        diverged=diverged,
+        refused=len(since) - len(shown) - diverged,
+        from_ns=first.start_ns,
+        to_ns=last.start_ns,
+        from_km=first.odometer_km,
+        to_km=last.odometer_km,
+    )
+
+
+def _diverged(one: WindowDamper) -> bool:
+    return one.reason is not None and one.reason.code is ReasonCode.DIVERGED
+
+
+def _share(
+    shown: Sequence[WindowDamper], diverged: int, newest: WindowDamper, parameters: DamperParameters
+) -> Estimate:
+    """Return the share that windows tell, or why it is not published."""
+    count, mismatch = float(len(shown)), Status.MODEL_MISMATCH
+    if diverged > parameters.most_diverged * (len(shown) + diverged):
+        text = f"the filters of the suspension have diverged in {diverged} of {len(shown) + diverged} windows"
+        return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
+    if len(shown) < FEWEST:
+        text = f"{len(shown)} windows show the suspension, {FEWEST} are needed"
+        few = Reason(ReasonCode.TOO_FEW_WINDOWS, text)
+        return Estimate.unknown(few if shown or newest.reason is None else newest.reason, count)
+    found, sampled = _replicated(shown)
+    if found is None or not np.isfinite(sampled):
+        return Estimate.unknown(_not_excited("their noise alone makes up what accelerations show"), count)
+    size = found.parameters
+    if found.share > LARGEST_SHARE or found.errors * size > float(chdtri(size, 1.0 - parameters.surest)):
+        text = (
+            f"a share of {found.share:.2f} with other parameters {np.sqrt(found.errors):.1f} of their standard"
+            " deviations off is none of this class; check class and sensors"
+        )
+        return Estimate.unknown(Reason(ReasonCode.DIVERGED, text), count, mismatch)
+    of_share = np.hypot(newest.mass_std, MODEL_STD) * found.share
+    systematic = float(np.linalg.norm([found.std, of_share, LEAST_STD]))
+    std = float(np.hypot(sampled, systematic))
+    if std > parameters.widest_std:
+        return Estimate.unknown(_not_excited(f"the standard deviation of its share would be {std:.2f}"), count)
+    return with_interval(found.share, sampled, systematic, min(len(shown), GROUPS), count)
+
+
+def _not_excited(why: str) -> Reason:
+    return Reason(ReasonCode.DAMPER_NOT_EXCITED, f"what is above the wheelsets does not show the damper: {why}")
+
+
+def _newest_alike(shown: Sequence[WindowDamper]) -> Sequence[WindowDamper]:
+    """Return the newest windows that tell of one damper: halved until both halves agree."""
+    while len(shown) >= 4 * FEWEST:
+        halves = shown[: len(shown) // 2], shown[len(shown) // 2 :]
+        (old, old_std), (new, new_std) = (_replicated(half) for half in halves)
+        if old is None or new is None:
+            return shown
+        apart = abs(new.share - old.share)
+        if not apart > max(APART * float(np.hypot(old_std, new_std)), CHANGED):
+            return shown
+        shown = halves[1]
+    return shown
+
+
+def _sums(shown: Sequence[WindowDamper]) -> FloatArray:
+    return np.array([one.sums.products for one in shown if one.sums is not None])
+
+
+def _replicated(shown: Sequence[WindowDamper]) -> tuple[Posterior | None, float]:
+    """Return what windows say, and the std of its share from groups of them left out."""
+    sums = _sums(shown)
+    groups = np.array([part.sum(axis=0) for part in np.array_split(sums, min(len(sums), GROUPS))])
+    total = groups.sum(axis=0)
+    curved = next(one.sums.curved for one in shown if one.sums is not None)
+    found = posterior(total, curved)
+    left_out = [posterior(total - group, curved) for group in groups]
+    shares = [one.share for one in left_out if one is not None]
+    if found is None or len(shares) < len(groups):
+        return None, float("nan")
+    return found, float(jackknife_std(np.array([found.share, *shares])))
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """What sums say: mean and std of the share, and the mean square of the other parameters' errors over their stds."""
+
+    share: float
+    std: float
+    errors: float
+    parameters: int  # beside the share
+
+
+def posterior(sums: FloatArray, curved: int) -> Posterior | None:
+    """Return what sums say; None where the noise of the sensors would make up all of it.
+
+    Parameters
+    ----------
+    sums
+        (q - 1, m, m) products of the signals of q particles over the windows.
+    curved
+        Parameters whose effect has a second order.
+    """
+    t = (np.arange(BETWEEN) + 0.5) / BETWEEN
+    low, apart = np.array(SHARES[:-1]), np.diff(SHARES)
+    share = (low[:, None] + apart[:, None] * t).ravel()
+    products, between = np.repeat(sums, BETWEEN, axis=0), np.tile(t, len(low))
+    found = _conditional(products, between, curved)
+    if found is None:
+        return None
+    errors, square, precision = found
+    likelihood = -0.5 * (square + np.linalg.slogdet(precision)[1])
+    weight = np.exp(likelihood - likelihood.max()) * np.repeat(apart, BETWEEN)
+    weight /= weight.sum()
+    mean = float(weight @ share)
+    spread = float(weight @ (share - mean) ** 2) + float(weight @ np.repeat(apart, BETWEEN) / BETWEEN) ** 2 / 12.0
+    return Posterior(mean, float(np.sqrt(spread)), float(weight @ (errors**2).mean(axis=1)), errors.shape[1])
+
+
+def _conditional(
+    products: FloatArray, between: FloatArray, curved: int
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Return the errors (n, k) of the other parameters that are likeliest given a share, their square and precision.
+
+    By Gauss and Newton: their effect has a first and, for the first of them, a second order.
+    """
+    n, m, _ = products.shape
+    k = m - 2 - curved
+    errors, rows = np.zeros((n, k)), np.arange(curved)
+    for _ in range(ROUNDS):
+        signals = np.concatenate([np.ones((n, 1)), errors, errors[:, :curved] ** 2, between[:, None]], axis=1)
+        changes = np.zeros((n, m, k))
+        changes[:, 1 : 1 + k] = np.eye(k)
+        changes[:, 1 + k + rows, rows] = 2.0 * errors[:, :curved]
+        left = np.einsum("nab,nb->na", products, signals)
+        precision = changes.transpose(0, 2, 1) @ products @ changes + np.eye(k)
+        if np.linalg.eigvalsh(precision)[:, 0].min() < LEAST_CURVATURE:
+            return None
+        gradient = np.einsum("nak,na->nk", changes, left) + errors
+        errors = np.clip(errors - np.linalg.solve(precision, gradient[..., None])[..., 0], -FARTHEST, FARTHEST)
+    signals = np.concatenate([np.ones((n, 1)), errors, errors[:, :curved] ** 2, between[:, None]], axis=1)
+    square = np.einsum("na,nab,nb->n", signals, products, signals) + (errors**2).sum(axis=1)
+    return errors, square, precision

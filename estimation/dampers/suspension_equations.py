@@ -1,0 +1,126 @@
+"""How what is above the wheelsets moves with them: a linear system of the deflections of the suspension.
+
+The mean of the lateral accelerations of the wheelsets is the input u, that above them what follows. In a bogie the
+frame's yaw drops out of the means. With d = y_f - mean y_i and e = y_b - y_f::
+
+    m_f y_f'' = -a (ky d + fy d') + ks e + cs e'      a wheelsets, frame (f) and body (b), cs the damper looked for
+    d'' = y_f'' - u,      e'' = -(ks e + cs e')/m_b - y_f''
+
+and of a single wheelset mm ym'' = -(ky d + fy d') with d = ym - y, fy the damper looked for (Eq. 3 and 4 of
+``estimation.vehicle.equations_of_motion``). No creep force, contact geometry, track or speed is in these equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
+
+SINGLE_UNCERTAIN = {"lateral_stiffness": "suspended_mass"}
+BOGIE_UNCERTAIN = {
+    "lateral_stiffness": "frame_mass",
+    "lateral_damping": "frame_mass",
+    "secondary_lateral_stiffness": "body_mass",
+    "body_mass": "frame_mass",
+}
+"""Parameters beside the damper, each over the mass that accelerations show it with."""
+
+
+@dataclass(frozen=True, slots=True)
+class SuspensionEquations:
+    """Rates of n deflections and their rates by themselves and by u; the acceleration above; SI."""
+
+    rates: FloatArray  # (n, n)
+    by_input: FloatArray  # (n,)
+    measured: FloatArray  # (n,) acceleration above by the states
+
+    def __post_init__(self) -> None:
+        n = len(self.rates)
+        object.__setattr__(self, "rates", frozen_array(self.rates, (n, n), name="rates"))
+        object.__setattr__(self, "by_input", frozen_array(self.by_input, (n,), name="by_input"))
+        object.__setattr__(self, "measured", frozen_array(self.measured, (n,), name="measured"))
+
+
+def uncertain_parameters(vehicle_class: VehicleClass) -> Mapping[str, float]:
+    """Return the relative standard deviation of each parameter but the damper, over a mass, by the name of its field.
+
+    Accelerations show ratios alone, and each mode follows from one of them: that of the body from its spring over its
+    mass, whatever that is over the frame's.
+
+    Parameters
+    ----------
+    vehicle_class
+        The class on file.
+    """
+    ratios = SINGLE_UNCERTAIN if vehicle_class.bogie is None else BOGIE_UNCERTAIN
+    return {
+        name: float(np.hypot(vehicle_class.std_of(name), vehicle_class.std_of(mass))) for name, mass in ratios.items()
+    }
+
+
+def nominal_damping(vehicle_class: VehicleClass) -> float:
+    """Return the damping on file of the damper that is looked for, N s/m.
+
+    Parameters
+    ----------
+    vehicle_class
+        The class on file.
+    """
+    bogie = vehicle_class.bogie
+    return vehicle_class.parameters.lateral_damping if bogie is None else bogie.secondary_lateral_damping
+
+
+def mass_std(vehicle_class: VehicleClass) -> float:
+    """Return the relative std of the mass that follows the wheelsets: accelerations show damping over mass.
+
+    Parameters
+    ----------
+    vehicle_class
+        The class on file.
+    """
+    return vehicle_class.std_of("suspended_mass" if vehicle_class.bogie is None else "frame_mass")
+
+
+def suspension_equations(
+    vehicle_class: VehicleClass, share: float, factors: Mapping[str, float]
+) -> SuspensionEquations:
+    """Return the equations of a running gear whose damper has a share of the damping on file.
+
+    Parameters
+    ----------
+    vehicle_class
+        The class on file.
+    share
+        Of the damping.
+    factors
+        By which other parameters differ from the class, by the names of their fields; with the mass of the body its
+        spring does too.
+    """
+    p, bogie = vehicle_class.parameters, vehicle_class.bogie
+    p = replace(p, **{name: value * getattr(p, name) for name, value in factors.items() if hasattr(p, name)})
+    if bogie is None:
+        return _single(p, share)
+    body = factors.get("body_mass", 1.0)
+    spring = body * factors.get("secondary_lateral_stiffness", 1.0) * bogie.secondary_lateral_stiffness
+    changed = replace(bogie, body_mass=body * bogie.body_mass, secondary_lateral_stiffness=spring)
+    return _bogie(p, changed, share)
+
+
+def _single(p: VehicleParameters, share: float) -> SuspensionEquations:
+    above = -np.array([p.lateral_stiffness, share * p.lateral_damping]) / p.suspended_mass
+    return SuspensionEquations(np.array([[0.0, 1.0], above]), np.array([0.0, -1.0]), above)
+
+
+def _bogie(p: VehicleParameters, bogie: BogieParameters, share: float) -> SuspensionEquations:
+    secondary = np.array([0.0, 0.0, bogie.secondary_lateral_stiffness, share * bogie.secondary_lateral_damping])
+    primary = -AXLES_OF_A_BOGIE * np.array([p.lateral_stiffness, p.lateral_damping, 0.0, 0.0])
+    frame = (primary + secondary) / bogie.frame_mass
+    rates = np.zeros((4, 4))
+    rates[0, 1] = rates[2, 3] = 1.0
+    rates[1], rates[3] = frame, -secondary / bogie.body_mass - frame
+    return SuspensionEquations(rates, np.array([0.0, -1.0, 0.0, 0.0]), frame)

@@ -1,0 +1,112 @@
+"""What windows say of the lateral damper of a running gear, and what they say together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.quantities import Estimate
+from estimation.values.reasons import Reason
+
+SHARES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2, 1.5, 2.0)
+"""Particles: shares of the damping on file at which sums are kept; between them innovations are interpolated."""
+
+GEAR = tuple[str, int]
+"""A running gear: code of its vehicle, and its first axle, from 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class DamperSums:
+    """Products of the innovations of q particles, summed over the samples of a window; they add up in any order.
+
+    Of a particle there are m signals: its innovations, by how much each of k uncertain parameters changes them (one
+    standard deviation of its class), the second order of that for the first p of them, and by how much they differ from
+    those of the next particle. All are over the rms of what the best particle does not explain, so that windows count
+    by what is known in them.
+    """
+
+    products: FloatArray  # (q - 1, m, m)
+    samples: float  # independent ones
+    curved: int  # p
+
+    def __post_init__(self) -> None:
+        q, m = len(SHARES) - 1, self.products.shape[-1]
+        object.__setattr__(self, "products", frozen_array(self.products, (q, m, m), np.float64, name="products"))
+
+
+@dataclass(frozen=True, slots=True)
+class WindowDamper:
+    """What one window says of the damper of a running gear.
+
+    Attributes
+    ----------
+    vehicle, first_axle, wheelset, start_ns
+        Which running gear, the wheelset of its first axle, and when.
+    odometer_km
+        Of the vehicle.
+    content_digest
+        Of the samples of that wheelset.
+    class_digest
+        Of the class that it was judged by: sums of another one do not add up with these.
+    mass_std
+        Relative, of the mass above the wheelsets on file. Accelerations show damping over mass.
+    innovation
+        Mean square of the innovations over the largest that is believed; None without a filter.
+    sums
+        None with ``reason``.
+    """
+
+    vehicle: str
+    first_axle: int
+    wheelset: str
+    start_ns: int
+    odometer_km: float
+    content_digest: str
+    class_digest: str
+    mass_std: float
+    innovation: float | None = None
+    sums: DamperSums | None = None
+    reason: Reason | None = None
+
+    @property
+    def gear(self) -> GEAR:
+        """Vehicle and first axle."""
+        return self.vehicle, self.first_axle
+
+
+@dataclass(frozen=True, slots=True)
+class GearDamper:
+    """The damper of a running gear, from its newest windows.
+
+    Attributes
+    ----------
+    vehicle, first_axle
+        Which running gear.
+    share
+        Damping over that of the class on file.
+    weak_probability
+        Of a share below the limit; None where the share is not estimated.
+    weak
+        Whether that is likely; None where nothing is known.
+    windows, diverged, refused
+        How many say something, were not followed, were of no use.
+    from_ns, to_ns
+        Starts of the first and of the last window that counts.
+    from_km, to_km
+        The odometer there.
+    """
+
+    vehicle: str
+    first_axle: int
+    share: Estimate
+    weak_probability: float | None
+    weak: bool | None
+    windows: int
+    diverged: int
+    refused: int
+    from_ns: int
+    to_ns: int
+    from_km: float
+    to_km: float

@@ -1,0 +1,75 @@
+"""What is said of dampers as blobs: values by their own fields, sums as arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from estimation.values.dampers import DamperSums, GearDamper, WindowDamper
+from fleet_db.fields import fields_of, value_of
+from fleet_db.packing import pack, unpack
+
+VERSION = 1
+WINDOW, GEAR = "window_damper", "gear_damper"
+
+
+def pack_window_damper(found: WindowDamper) -> bytes:
+    """Return what a window says as one blob; the products are symmetric, and half of them is kept."""
+    scalars, _ = fields_of(found, without={"sums"})
+    if found.sums is None:
+        return pack(WINDOW, VERSION, scalars, {})
+    products = found.sums.products
+    rows, columns = np.tril_indices(products.shape[-1])
+    scalars |= {"samples": float(found.sums.samples).hex(), "curved": found.sums.curved}
+    return pack(WINDOW, VERSION, scalars, {"products": products[:, rows, columns]})
+
+
+def unpack_window_damper(blob: bytes, *, where: str) -> WindowDamper:
+    """Return what a window says, bit for bit.
+
+    Parameters
+    ----------
+    blob
+        From ``pack_window_damper``.
+    where
+        Names it in the message.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged.
+    """
+    packed = unpack(blob, WINDOW, where=where)
+    if not packed.arrays:
+        return value_of(WindowDamper, packed.scalars, {}, sums=None)
+    half = packed.arrays["products"]
+    size = round((np.sqrt(8.0 * half.shape[-1] + 1.0) - 1.0) / 2.0)
+    rows, columns = np.tril_indices(size)
+    products = np.zeros((len(half), size, size))
+    products[:, rows, columns] = half
+    products[:, columns, rows] = half
+    sums = DamperSums(products, float.fromhex(packed.scalars["samples"]), packed.scalars["curved"])
+    return value_of(WindowDamper, packed.scalars, {}, sums=sums)
+
+
+def pack_gear_damper(found: GearDamper) -> bytes:
+    """Return the damper of a running gear as one blob."""
+    return pack(GEAR, VERSION, *fields_of(found))
+
+
+def unpack_gear_damper(blob: bytes, *, where: str) -> GearDamper:
+    """Return the damper of a running gear, bit for bit.
+
+    Parameters
+    ----------
+    blob
+        From ``pack_gear_damper``.
+    where
+        Names it in the message.
+
+    Raises
+    ------
+    StorageError
+        The blob is damaged.
+    """
+    packed = unpack(blob, GEAR, where=where)
+    return value_of(GearDamper, packed.scalars, packed.arrays)

@@ -1,0 +1,114 @@
+"""What windows say of the lateral dampers of running gears, and what they say together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, and_, delete, select
+
+from estimation.values.dampers import GearDamper, WindowDamper
+from fleet_db.models.dampers import GearDamperRow, WindowDamperRow
+from fleet_db.models.windows import WindowRow
+from fleet_db.packed_dampers import pack_gear_damper, pack_window_damper, unpack_gear_damper, unpack_window_damper
+from fleet_db.rows import table_of, upsert
+
+OF_WINDOWS, OF_GEARS, WINDOWS = table_of(WindowDamperRow), table_of(GearDamperRow), table_of(WindowRow)
+SAME = and_(
+    WINDOWS.c.wheelset == OF_WINDOWS.c.wheelset,
+    WINDOWS.c.start_ns == OF_WINDOWS.c.start_ns,
+    WINDOWS.c.content_digest == OF_WINDOWS.c.content_digest,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DamperStore:
+    """Implements ``estimation.storage.Dampers``."""
+
+    connection: Connection
+
+    def put(self, found: WindowDamper) -> None:
+        """Store what a window says of a damper; what it said before is replaced."""
+        values = {
+            "vehicle": found.vehicle,
+            "first_axle": found.first_axle,
+            "start_ns": found.start_ns,
+            "wheelset": found.wheelset,
+            "content_digest": found.content_digest,
+            "odometer_km": found.odometer_km,
+            "reason_code": None if found.reason is None else found.reason.code.value,
+            "packed": pack_window_damper(found),
+        }
+        upsert(self.connection, OF_WINDOWS, values)
+
+    def newest(self, vehicle: str, first_axle: int, limit: int) -> Sequence[WindowDamper]:
+        """Return what the newest windows of a running gear say, newest first.
+
+        Windows that are not there any more, or have other samples now, say nothing.
+
+        Parameters
+        ----------
+        vehicle, first_axle
+            Which running gear.
+        limit
+            How many at most.
+        """
+        own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
+        statement = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(*own)
+        rows = self.connection.execute(statement.order_by(OF_WINDOWS.c.start_ns.desc()).limit(limit))
+        return [unpack_window_damper(row.packed, where=f"damper of {vehicle} axle {first_axle}") for row in rows]
+
+    def forget(self, vehicle: str, first_axle: int, before_ns: int) -> int:
+        """Remove what windows of a running gear say that began before a time; return of how many.
+
+        Parameters
+        ----------
+        vehicle, first_axle
+            Which running gear.
+        before_ns
+            Vehicle time.
+        """
+        own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
+        return self.connection.execute(delete(OF_WINDOWS).where(*own, OF_WINDOWS.c.start_ns < before_ns)).rowcount
+
+    def put_gear(self, found: GearDamper, code_version: str, recorded_ns: int) -> bool:
+        """Store the damper of a running gear in place of what was known; return whether anything changed.
+
+        Parameters
+        ----------
+        found
+            From its newest windows.
+        code_version
+            Of the job.
+        recorded_ns
+            Now.
+        """
+        values = {
+            "vehicle": found.vehicle,
+            "first_axle": found.first_axle,
+            "from_ns": found.from_ns,
+            "to_ns": found.to_ns,
+            "windows": found.windows,
+            "share": found.share.value,
+            "weak": found.weak,
+            "reason_code": None if found.share.reason is None else found.share.reason.code.value,
+            "code_version": code_version,
+            "packed": pack_gear_damper(found),
+        }
+        own = (OF_GEARS.c.vehicle == found.vehicle, OF_GEARS.c.first_axle == found.first_axle)
+        before = self.connection.execute(select(OF_GEARS).where(*own)).mappings().first()
+        if before is not None and all(before[name] == value for name, value in values.items()):
+            return False
+        return upsert(self.connection, OF_GEARS, values | {"recorded_ns": recorded_ns})
+
+    def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
+        """Return the dampers of a vehicle by axle.
+
+        Parameters
+        ----------
+        vehicle
+            Code.
+        """
+        statement = select(OF_GEARS).where(OF_GEARS.c.vehicle == vehicle).order_by(OF_GEARS.c.first_axle)
+        rows = self.connection.execute(statement)
+        return [unpack_gear_damper(row.packed, where=f"damper of {vehicle} axle {row.first_axle}") for row in rows]
