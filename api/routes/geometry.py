@@ -22,7 +22,7 @@ from api.answers import (
 from api.contract import CSV, Accepted
 from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged, require_order
 from api.problems import described
-from api.schemas import geometry, rails, trend, windows
+from api.schemas import adhesion, geometry, rails, trend, windows
 from api.schemas.common import Page
 from api.services import ServicesDep
 from estimation.errors import NotFoundError
@@ -134,3 +134,26 @@ def list_windows(
         found = unit.windows.page(serial, after, limit + 1)
     rows = [record for record in found if measured_to is None or record.start_ns < measured_to]
     return answer_page(request, filters, limit, rows, lambda record: record.start_ns, windows.window)
+
+
+@router.get("/{serial}/creep-forces", response_model=Page[adhesion.WindowCreep], responses=described(400, 404))
+def list_creep_forces(
+    request: Request,
+    services: ServicesDep,
+    serial: Serial,
+    measured_from: MeasuredFrom = None,
+    measured_to: MeasuredTo = None,
+    cursor: Cursor = None,
+    limit: Limit = DEFAULT_LIMIT,
+) -> Response:
+    """List the creep forces of the wheelset's windows that begin in `[from, to)`, oldest first."""
+    require_order(measured_from, measured_to)
+    filters = {"wheelset": serial, "from": measured_from, "to": measured_to}
+    after = cursors.decode_number(operation(request), filters, cursor)
+    if after is None and measured_from is not None:
+        after = measured_from - 1
+    with services.storage.read() as unit:
+        unit.registry.wheelset(serial)
+        found = unit.adhesion.of_wheelset(serial, after, limit + 1)
+    rows = [one for one in found if measured_to is None or one.start_ns < measured_to]
+    return answer_page(request, filters, limit, rows, lambda one: one.start_ns, adhesion.window_creep)

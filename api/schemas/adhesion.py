@@ -1,4 +1,4 @@
-"""The friction along a track section."""
+"""Creep forces of a wheelset, and the friction along a track section."""
 
 from __future__ import annotations
 
@@ -9,6 +9,28 @@ from api.schemas.evidence import Stretch
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.values.adhesion import SectionAdhesion as SectionAdhesionValue
+from estimation.values.adhesion import WindowAdhesion
+from estimation.values.quantities import Status
+from estimation.values.reasons import ReasonCode, code_of, text_of
+
+
+class WindowCreep(Representation):
+    """What the rails did to a wheelset over a window: root mean squares, and how much of its adhesion it used."""
+
+    wheelset: str = Field(examples=["WS-0001"])
+    measured_from: Timestamp = Field(description="Start of the window.")
+    vehicle: str
+    track_section: str | None
+    contact_force_n: Uncertain = Field(description="Lateral force at the contacts: creep and gravitational stiffness.")
+    lateral_creep_force_n: Uncertain = Field(description="Lateral creep force of both wheels.")
+    yaw_creep_moment_n_m: Uncertain = Field(description="Moment of the creep forces about the vertical.")
+    used_adhesion_1: Uncertain = Field(
+        description="Creep force of a wheel over its normal force, which a hundredth of the samples exceed."
+    )
+    status: Status
+    reason: str | None
+    reason_code: ReasonCode | None
+    content_digest: str = Field(description="Of the samples.")
 
 
 class PlaceFriction(Representation):
@@ -32,6 +54,24 @@ class SectionAdhesion(Representation):
     low_stretches: list[Stretch] = Field(description="Where friction is below the limit.")
     places: list[PlaceFriction] = Field(description="Places that were passed, in order of distance.")
     links: Links
+
+
+def window_creep(found: WindowAdhesion) -> WindowCreep:
+    """Return the representation of the creep of a window."""
+    return WindowCreep(
+        wheelset=found.wheelset,
+        measured_from=to_rfc3339(found.start_ns),
+        vehicle=found.vehicle,
+        track_section=found.track_section,
+        contact_force_n=uncertain(found.contact_force),
+        lateral_creep_force_n=uncertain(found.lateral_creep),
+        yaw_creep_moment_n_m=uncertain(found.yaw_creep),
+        used_adhesion_1=uncertain(found.used_adhesion),
+        status=found.status,
+        reason=text_of(found.reason),
+        reason_code=code_of(found.reason),
+        content_digest=found.content_digest,
+    )
 
 
 def section_adhesion(found: SectionAdhesionValue) -> SectionAdhesion:

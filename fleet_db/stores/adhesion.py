@@ -84,6 +84,26 @@ class AdhesionStore:
         same = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.start_ns == start_ns)
         return next(iter(self._windows(select(OF_WINDOWS).where(*same))), None)
 
+    def of_wheelset(self, wheelset: str, after_ns: int | None, limit: int) -> Sequence[WindowAdhesion]:
+        """Return the creep of the windows of a wheelset that begin after a time, oldest first.
+
+        A window whose samples are others by now is left out until it has been looked at again.
+
+        Parameters
+        ----------
+        wheelset
+            Serial.
+        after_ns
+            Start of the one behind which to go on; None from the beginning.
+        limit
+            How many at most.
+        """
+        same = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.content_digest == WINDOWS.c.content_digest)
+        chosen = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(*same)
+        if after_ns is not None:
+            chosen = chosen.where(OF_WINDOWS.c.start_ns > after_ns)
+        return self._windows(chosen.limit(limit))
+
     def of_section(self, section: str, from_ns: int, to_ns: int) -> Sequence[WindowAdhesion]:
         """Return the creep of the windows of a section that begin within ``[from_ns, to_ns]``, by time and wheelset.
 

@@ -15,6 +15,7 @@ from adhesion_fleet import EstimatedFleet
 from api.comparison.trial import copied, opened, run_jobs
 from api.factory import create_app
 from api.settings import Settings
+from api.times import to_rfc3339
 from bench.adhesion_fleet import true_friction
 from estimation.adhesion.friction import FrictionParameters
 from estimation.alerts.rules.book import RuleBook
@@ -219,3 +220,21 @@ def test_sums_are_forgotten_and_forces_stay(deployed: Deployed) -> None:
         after = unit.adhesion.of_section(section, 0, 2**62)
     assert [one.yaw_creep for one in after] == [one.yaw_creep for one in passes]
     assert {one.start_ns for one in after if one.sums is None} == {first}
+
+
+def test_creep_forces_of_a_wheelset_are_listed_window_by_window(deployed: Deployed) -> None:
+    with deployed.storage.read() as unit:
+        serial = unit.registry.wheelsets()[0].serial
+        stored = unit.adhesion.of_wheelset(serial, None, 100)
+    assert len(stored) > 1
+    path = f"/v1/wheelsets/{serial}/creep-forces"
+    paths = (f"{path}?limit=1", f"{path}?limit=100", f"{path}?from=2099-01-01T00:00:00Z")
+    first, after, none = (one.json() for one in asked(deployed.settings, paths))
+    assert [one["measured_from"] for one in after["items"]] == [to_rfc3339(one.start_ns) for one in stored]
+    assert first["items"] == after["items"][:1]
+    assert first["next_cursor"] is not None
+    assert none["items"] == []
+    for item, one in zip(after["items"], stored, strict=True):
+        assert item["contact_force_n"]["value"] == one.contact_force.value
+        assert item["yaw_creep_moment_n_m"]["value"] == one.yaw_creep.value
+        assert 0.0 < item["used_adhesion_1"]["value"] < 0.6

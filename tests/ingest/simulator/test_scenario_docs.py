@@ -42,7 +42,10 @@ def undocumented(keys: set[str], documents: tuple[str, ...]) -> set[str]:
 @pytest.mark.parametrize(
     ("schema", "documents"),
     [
-        (ScenarioTable, ("scenarios.md", "scenario-section.md", "scenario-fleet.md", "scenario-running.md", "scenario-sensors.md")),
+        (
+            ScenarioTable,
+            ("scenarios.md", "scenario-section.md", "scenario-fleet.md", "scenario-running.md", "scenario-sensors.md"),
+        ),
         (RegistryObject, ("registry.md", "registry-changes.md")),
     ],
 )
