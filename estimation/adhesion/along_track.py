@@ -40,12 +40,11 @@ class AlongParameters:
 
     usual: float  # mean
     usual_std: float
-    place_std: float  # error of a place that all its passes share
     change_std: float  # of the logarithm of 1/mu from a place to the next
     fresh: float  # share of places that have nothing in common with the one before
 
 
-def along_track(cells: IntArray, misfits: FloatArray, parameters: AlongParameters) -> Along:
+def along_track(cells: IntArray, misfits: FloatArray, place_std: FloatArray, parameters: AlongParameters) -> Along:
     """Return 1/mu of the places, each from all of them.
 
     Parameters
@@ -54,6 +53,8 @@ def along_track(cells: IntArray, misfits: FloatArray, parameters: AlongParameter
         (c,) numbers of the places, rising; the chain begins again behind a gap.
     misfits
         (c, k) twice the negative logarithm of the likelihood at each of ``INVERSE``, but for a constant.
+    place_std
+        (c,) error of 1/mu of each place that all its passes share.
     parameters
         What is known beforehand.
     """
@@ -63,7 +64,7 @@ def along_track(cells: IntArray, misfits: FloatArray, parameters: AlongParameter
     logarithm = np.log(GRID)
     steps = np.exp(-0.5 * ((logarithm[:, None] - logarithm) / parameters.change_std) ** 2)
     steps = (1.0 - parameters.fresh) * steps / steps.sum(axis=1, keepdims=True) + parameters.fresh * prior
-    likelihoods = _likelihoods(misfits, parameters.place_std, width)
+    likelihoods = _likelihoods(misfits, place_std, width)
     adjoins = np.diff(cells) == 1
     forward, back = np.empty_like(likelihoods), np.ones_like(likelihoods)
     for place, likelihood in enumerate(likelihoods):
@@ -78,12 +79,14 @@ def along_track(cells: IntArray, misfits: FloatArray, parameters: AlongParameter
     return Along(mean, np.sqrt(np.maximum(posterior @ GRID**2 - mean**2, 0.0)))
 
 
-def _likelihoods(misfits: FloatArray, place_std: float, width: FloatArray) -> FloatArray:
+def _likelihoods(misfits: FloatArray, place_std: FloatArray, width: FloatArray) -> FloatArray:
     """Return the likelihood (c, g) of 1/mu on the grid, over its largest; the error of a place widens it."""
     values = CubicSpline(INVERSE, misfits, axis=1)(GRID)
     own = np.exp(-0.5 * (values - values.min(axis=1, keepdims=True)))
-    spread = np.exp(-0.5 * ((GRID[:, None] - GRID) / place_std) ** 2) * width
-    widened = own @ (spread / spread.sum(axis=1, keepdims=True)).T
+    widened = np.empty_like(own)
+    for std in np.unique(place_std):
+        spread = np.exp(-0.5 * ((GRID[:, None] - GRID) / std) ** 2) * width
+        widened[place_std == std] = own[place_std == std] @ (spread / spread.sum(axis=1, keepdims=True)).T
     return np.asarray(widened / widened.max(axis=1, keepdims=True) + LEAST_LIKELIHOOD)
 
 

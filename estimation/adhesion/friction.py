@@ -45,6 +45,7 @@ class FrictionParameters:
     law_std: float = 0.1  # of 1/mu, relative: creep laws differ
     class_std: float = 0.15  # of 1/mu, relative: errors of creep coefficient, yaw spring and load on file scale it
     track_std: float = 0.45  # of 1/mu of a place: the error of the alignment is the same in all passes
+    smoothed_std: float = 1.0  # the same of what forces have lost with the vibration of axle boxes
     change_std: float = 0.2  # of the logarithm of 1/mu from a place to the next
     fresh: float = 0.05  # share of places whose friction has nothing to do with that of the place before
     least_upper: float = 0.6  # an interval that reaches beyond says no more than a lower bound
@@ -204,10 +205,9 @@ def _along(
     """Return 1/mu of the places, each from all; passes that scatter by more than the noise say less of their place."""
     widened = (left / np.maximum(scatter, left)) ** 2
     misfits = sums.by_place(_own_misfits(sums, found.creep, found.slope))
-    known = AlongParameters(
-        parameters.usual, parameters.usual_std, parameters.track_std, parameters.change_std, parameters.fresh
-    )
-    return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), known)
+    place_std = np.hypot(parameters.track_std, parameters.smoothed_std * sums.by_place(sums.smoothed) / sums.counts)
+    known = AlongParameters(parameters.usual, parameters.usual_std, parameters.change_std, parameters.fresh)
+    return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), place_std, known)
 
 
 def _slope(sums: PassSums, inverse: FloatArray) -> FloatArray:

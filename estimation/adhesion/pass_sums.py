@@ -20,12 +20,14 @@ class PassSums:
     place: IntArray  # (n,) index of the place, rising
     vehicle: IntArray  # (n,) index
     wheelset: IntArray  # (n,) index
+    smoothed: FloatArray  # (n,) 1 where vibration was taken out of the forces, else 0
     cells: IntArray  # (c,) numbers of the places
 
     def __post_init__(self) -> None:
         n = len(self.place)
         object.__setattr__(self, "squares", frozen_array(self.squares, (n, 6), name="squares"))
         object.__setattr__(self, "saturated", frozen_array(self.saturated, (n, 4, len(INVERSE)), name="saturated"))
+        object.__setattr__(self, "smoothed", frozen_array(self.smoothed, (n,), name="smoothed"))
         for name in ("place", "vehicle", "wheelset"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), np.int64, name=name))
         object.__setattr__(self, "cells", frozen_array(self.cells, (len(self.cells),), np.int64, name="cells"))
@@ -87,5 +89,6 @@ def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
         place[order],
         vehicle[order],
         wheelset[order],
+        np.repeat([float(one.smoothed) for one, _ in known], lengths)[order],
         cells,
     )

@@ -93,6 +93,7 @@ def window_adhesion(
         forces_found.used,
         sums=sums,
         reason=angles if isinstance(angles, Reason) else None,
+        smoothed=forces.smoothed,
     )
 
 

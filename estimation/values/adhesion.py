@@ -59,6 +59,8 @@ class WindowAdhesion:
         None where nothing can be said of friction.
     reason
         Why there are no forces, or no sums.
+    smoothed
+        The forces are without vibration of the axle boxes, and without what is as fast.
     """
 
     wheelset: str
@@ -73,6 +75,7 @@ class WindowAdhesion:
     used_adhesion: Estimate
     sums: FrictionSums | None = None
     reason: Reason | None = None
+    smoothed: bool = False
 
     @property
     def key(self) -> WindowKey:

@@ -5,16 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.adhesion.along_track import GRID, AlongParameters, along_track
+from estimation.adhesion.along_track import GRID, Along, AlongParameters, along_track
 from estimation.values.adhesion import INVERSE
 from estimation.values.arrays import FloatArray
 
-KNOWN = AlongParameters(3.3, 3.0, 0.45, 0.2, 0.05)
+PLACE_STD = 0.45
+KNOWN = AlongParameters(3.3, 3.0, 0.2, 0.05)
 
 
 def misfits_of(inverse: FloatArray, std: float) -> FloatArray:
     """Return the misfits (c, k) of Gaussian measurements (c,) of 1/mu."""
     return np.asarray(((INVERSE - inverse[:, None]) / std) ** 2)
+
+
+def chained(cells: FloatArray, misfits: FloatArray, known: AlongParameters = KNOWN) -> Along:
+    return along_track(cells.astype(np.int64), misfits, np.full(len(cells), PLACE_STD), known)
 
 
 def density(values: FloatArray, mean: FloatArray | float, std: float) -> FloatArray:
@@ -30,7 +35,7 @@ def test_three_places_are_the_sum_over_all_courses() -> None:
     first, second, third = (density(GRID, one, float(np.hypot(0.3, 0.45))) for one in inverse)
     courses = np.einsum("a,ab,bc,a,b,c->abc", prior, step, step, first, second, third)
     courses /= courses.sum()
-    found = along_track(np.arange(3), misfits_of(inverse, 0.3), KNOWN)
+    found = chained(np.arange(3), misfits_of(inverse, 0.3), KNOWN)
     for place, axes in enumerate(((1, 2), (0, 2), (0, 1))):
         marginal = courses.sum(axis=axes)
         mean = float(marginal @ GRID)
@@ -40,10 +45,10 @@ def test_three_places_are_the_sum_over_all_courses() -> None:
 
 def test_places_behind_a_gap_and_places_with_nothing_in_common_stand_alone() -> None:
     inverse = np.array([3.0, 9.0])
-    alone = [along_track(np.array([0]), misfits_of(inverse[[place]], 0.5), KNOWN) for place in (0, 1)]
-    gap = along_track(np.array([0, 2]), misfits_of(inverse, 0.5), KNOWN)
+    alone = [chained(np.array([0]), misfits_of(inverse[[place]], 0.5), KNOWN) for place in (0, 1)]
+    gap = chained(np.array([0, 2]), misfits_of(inverse, 0.5), KNOWN)
     assert gap.mean == pytest.approx([one.mean[0] for one in alone], rel=1e-12)
-    alike = along_track(np.array([0, 1]), misfits_of(inverse, 0.5), AlongParameters(3.3, 3.0, 0.45, 0.2, 1.0))
+    alike = chained(np.array([0, 1]), misfits_of(inverse, 0.5), AlongParameters(3.3, 3.0, 0.2, 1.0))
     assert alike.mean == pytest.approx(gap.mean, rel=1e-9)
 
 
@@ -53,13 +58,21 @@ def test_a_sharp_end_stays_where_it_is_and_noise_gets_less() -> None:
     alone, along = [], []
     for _ in range(40):
         measured = true + 0.6 * rng.standard_normal(len(true))
-        found = along_track(np.arange(len(true)), misfits_of(measured, 0.4), KNOWN).mean
+        found = chained(np.arange(len(true)), misfits_of(measured, 0.4), KNOWN).mean
         assert (found[:12] < 6.67).all()
         assert (found[12:24] > 6.67).all()
         assert (found[24:] < 6.67).all()
         alone.append(measured - true)
         along.append(found - true)
     assert np.std(along) < 0.75 * np.std(alone)
+
+
+def test_each_place_has_an_error_of_its_own() -> None:
+    misfits = misfits_of(np.array([6.0, 6.0]), 0.3)
+    apart = along_track(np.array([0, 2]), misfits, np.array([0.45, 1.0]), KNOWN)
+    wide, narrow = (along_track(np.array([0]), misfits[:1], np.array([std]), KNOWN) for std in (1.0, 0.45))
+    assert apart.std == pytest.approx([narrow.std[0], wide.std[0]])
+    assert wide.std[0] > 1.5 * narrow.std[0]
 
 
 def test_what_is_known_of_the_chain_is_pinned() -> None:

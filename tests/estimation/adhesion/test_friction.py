@@ -65,6 +65,17 @@ def test_friction_is_found_where_creep_shows_it_and_low_stretches_with_it() -> N
     assert end in {8 * CELL_LENGTH, 9 * CELL_LENGTH}
 
 
+def test_passes_whose_vibration_was_taken_out_leave_friction_more_open() -> None:
+    passes = [a_pass(number, TRUE) for number in range(6)]
+    sharp = section_friction(passes, KNOWN)
+    blunt = section_friction([replace(one, smoothed=True) for one in passes], KNOWN)
+    assert len(sharp) == len(blunt)
+    for one, other in zip(sharp, blunt, strict=True):
+        assert other.at_least < one.at_least
+        if one.friction.value is not None and other.friction.value is not None:
+            assert other.friction.std > one.friction.std
+
+
 def test_any_order_gives_the_same() -> None:
     passes = [a_pass(number, TRUE) for number in range(6)]
     assert section_friction(passes, KNOWN) == section_friction(passes[::-1], KNOWN)
@@ -143,7 +154,7 @@ def test_what_decides_on_low_adhesion_is_pinned() -> None:
     assert (KNOWN.low, KNOWN.likely, KNOWN.at_ends) == (0.15, 0.6, 0.3)
     assert (KNOWN.fewest_passes, KNOWN.least_upper, LEARNT) == (3, 0.6, 0.7)
     assert (KNOWN.usual, KNOWN.usual_std, KNOWN.most_usual, KNOWN.creep_error_std) == (3.3, 3.0, 5.0, 0.1)
-    assert (KNOWN.law_std, KNOWN.class_std, KNOWN.track_std) == (0.1, 0.15, 0.45)
+    assert (KNOWN.law_std, KNOWN.class_std, KNOWN.track_std, KNOWN.smoothed_std) == (0.1, 0.15, 0.45, 1.0)
     assert (KNOWN.change_std, KNOWN.fresh) == (0.2, 0.05)
     assert CELL_LENGTH == 50.0
 
