@@ -69,11 +69,11 @@ def test_passes_whose_vibration_was_taken_out_leave_friction_more_open() -> None
     passes = [a_pass(number, TRUE) for number in range(6)]
     sharp = section_friction(passes, KNOWN)
     blunt = section_friction([replace(one, smoothed=True) for one in passes], KNOWN)
-    assert len(sharp) == len(blunt)
-    for one, other in zip(sharp, blunt, strict=True):
-        assert other.at_least < one.at_least
-        if one.friction.value is not None and other.friction.value is not None:
-            assert other.friction.std > one.friction.std
+    usual = [place for place, true in enumerate(TRUE) if true > 0.2]
+    assert len(usual) > 3
+    assert all(blunt[place].at_least < sharp[place].at_least for place in usual)
+    both = [(one.friction.std, other.friction.std) for one, other in zip(sharp, blunt, strict=True)]
+    assert all(std < wider for std, wider in both if std is not None and wider is not None)
 
 
 def test_any_order_gives_the_same() -> None:
