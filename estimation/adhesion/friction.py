@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
@@ -95,11 +95,13 @@ def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParam
     scatter = _scatter(sums, found, parameters)
     along = _along(sums, found, left, scatter, parameters)
     by_creep = found.creep_std * _slope(sums, along.mean)
+    smoothed = sums.by_place(sums.smoothed) > 0.0
     places = zip(sums.cells, sums.counts, left, strict=True)
-    return tuple(
+    found_here = (
         _cell(int(cell), int(n), own, float(along.mean[c]), float(along.std[c]), float(by_creep[c]), parameters)
         for c, (cell, n, own) in enumerate(places)
     )
+    return tuple(_two_sided(one) if smoothed[c] else one for c, one in enumerate(found_here))
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,6 +239,14 @@ def _cell(
         return CellFriction(cell, Estimate.unknown(small, float(n)), low, probability, n)
     value = Estimate(1.0 / inverse, std / inverse**2, low, high, float(n), Status.ESTIMATED)
     return CellFriction(cell, value, low, probability, n)
+
+
+def _two_sided(found: CellFriction) -> CellFriction:
+    """Return a place without its lower bound, where it has nothing else: smoothed forces make it too high."""
+    if found.friction.value is not None or not found.at_least:
+        return found
+    reason = Reason(ReasonCode.CREEP_TOO_SMALL, "creep shows no upper bound, and axle boxes that vibrate no lower one")
+    return replace(found, friction=Estimate.unknown(reason, found.friction.count), at_least=0.0)
 
 
 def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters) -> tuple[tuple[float, float], ...]:

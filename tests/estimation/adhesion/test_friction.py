@@ -69,11 +69,12 @@ def test_passes_whose_vibration_was_taken_out_leave_friction_more_open() -> None
     passes = [a_pass(number, TRUE) for number in range(6)]
     sharp = section_friction(passes, KNOWN)
     blunt = section_friction([replace(one, smoothed=True) for one in passes], KNOWN)
-    usual = [place for place, true in enumerate(TRUE) if true > 0.2]
-    assert len(usual) > 3
-    assert all(blunt[place].at_least < sharp[place].at_least for place in usual)
-    both = [(one.friction.std, other.friction.std) for one, other in zip(sharp, blunt, strict=True)]
-    assert all(std < wider for std, wider in both if std is not None and wider is not None)
+    assert any(one.friction.value is None and one.at_least > 0.0 for one in sharp)
+    for one, other in zip(sharp, blunt, strict=True):
+        if other.friction.value is None:
+            assert other.at_least == 0.0  # smoothed forces make it too high
+        elif one.friction.std is not None and other.friction.std is not None:
+            assert one.friction.std < other.friction.std
 
 
 def test_any_order_gives_the_same() -> None:
