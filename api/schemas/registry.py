@@ -167,8 +167,7 @@ def wheelset(record: WheelsetRecord) -> Wheelset:
     links = {name: f"{own}/{name}" for name in ("geometry", "trend", "contact", "windows", "mountings", "reprofilings")}
     links |= {"measured_profiles": f"{own}/measured-profiles", "intervals": f"{own}/intervals"}
     links["data_quality"] = f"{own}/data-quality"
-    links |= {name: f"{own}/{name}" for name in ("state", "signature", "rails")}
-    links["creep_forces"] = f"{own}/creep-forces"
+    links |= {"state": f"{own}/state", "creep_forces": f"{own}/creep-forces"}
     links = {"self": own, "fleet": f"/v1/fleets/{segment(record.fleet)}", **links}
     links["alerts"] = f"/v1/alerts?wheelset={segment(record.serial)}"
     if record.mounting is not None:

@@ -162,8 +162,6 @@ def section(record: TrackSectionRecord) -> TrackSection:
             "alignment": f"{own}/alignment",
             "alignments": f"{own}/alignments",
             "alignment_report": f"{own}/alignment-report",
-            "adhesion": f"{own}/adhesion",
-            "rails": f"{own}/rails",
         },
     )
 
