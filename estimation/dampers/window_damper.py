@@ -27,6 +27,7 @@ MODEL_ERROR = 0.02  # of the acceleration above, that stiff bodies do not explai
 LEAST_EXCITATION = 3.0  # what motion shows of the damper over what noise does
 FEWEST_SAMPLES = 600.0  # of a window that are counted: 10 s
 MOST_UNEXPLAINED = 0.05  # mean square of the innovations beside noise, over that of the acceleration above
+EVERY = 3  # windows by the clock, one of which is looked at: a damper changes over months
 LARGEST_STD = 0.3  # relative, of parameters beside the damper: beyond it their effect is not proportional
 
 
@@ -36,6 +37,17 @@ class WindowSums:
 
     sums: DamperSums | Reason
     innovation: float | None = None
+
+
+def looked_at(first: Window) -> bool:
+    """Return whether the damper is looked at in a window: in one of ``EVERY``, whatever others there are.
+
+    Parameters
+    ----------
+    first
+        The window of the first wheelset of a running gear.
+    """
+    return first.start_ns // first.length_ns % EVERY == 0
 
 
 def window_damper(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from estimation.adhesion.creep_forces import ContactForces, ForceParameters, forces_on
 from estimation.adhesion.gear_segments import gear_segments
 from estimation.adhesion.window_adhesion import AdhesionInputs, refused, window_adhesion
-from estimation.dampers.window_damper import window_damper
+from estimation.dampers.window_damper import looked_at, window_damper
 from estimation.errors import DamagedError, PurgedError
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
@@ -136,7 +136,7 @@ class _Batch:
         """Return the forces on a running gear; what its damper shows is kept beside."""
         segments = gear_segments(gear, assumed.windows.vehicle_class, assumed.windows.signals)
         record = self.inputs.records.get(first)
-        if record is not None and record.implausible is None:
+        if record is not None and record.implausible is None and looked_at(gear[0]):
             found = window_damper(gear[0], record.content_digest, segments, assumed.on_file)
             self.dampers[found.vehicle, found.first_axle, found.start_ns] = found
         if isinstance(segments, Reason):

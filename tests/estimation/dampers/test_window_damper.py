@@ -12,7 +12,7 @@ from estimation.adhesion.gear_segments import gear_segments
 from estimation.dampers import window_damper
 from estimation.dampers.damper_filters import LATE_STD_S, add_products, damper_filters, gain_std, of_signals
 from estimation.dampers.pooled import posterior
-from estimation.dampers.window_damper import not_judged
+from estimation.dampers.window_damper import EVERY, looked_at, not_judged
 from estimation.motion.parameters import SignalParameters
 from estimation.values.dampers import SHARES
 from estimation.values.reasons import Reason, ReasonCode
@@ -162,3 +162,12 @@ def test_what_noise_adds_to_the_products_is_known() -> None:
     apart = (found - filters.noise) / (scale[:, :, None] * scale[:, None, :])
     assert np.abs(apart).max() < 0.4
     assert np.abs(apart).mean() < 0.03
+
+
+def test_one_of_three_windows_by_the_clock_is_looked_at_whatever_others_there_are() -> None:
+    (first, *_) = windows_of(SOFT, 1.0)
+    starts = [number * first.length_ns + 7 for number in range(30)]
+    assert [number for number, start_ns in enumerate(starts) if looked_at(replace(first, start_ns=start_ns))] == [
+        *range(0, 30, 3)
+    ]
+    assert EVERY == 3
