@@ -134,9 +134,9 @@ def test_rest_answers_friction_and_the_alert_links_to_it(deployed: Deployed) -> 
 
 def test_dampers_are_judged_where_windows_are_read(deployed: Deployed) -> None:
     """The windows are too few for a share; what each says is stored, and REST says why there is no more."""
-    vehicle = deployed.scenario.vehicles[0].code
     with deployed.storage.read() as unit:
-        found = unit.dampers.of_vehicle(vehicle)
+        plan = next(one for one in deployed.scenario.vehicles if unit.dampers.of_vehicle(one.code))
+        vehicle, found = plan.code, unit.dampers.of_vehicle(plan.code)
         said = {one.first_axle: unit.dampers.newest(vehicle, one.first_axle, 100) for one in found}
     assert [one.first_axle for one in found] == [1, 3]
     for one in found:
@@ -144,9 +144,7 @@ def test_dampers_are_judged_where_windows_are_read(deployed: Deployed) -> None:
         assert one.share.reason is not None
         assert one.share.reason.code is ReasonCode.TOO_FEW_WINDOWS
         assert one.windows > 0
-        assert {window.wheelset for window in said[one.first_axle]} == {
-            deployed.scenario.vehicles[0].wheelsets[one.first_axle - 1].serial
-        }
+        assert {window.wheelset for window in said[one.first_axle]} == {plan.wheelsets[one.first_axle - 1].serial}
     answer, missing = asked(deployed.settings, (f"/v1/vehicles/{vehicle}/dampers", "/v1/vehicles/none/dampers"))
     first = answer.json()["dampers"][0]
     assert (first["first_axle"], first["weak"], first["weak_probability_1"]) == (1, None, None)

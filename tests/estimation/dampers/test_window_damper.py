@@ -164,10 +164,10 @@ def test_what_noise_adds_to_the_products_is_known() -> None:
     assert np.abs(apart).mean() < 0.03
 
 
-def test_one_of_three_windows_by_the_clock_is_looked_at_whatever_others_there_are() -> None:
+@pytest.mark.parametrize("stride", [1, 3, 15, 60])
+def test_one_of_three_windows_is_looked_at_however_a_recorder_runs(stride: int) -> None:
     (first, *_) = windows_of(SOFT, 1.0)
-    starts = [number * first.length_ns + 7 for number in range(30)]
-    assert [number for number, start_ns in enumerate(starts) if looked_at(replace(first, start_ns=start_ns))] == [
-        *range(0, 30, 3)
-    ]
+    starts = [stride * number * first.length_ns + 7 for number in range(600)]
+    share = np.mean([looked_at(replace(first, start_ns=start_ns)) for start_ns in starts])
+    assert 0.27 < share < 0.40
     assert EVERY == 3
