@@ -49,6 +49,7 @@ PAIRS = {
 }
 DAY_NS = 86_400_000_000_000
 POSITION_STD = 10.0  # m, of a run
+SPEEDS_TRIED = 10  # until a wheelset stays within its contact table
 
 
 class LeftTableError(RuntimeError):
@@ -94,7 +95,12 @@ def wheelset(
     skew = rng.uniform(-0.1, 0.1)
     wheels = [worn(wheel_profile(wheel), wear_course(family, depth * (1 + side * skew))) for side in (1, -1)]
     rails = rail_profile(rail)
-    table = contact_table(WheelsetOnTrack(wheels[0], wheels[1], rails, rails, inclination, 1.435), GRID, outside="hold")
+    return on_a_vehicle(serial, condition, WheelsetOnTrack(*wheels, rails, rails, inclination, 1.435), rng)
+
+
+def on_a_vehicle(serial: str, condition: int, on_track: WheelsetOnTrack, rng: np.random.Generator) -> Wheelset:
+    """Return a wheelset of these profiles on a vehicle that differs from its class."""
+    table = contact_table(on_track, GRID, outside="hold")
     conicity = equivalent_conicity(GRID, table.rolling_radius_difference[:, 0], AMPLITUDE)
     base = VehicleParameters()
     own = {name: getattr(base, name) * float(np.exp(std * rng.standard_normal())) for name, std in SPREAD.items()}
@@ -143,6 +149,25 @@ def run(
     if isinstance(found, Reason):
         raise RuntimeError(found.text)  # noqa: TRY004 - a reason is a finding, not a wrong type
     return Pass(runs, section, found)
+
+
+def run_within(
+    runs: Wheelset, section: str, track: TrackTruth, limits: tuple[float, float], rng: np.random.Generator
+) -> Pass:
+    """Run a wheelset at a speed, m/s, between limits at which it stays within its contact table, on some day.
+
+    Raises
+    ------
+    LeftTableError
+        There is none.
+    """
+    for _ in range(SPEEDS_TRIED):
+        try:
+            speed, day = float(rng.uniform(*limits)), int(rng.integers(1, 300))
+            return run(runs, section, track, speed, rng, DAY_NS * day)
+        except LeftTableError:
+            continue
+    raise LeftTableError(f"{runs.serial} left its contact table at {SPEEDS_TRIED} speeds")
 
 
 def window_of(
@@ -226,11 +251,19 @@ class SimulatedFleet:
 
 
 @dataclass(frozen=True, slots=True)
+class Foreign:
+    """A pass of a wheelset whose wheels or rails are none of the library's; None where it has no signatures."""
+
+    kind: str
+    made: Pass | None
+
+
+@dataclass(frozen=True, slots=True)
 class Simulated:
     """All passes of one seed; what is judged by which library is decided afterwards."""
 
     main: SimulatedFleet
     speeds: SimulatedFleet
-    profiles: tuple[Pass, ...]  # wheels of other profiles
+    foreign: tuple[Foreign, ...]
     retracked: tuple[Pass, ...]
     tamped: frozenset[Place]

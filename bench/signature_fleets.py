@@ -17,11 +17,11 @@ from bench.signature_cases import (
     SimulatedFleet,
     Wheelset,
     run,
+    run_within,
     tracks,
-    wheelset,
     wheelsets,
 )
-from estimation.contact.wear import WearFamily
+from bench.signature_foreign import foreign
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.signatures import Place
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
@@ -48,7 +48,7 @@ def fleet(plan: Plan, seed: int) -> SimulatedFleet:
         who: Sequence[Wheelset], where: dict[str, TrackTruth], ranges: Sequence[tuple[float, float]]
     ) -> list[Pass]:
         return [
-            run(one, code, track, float(rng.uniform(*limits)), rng, DAY_NS * int(rng.integers(1, 300)))
+            run_within(one, code, track, limits, rng)
             for one in who
             for code, track in where.items()
             for limits in ranges
@@ -90,7 +90,6 @@ def retracked(made: SimulatedFleet, seed: int, count: int = 14) -> tuple[list[Pa
 
 
 SPEEDS = Plan(sections=3, others=2, teachers=21, judged=7, speeds=((14.0, 16.0), (18.0, 20.0)), asked=(16.5, 17.5))
-S1002_DEPTHS = (0.1e-3, 0.5e-3, 0.9e-3)  # m, wheels of other profiles
 
 
 def simulated(seed: int, folder: Path | None = None) -> Simulated:
@@ -100,12 +99,9 @@ def simulated(seed: int, folder: Path | None = None) -> Simulated:
         kept: Simulated = pickle.loads(file.read_bytes())  # noqa: S301 - written by the lines below
         return kept
     made = fleet(Plan(), seed)
-    rng = np.random.default_rng([seed, 21])
-    others = [wheelset(f"X{n}", depth, 0, rng, WearFamily.S1002_ON_60E1) for n, depth in enumerate(S1002_DEPTHS)]
-    code, track = next(iter(made.tracks.items()))
-    profiles = tuple(run(one, code, track, float(rng.uniform(15, 19)), rng) for one in others)
+    others = foreign(made.tracks, tracks(Plan().others, seed, Plan().sections), seed)
     passes, tamped = retracked(made, seed)
-    found = Simulated(_bare(made), _bare(fleet(SPEEDS, seed)), profiles, tuple(passes), frozenset(tamped))
+    found = Simulated(_bare(made), _bare(fleet(SPEEDS, seed)), others, tuple(passes), frozenset(tamped))
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(pickle.dumps(found))

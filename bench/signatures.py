@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.results_page import markdown_table, write_page
-from bench.signature_cases import CONDITIONS, LeftTableError, Pass, Simulated, SimulatedFleet, entries
+from bench.signature_cases import CONDITIONS, Foreign, LeftTableError, Pass, Simulated, SimulatedFleet, entries
 from bench.signature_cost import cost
 from bench.signature_fleets import Plan, simulated
 from bench.signature_pipeline import KINDS, judged_by_the_product
@@ -102,7 +102,7 @@ def case_of(passes: Simulated, seed: int) -> dict[str, Any]:
         name: _answers(passes, _library(speeds, seed, MEASURED_STD), _parameters(speeds))
         for name, passes in (("same", speeds.same), ("other", speeds.other))
     }
-    found["profiles"] = _answers(passes.profiles, _library(made, seed, MEASURED_STD), _parameters(made))
+    found["foreign"] = _foreign(passes.foreign, _library(made, seed, MEASURED_STD), _parameters(made))
     found["retired"] = _retired(passes, seed)
     return found
 
@@ -149,6 +149,14 @@ def _answers(
             item["right"] = state.low <= one.wheelset.conicity < state.high
         found.append(item)
     return found
+
+
+def _foreign(passes: Sequence[Foreign], known: Library, parameters: SignatureParameters) -> list[dict[str, Any]]:
+    """Return what is said of wheels and rails that the library does not have."""
+    stayed = [(one.kind, one.made) for one in passes if one.made is not None]
+    answers = _answers([made for _, made in stayed], known, parameters)
+    left = [{"kind": one.kind, "reason": "no signatures"} for one in passes if one.made is None]
+    return left + [{"kind": kind} | answer for (kind, _), answer in zip(stayed, answers, strict=True)]
 
 
 def _without_place(item: Signature) -> Signature:

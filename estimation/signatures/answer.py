@@ -86,8 +86,7 @@ def _answer(
 ) -> SignatureAnswer:
     grid = conicity_grid(np.array(library.conicity), parameters.margin)
     found = likelihood(library.model, _rows(signatures), known, grid)
-    features = library.model.mean.shape[0]
-    novelty = float(found.distance.min()) / features / calibration.largest_distance
+    novelty = calibration.novelty(found)
     refusal = _novel(novelty) or _outside(found, library, parameters)
     if refusal is None and known is None:
         refusal = _other_track(level_of(library.model, _rows(signatures), found.mean), library, len(signatures))

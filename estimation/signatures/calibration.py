@@ -34,7 +34,22 @@ GRID = 0.002  # of conicity
 FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
 FACTORS = np.exp(np.linspace(-1.2, 1.2, 97))  # that are tried
 RARE = 0.02  # most probability outside what a library covers
-NOVEL = 0.999  # quantile of the distances, by their logarithms, from which on a signature is novel
+NOVEL = 0.98  # quantile of the distances, by their logarithms, from which on a signature is novel
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far left-out wheelsets were from the others: logarithms of squared distances over numbers of features."""
+
+    mean: float
+    std: float
+    wheelsets: int
+
+    @property
+    def largest(self) -> float:
+        """Distance from which on a signature is novel: the quantile of one more wheelset."""
+        quantile = stats.t.ppf(NOVEL, self.wheelsets - 1) * np.sqrt(1.0 + 1.0 / self.wheelsets)
+        return float(np.exp(self.mean + quantile * self.std))
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +57,23 @@ class Calibration:
     """What the answers of a library need to cover, and how far from it those were."""
 
     factor: float  # on the std of the posterior: half a 95 % interval over that of a normal error
-    largest_distance: float  # squared, over the number of features
+    whole: Reach  # of all features
+    roll: Reach  # of roll at short wavelengths
     wheelsets: int
     answers: int
+
+    def novelty(self, found: Likelihood) -> float:
+        """Return how far a signature is, over the largest distance that is answered: of all features, or of roll.
+
+        Roll over R is that of the contact angles, whatever the track: wheels of other profiles that move from side to
+        side like those of the library roll otherwise. Among all features it is lost.
+
+        Parameters
+        ----------
+        found
+            Of the judged wheelset.
+        """
+        return max(found.whole / self.whole.largest, found.roll / self.roll.largest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +82,8 @@ class _Judged:
     error: float  # less what is on file
     std: float  # of the posterior
     on_file_std: float
-    distance: float
+    whole: float
+    roll: float
 
 
 def calibrated(
@@ -198,7 +228,7 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
 
 def _score(found: Likelihood, rows: Rows, std: float, wheelset: int) -> _Judged:
     error = found.mean - float(np.mean(rows.on_file))
-    return _Judged(wheelset, error, found.std, std, float(found.distance.min()) / rows.powers.shape[1])
+    return _Judged(wheelset, error, found.std, std, found.whole, found.roll)
 
 
 def _of(judged: Iterator[_Judged]) -> Calibration | Reason:
@@ -206,14 +236,18 @@ def _of(judged: Iterator[_Judged]) -> Calibration | Reason:
     wheelsets = len({one.wheelset for one in found})
     if wheelsets < 3:  # noqa: PLR2004 - a spread needs some
         return Reason(ReasonCode.LIBRARY_TOO_SMALL, "too few wheelsets of the library can be judged by the others")
-    logarithm = np.log([one.distance for one in found])
-    reach = stats.t.ppf(NOVEL, wheelsets - 1) * np.sqrt(1 + 1 / wheelsets)
     return Calibration(
         factor=_factor(found),
-        largest_distance=float(np.exp(logarithm.mean() + reach * logarithm.std(ddof=1))),
+        whole=_reach([one.whole for one in found], wheelsets),
+        roll=_reach([one.roll for one in found], wheelsets),
         wheelsets=wheelsets,
         answers=len(found),
     )
+
+
+def _reach(distances: Sequence[float], wheelsets: int) -> Reach:
+    logarithms = np.log(distances)
+    return Reach(float(logarithms.mean()), float(logarithms.std(ddof=1)), wheelsets)
 
 
 def _factor(found: Sequence[_Judged]) -> float:

@@ -283,6 +283,8 @@ class Likelihood:
 
     conicity: FloatArray  # (k,)
     distance: FloatArray  # (k,) squared Mahalanobis distances
+    whole: float  # least squared distance, over the number of features
+    roll: float  # at that conicity, of roll over R in the shorter half of the bands alone
 
     @property
     def posterior(self) -> FloatArray:
@@ -336,7 +338,10 @@ def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: 
     nearest = _distances(covariance, difference).argmin()
     term = _bent(conicity[nearest : nearest + 1])[0]
     covariance = covariance + float(term @ model.leverage @ term) * model.of_fit
-    return Likelihood(conicity, _distances(covariance, difference))
+    distance = _distances(covariance, difference)
+    best, rolls = int(distance.argmin()), len(features) // SIGNALS // 2  # the shorter half of the bands
+    of_roll = _distances(covariance[-rolls:, -rolls:], difference[-rolls:, best : best + 1])
+    return Likelihood(conicity, distance, float(distance[best]) / len(features), float(of_roll[0]) / rolls)
 
 
 def _distances(covariance: FloatArray, difference: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from estimation.signatures.answer import judged
 from estimation.signatures.calibration import NORMAL, share_apart
 from estimation.signatures.families import sharers
 from estimation.signatures.library import NEAR, Library, library, rows_of
-from estimation.signatures.mixed_model import CONICITY, LARGEST_SHARE, _less, fitted
+from estimation.signatures.mixed_model import CONICITY, LARGEST_SHARE, Likelihood, _less, fitted
 from estimation.values.arrays import FloatArray
 from estimation.values.signatures import ConicitySource, LibraryEntry
 
@@ -22,7 +22,7 @@ CONICITIES = np.linspace(0.16, 0.36, 21)
 
 
 def answers(errors: FloatArray, std: float = 0.004, on_file: float = 0.0) -> list[calibration._Judged]:
-    return [calibration._Judged(number, float(error), std, on_file, 1.0) for number, error in enumerate(errors)]
+    return [calibration._Judged(number, float(error), std, on_file, 1.0, 1.0) for number, error in enumerate(errors)]
 
 
 def test_the_factor_covers_where_stds_are_off_by_as_much_as_it_expects() -> None:
@@ -47,6 +47,27 @@ def test_answers_about_one_wheelset_count_as_one() -> None:
     errors = 0.006 * np.random.default_rng(2).standard_normal(10)
     often = [one for one in answers(errors) for _ in range(7)]
     assert calibration._factor(often) == pytest.approx(calibration._factor(answers(errors)))
+
+
+def test_of_one_more_wheelset_of_the_same_kind_two_in_a_hundred_are_novel() -> None:
+    rng = np.random.default_rng(4)
+    novel = []
+    for _ in range(3000):
+        drawn = rng.normal(0.3, 0.5, 15)
+        reach = calibration._reach(list(np.exp(drawn[:14])), 14)
+        novel.append(np.exp(drawn[14]) > reach.largest)
+    assert np.mean(novel) == pytest.approx(0.02, abs=0.007)
+    assert calibration.NOVEL == 0.98
+
+
+def test_novelty_is_that_of_all_features_or_that_of_roll() -> None:
+    reach = calibration.Reach(0.0, 0.5, 14)
+    of = calibration.Calibration(1.0, reach, replace(reach, mean=1.0), 14, 30)
+    grid = np.array([0.2, 0.3])
+    far = Likelihood(grid, grid, whole=2.0 * reach.largest, roll=0.0)
+    rolling = Likelihood(grid, grid, whole=0.0, roll=2.0 * reach.largest)
+    assert of.novelty(far) == pytest.approx(2.0)
+    assert of.novelty(rolling) == pytest.approx(2.0 / np.e)
 
 
 def shares(entries: Sequence[LibraryEntry]) -> float:
