@@ -11,7 +11,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -142,6 +142,7 @@ def _answers(
         item: dict[str, Any] = {"condition": one.wheelset.condition, "truth": one.wheelset.conicity}
         if conicity.value is None:
             item["reason"] = str(conicity.reason)
+            item |= _of_any_track(one, signatures, known, parameters) if "than any that" in item["reason"] else {}
         else:
             state = most_likely(answer.states)
             item |= {"value": conicity.value, "low": conicity.low, "high": conicity.high}
@@ -149,6 +150,27 @@ def _answers(
             item["right"] = state.low <= one.wheelset.conicity < state.high
         found.append(item)
     return found
+
+
+class _OfAnyTrack(Library):
+    """A library that does not refuse tracks rougher or smoother than its own."""
+
+    __slots__ = ()
+
+    def levels(self, places: int) -> tuple[float, float]:
+        del places
+        return -float("inf"), float("inf")
+
+
+def _of_any_track(
+    one: Pass, signatures: Sequence[Signature], known: Library, parameters: SignatureParameters
+) -> dict[str, bool]:
+    """Return whether the interval would cover where an answer is refused for the roughness of the track."""
+    of = _OfAnyTrack(*(getattr(known, field.name) for field in fields(known)))
+    found = judged(one.wheelset.serial, signatures, of, parameters).conicity
+    if found.low is None or found.high is None:
+        return {}
+    return {"would cover": found.low <= one.wheelset.conicity <= found.high}
 
 
 def _foreign(passes: Sequence[Foreign], known: Library, parameters: SignatureParameters) -> list[dict[str, Any]]:
@@ -171,7 +193,7 @@ def _rival(made: SimulatedFleet, *, linear: bool) -> dict[str, list[tuple[float,
     }
 
 
-def _retired(passes: Simulated, seed: int) -> dict[str, int]:
+def _retired(passes: Simulated, seed: int) -> dict[str, float]:
     """Return how many stretches of a section that was worked on are found, and of others; half of it was tamped."""
     tamped = passes.tamped
     found = current(entries(passes.retracked, np.random.default_rng([seed, 9]), MEASURED_STD))
@@ -182,6 +204,8 @@ def _retired(passes: Simulated, seed: int) -> dict[str, int]:
         "found": len(changed & tamped),
         "others": len(places - tamped),
         "false": len(changed - tamped),
+        "least": min((one.distance for one in found.tried if one.place in tamped), default=0.0),
+        "most": max((one.distance for one in found.tried if one.place not in tamped), default=0.0),
     }
 
 

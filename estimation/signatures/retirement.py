@@ -43,6 +43,7 @@ class Current:
     entries: tuple[LibraryEntry, ...]
     retired: tuple[Retired, ...]
     changes: tuple[Change, ...]
+    tried: tuple[Change, ...]  # the largest of every place, whether its track has changed or not
 
 
 def current(entries: Sequence[LibraryEntry]) -> Current:
@@ -54,7 +55,7 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
         Of one class and axle position, with places.
     """
     if not entries:
-        return Current((), (), ())
+        return Current((), (), (), ())
     rows = rows_of(entries, np.zeros(len(entries)))
     tracks = track_effects(rows)
     by_place: dict[Place, list[int]] = defaultdict(list)
@@ -72,7 +73,8 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
         means = len(found) + sum(change is not None for change in found)
         scatter = scatter_of(np.concatenate(sides), wheelset[order], means)
     found = [_change(span, track, scatter) for span, track in zip(spans, of_places, strict=True)]
-    changes = {change.place: change for change in found if change is not None and change.distance > LARGEST}
+    tried = tuple(change for change in found if change is not None)
+    changes = {change.place: change for change in tried if change.distance > LARGEST}
     kept, retired = [], []
     for entry in entries:
         change = changes.get(entry.signature.place) if entry.signature.place else None
@@ -81,7 +83,7 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
             retired.append(Retired(entry, Reason(ReasonCode.SECTION_CHANGED, text)))
         else:
             kept.append(entry)
-    return Current(tuple(kept), tuple(retired), tuple(changes.values()))
+    return Current(tuple(kept), tuple(retired), tuple(changes.values()), tried)
 
 
 def place_name(place: Place) -> str:
