@@ -34,7 +34,7 @@ GRID = 0.002  # of conicity
 FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
 FACTORS = np.exp(np.linspace(-1.2, 1.2, 97))  # that are tried
 RARE = 0.02  # most probability outside what a library covers
-NOVEL = 0.98  # quantile of the distances, by their logarithms, from which on a signature is novel
+NOVEL = 0.99  # quantile of the distances, by their logarithms, from which on a signature is novel
 
 
 @dataclass(frozen=True, slots=True)
