@@ -36,63 +36,72 @@ def add_products(
         (q - 1, v + 1, v + 1) of the innovations of a particle's variants, and of the next particle's first; added to.
     """
     q, v, n = measured.shape
-    state, innovations, signals, corrected = np.zeros((q, v, n)), np.zeros((q, v)), np.zeros(v + 1), np.zeros(n)
+    size = q * v
+    # filters side by side: every sum of each goes in the order of its terms
+    of_states, of_inputs = np.zeros((n, n, size)), np.zeros((2, n, size))
+    weights, gains = np.zeros((n, size)), np.zeros((n, size))
+    for particle in range(q):
+        for variant in range(v):
+            one = particle * v + variant
+            for k in range(n):
+                weights[k, one], gains[k, one] = measured[particle, variant, k], gain[particle, variant, k]
+                for row in range(2):
+                    of_inputs[row, k, one] = by_input[particle, variant, row, k]
+                for j in range(n):
+                    of_states[k, j, one] = transition[particle, variant, k, j]
+    state, corrected = np.zeros((n, size)), np.zeros((n, size))
+    now, then, innovation = np.zeros(size), np.zeros(size), np.zeros(size)
+    signals = np.zeros(v + 1)
     for i in range(below.shape[1] - 1):
         for particle in range(q):
             for variant in range(v):
-                row = source[variant]
-                innovations[particle, variant] = step(
-                    transition[particle, variant],
-                    by_input[particle, variant],
-                    measured[particle, variant],
-                    gain[particle, variant],
-                    below[row, i],
-                    below[row, i + 1],
-                    above[row, i],
-                    state[particle, variant],
-                    corrected,
-                )
+                one, row = particle * v + variant, source[variant]
+                now[one], then[one], innovation[one] = below[row, i], below[row, i + 1], above[row, i]
+        step(of_states, of_inputs, weights, gains, now, then, innovation, state, corrected)
         if counted[i]:
-            add_outer(innovations, signals, products)
+            add_outer(innovation.reshape(q, v), signals, products)
 
 
 @compiled(nogil=True)
 def step(
-    transition: FloatArray,
-    by_input: FloatArray,
-    measured: FloatArray,
-    gain: FloatArray,
-    now: float,
-    then: float,
-    above: float,
+    of_states: FloatArray,
+    of_inputs: FloatArray,
+    weights: FloatArray,
+    gains: FloatArray,
+    now: FloatArray,
+    then: FloatArray,
+    innovation: FloatArray,
     state: FloatArray,
     corrected: FloatArray,
-) -> float:
-    """Take a filter on by a sample; return its innovation.
+) -> None:
+    """Take f filters on by a sample.
 
     Parameters
     ----------
-    transition, by_input, measured, gain
-        (n, n), (2, n), (n,) and (n,) of the filter.
-    now, then, above
-        Accelerations of the wheelsets at this sample and at the next, and of what is above at this one, m/s2.
+    of_states, of_inputs, weights, gains
+        (n, n, f), (2, n, f), (n, f) and (n, f): transition, inputs, measurement and gain of the filters.
+    now, then
+        (f,) accelerations of the wheelsets at this sample and at the next, m/s2.
+    innovation
+        (f,) accelerations of what is above at this one, m/s2; changed to the innovations.
     state
-        (n,) changed.
+        (n, f) changed.
     corrected
-        (n,) work space.
+        (n, f) work space.
     """
-    n = len(state)
-    innovation = above
+    n, f = state.shape
     for k in range(n):
-        innovation -= measured[k] * state[k]
+        for one in range(f):
+            innovation[one] -= weights[k, one] * state[k, one]
     for k in range(n):
-        corrected[k] = state[k] + gain[k] * innovation
+        for one in range(f):
+            corrected[k, one] = state[k, one] + gains[k, one] * innovation[one]
     for k in range(n):
-        total = by_input[0, k] * now + by_input[1, k] * then
+        for one in range(f):
+            state[k, one] = of_inputs[0, k, one] * now[one] + of_inputs[1, k, one] * then[one]
         for j in range(n):
-            total += transition[k, j] * corrected[j]
-        state[k] = total
-    return innovation
+            for one in range(f):
+                state[k, one] += of_states[k, j, one] * corrected[j, one]
 
 
 @compiled(nogil=True)
