@@ -14,6 +14,7 @@ from ingest.simulator.scenario_file import load_scenario
 
 SMOOTH, JUMPS = "smooth", "P8/113A"
 FAMILIES = (SMOOTH, JUMPS)
+STEP = 0.005e-3  # m between points of contact tables: contact jumps are where the profiles have them
 ROOT = -33.0  # mm, in the flange: a corner, where no tread is
 STEEPNESS = (0.06, 0.16)  # of the treads, from the first wheelset to the last
 CUBIC = 300e-6  # 1/mm2, by which treads are steeper towards the flange
@@ -41,7 +42,8 @@ def fleet(family: str, seed: int, vehicles: int, wheels: Path) -> Scenario:
     if family == SMOOTH:
         pair = _smooth_pair(pair, 4 * vehicles, wheels)
     plan = replace(drawn, vehicles=vehicles, pairs=(pair,))
-    return with_seed(replace(scenario, name=f"rivals {family}", drawn=plan), seed)
+    running = replace(scenario.running, contact_step=STEP)
+    return with_seed(replace(scenario, name=f"rivals {family}", drawn=plan, running=running), seed)
 
 
 def _smooth_pair(pair: ProfilePair, wheelsets: int, folder: Path) -> ProfilePair:

@@ -24,7 +24,8 @@ from estimation.values.reasons import Reason, ReasonCode
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
 LARGEST_STD = 0.1  # of a conicity that is published: wheelsets in service have 0.02 to 0.6
-BLUR_SHARE = 0.5  # of what sharpening changes: what is not known of it
+BLUR_SHARE = 0.3  # of what sharpening changes: what is not known of it
+SLOW_STD = 0.1e-3  # m, of what the high-pass takes from y - d: the slow motion of the wheelset itself
 ALIKE_SHARE = 0.15  # of the part of R that is alike on both sides: what the high-pass makes of it
 ALIKE_REACH = 3e-3  # m of y - d: wheelsets hardly run further
 ALIKE_POINTS = 61
@@ -163,8 +164,8 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
     """
     low, high = curve.edges[:-1][run], curve.edges[1:][run]
     nodes = np.stack([nodes_of(shape[run]) for shape in curve.difference])
-    blur = float(np.hypot(curve.error.std, curve.error.jump_position_std))
-    sharp = sharpen(low, high, nodes[0], jackknife_std(nodes), blur)
+    slow = SLOW_STD if curve.band_limited else 0.0
+    sharp = sharpen(low, high, nodes[0], jackknife_std(nodes), float(np.hypot(curve.error.blur, slow)))
     x = (1 - curve.error.excess) * sharp.displacement
     shifted = nodes[0] + nodes_of(np.moveaxis(curve.sensitivity[run], 1, -1)).T  # (k, m)
     rows = [(x, sharp.curve(row)) for row in (*nodes, *shifted)]
@@ -199,7 +200,7 @@ def _systematic(
     x, curve = row
     here = equivalent_conicity(x, curve, amplitude)
     middle = zero_crossing(x, curve)
-    jump = error.jump_place_std(sharp.blur + sharp.left)
+    jump = error.jump_place_std(min(sharp.blur, error.blur) + sharp.left)
     blurred = replace(error, std=sharp.left).rounded(*plain)
 
     covered = float(np.max(amplitude[np.isfinite(here)], initial=0.0))  # beyond, the conicity is as at its end

@@ -216,6 +216,11 @@ class DisplacementError:
     jump_position_std: float = 0.0  # m, std of where contact jumps are besides, from place to place
     jump_mean_std: float = 0.0  # m, the same on average
 
+    @property
+    def blur(self) -> float:
+        """The std, m, over which the error and a varying gauge blur contact jumps."""
+        return float(np.hypot(self.std, self.jump_position_std))
+
     def jump_place_std(self, blur: float) -> float:
         """Return the std, m, of where contact jumps are found on average behind a blur (m, std)."""
         return float(np.linalg.norm([JUMP_PLACE, JUMP_PLACE_SHARE * blur, self.jump_mean_std]))

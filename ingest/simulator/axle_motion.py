@@ -244,7 +244,8 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
     """
     gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
     with _named(scenario, plan):
-        return worn_contact(plan, wear_at(plan, odometer), section_at(scenario, odometer), gauges, limit)
+        section, step = section_at(scenario, odometer), scenario.running.contact_step
+        return worn_contact(plan, wear_at(plan, odometer), section, gauges, limit, step)
 
 
 def true_geometry(scenario: Scenario, plan: WheelsetPlan, contact: WornContact) -> GeometryTruth:

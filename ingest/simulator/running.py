@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from ingest.simulator.creep_laws import Creep, CreepLaw
 from ingest.simulator.irregularity import Waves
 
+CONTACT_STEP = 0.05e-3  # m of lateral displacement between the points of a contact table
+
 
 @dataclass(frozen=True, slots=True)
 class FrictionPlan:
@@ -40,6 +42,7 @@ class RunningPlan:
     traction: bool = False  # whether axles pull and brake as the speed changes
     driven_axles: tuple[int, ...] = ()  # from 1; empty: all
     contact_half_width: float = 0.0  # m of lateral displacement over which the contact is averaged
+    contact_step: float = CONTACT_STEP  # m between points of a contact table: a contact jump is a ramp as wide
     stretches: tuple[FrictionStretch, ...] = ()  # of another friction; where they overlap the last one holds
 
     @property

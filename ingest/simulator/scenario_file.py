@@ -209,6 +209,7 @@ class ScenarioTable(InputTable):
             traction=self.traction is not None,
             driven_axles=() if self.traction is None else tuple(self.traction.driven_axles),
             contact_half_width=MM * self.wheels.contact_half_width_mm,
+            contact_step=MM * self.wheels.contact_step_mm,
             stretches=tuple(stretch.plan() for stretch in self.creep.stretches),
         )
 

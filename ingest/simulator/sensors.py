@@ -1,8 +1,10 @@
 """What a sensor node makes of the true motion: noise, offset, drift, clipping, anti-alias filter, sampling.
 
 The node samples at 1 kHz, clips at its range, filters with a linear-phase low-pass whose delay it takes out of its
-time stamps (so sample k belongs to the instant of its SYNC), and decimates. A node with gyroscopes sends the slope of
-the rates that they measure. Quantisation to int16 happens in the codec, by the scale of the signal catalogue.
+time stamps (so sample k belongs to the instant of its SYNC), and decimates. Where a wheelset passes a contact jump it
+accelerates for less time than passes between two samples of the motion: a node that filters gets slopes of the true
+velocities, whose integral holds such pulses. A node with gyroscopes sends the slope of the rates that they measure.
+Quantisation to int16 happens in the codec, by the scale of the signal catalogue.
 """
 
 from __future__ import annotations
@@ -19,8 +21,10 @@ from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.sensor_errors import NodeErrors, SensorErrors, in_sensor_axes, sampled_late, vibration_of
+from ingest.simulator.stepping import time_derivative
 
 FULL_RATE_HZ = round(1.0 / STEP)
+VELOCITIES = ("lateral_velocity", "yaw_rate", "roll_rate", "mass_lateral_velocity")  # as in ACCELERATIONS
 _PASS = 0.36  # end of the flat band, as a share of the output rate
 _STOP = 0.64  # what is above folds back onto the flat band's outside only
 _RIPPLE_DB = 70.0
@@ -142,7 +146,10 @@ def measure(
 
 def _true_signals(motion: WheelsetMotion, node: SensorNode, errors: NodeErrors | None) -> list[FloatArray]:
     """Return what the transducers are exposed to, four signals (n,) in the order of ``ACCELERATIONS``."""
-    signals = [np.asarray(getattr(motion, name)) for name in ACCELERATIONS]
+    if node.anti_alias:
+        signals = [time_derivative(getattr(motion, name), STEP) for name in VELOCITIES]
+    else:
+        signals = [np.asarray(getattr(motion, name)) for name in ACCELERATIONS]
     if motion.path_accelerations is not None:
         signals = [signal + path for signal, path in zip(signals, motion.path_accelerations, strict=True)]
     if node.measures_gravity:

@@ -14,9 +14,9 @@ from estimation.contact.table import ContactTable
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.profile_files import rails_of, wheels_of
+from ingest.simulator.running import CONTACT_STEP
 from ingest.simulator.scenario import SectionPlan, WheelsetPlan
 
-DISPLACEMENT_STEP = 0.05e-3  # m
 AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
 
 
@@ -54,6 +54,7 @@ def worn_contact(
     section: SectionPlan,
     gauge_deviation: FloatArray,
     limit: float,
+    step: float = CONTACT_STEP,
 ) -> WornContact:
     """Return the contact geometry of a worn wheelset on ``section``, rigid with roll.
 
@@ -67,6 +68,8 @@ def worn_contact(
         (g,) m, for which gauges.
     limit
         m of lateral displacement to either side.
+    step
+        m of lateral displacement between the points of the table.
 
     Raises
     ------
@@ -74,7 +77,7 @@ def worn_contact(
         The profiles never touch.
     """
     wheelset = _on_track(plan, wear, section)
-    return WornContact(wheelset, contact_table(wheelset, _grid(limit), gauge_deviation, outside="hold"))
+    return WornContact(wheelset, contact_table(wheelset, _grid(limit, step), gauge_deviation, outside="hold"))
 
 
 def _on_track(plan: WheelsetPlan, wear: WearState, section: SectionPlan) -> WheelsetOnTrack:
@@ -92,9 +95,9 @@ def _on_track(plan: WheelsetPlan, wear: WearState, section: SectionPlan) -> Whee
     )
 
 
-def _grid(limit: float) -> FloatArray:
-    half = round(limit / DISPLACEMENT_STEP)
-    return np.asarray(DISPLACEMENT_STEP * np.arange(-half, half + 1))
+def _grid(limit: float, step: float) -> FloatArray:
+    half = round(limit / step)
+    return np.asarray(step * np.arange(-half, half + 1))
 
 
 @dataclass(frozen=True, slots=True)

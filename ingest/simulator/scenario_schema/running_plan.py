@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
 from ingest.simulator.creep_laws import Creep, CreepLaw
 from ingest.simulator.irregularity import Waves
-from ingest.simulator.running import FrictionPlan, FrictionStretch
+from ingest.simulator.running import CONTACT_STEP, FrictionPlan, FrictionStretch
 from ingest.simulator.scenario_schema.units import MM
 from ingest.simulator.surface import STRETCH_END
 
@@ -139,6 +139,7 @@ class WheelsTable(InputTable):
 
     out_of_round_mm: float = Field(default=0.0, ge=0.0, le=2.0)
     contact_half_width_mm: float = Field(default=0.0, ge=0.0, le=5.0)
+    contact_step_mm: float = Field(default=CONTACT_STEP / MM, ge=0.001, le=0.2)
 
 
 class TractionTable(InputTable):

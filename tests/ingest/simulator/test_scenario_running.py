@@ -75,6 +75,7 @@ def test_what_is_not_drawn_leaves_track_and_motion_as_they_are(tmp_path: Path) -
     track = scenario_track(scenario)
     assert track.surface is None
     assert scenario.running == RunningPlan()
+    assert scenario.running.contact_step == pytest.approx(0.05e-3)
     assert scenario.running.plain
 
 
@@ -146,6 +147,18 @@ def test_contacts_of_finite_size_smooth_the_table_and_keep_a_cone(tmp_path: Path
     sloped = replace(table, rolling_radius_left=table.rolling_radius_left * 0.0 + table.lateral_displacement[:, None])
     kept = averaged(sloped, 0.5e-3).rolling_radius_left[20:-20]
     np.testing.assert_allclose(kept, sloped.rolling_radius_left[20:-20], atol=1e-12)
+
+
+def test_the_contact_step_is_that_of_the_table_and_narrows_its_jumps(tmp_path: Path) -> None:
+    ramps = []
+    for step in (0.05, 0.01):
+        text = SMALL.replace("[fleet]", f"[wheels]\ncontact_step_mm = {step}\n[fleet]")
+        scenario = scenario_of(tmp_path, text)
+        table = contact_of(scenario, scenario_track(scenario), scenario.vehicles[0].wheelsets[0], 5e7).table
+        displacement = table.lateral_displacement
+        np.testing.assert_allclose(np.diff(displacement), 1e-3 * step)
+        ramps.append(np.max(np.diff(table.rolling_radius_difference[:, 0])) / np.diff(displacement)[0])
+    assert ramps[1] > 3.0 * ramps[0]
 
 
 def test_wheelsets_of_another_radius_get_contact_and_motion_of_that_radius(tmp_path: Path) -> None:
