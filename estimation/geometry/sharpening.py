@@ -24,7 +24,7 @@ from estimation.values.arrays import FloatArray
 
 CELLS = 5  # in a bin
 LEAST_STD = 5e-6  # m of a node: blurs are not quite normal
-ROUGHNESS = 1.0  # std that a change of the slope by 1 from cell to cell counts for
+ROUGHNESS = 0.5  # std that a change of the slope by 1 from cell to cell counts for; a contact jump has 2 to 8
 MOST_MISFIT = 1.0  # rms, in std of the nodes
 BLURS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # of the longest that is to be expected
 SAMPLES = 8  # in a bin, for its quadratic

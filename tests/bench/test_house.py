@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -107,6 +108,14 @@ def test_every_parameter_of_a_public_function_is_documented(package: str, fewest
 
 def test_no_loose_word_is_left_in_code_and_docs() -> None:
     assert loose_words(ROOT) == {}
+
+
+def test_every_mutant_has_its_place_and_its_tests() -> None:
+    listed = tomllib.loads((ROOT / "bench" / "mutants.toml").read_text(encoding="utf-8"))["threshold"]
+    assert len(listed) > 200
+    for entry in listed:
+        assert (ROOT / entry["module"]).read_text(encoding="utf-8").count(entry["find"]) == 1, entry["name"]
+        assert all((ROOT / test).exists() for test in entry["tests"]), entry["name"]
 
 
 def test_parameters_are_documented_in_their_section_alone() -> None:

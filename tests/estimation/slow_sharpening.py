@@ -12,7 +12,7 @@ from estimation.values.arrays import FloatArray
 
 WIDTH = 0.25e-3  # m of a bin
 CELL = WIDTH / 5.0
-SHARES = (1.0, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
+SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
 MOST_MISFIT = 1.0
 
 
@@ -72,7 +72,7 @@ def slow_with_blur(low: FloatArray, nodes: FloatArray, std: FloatArray, blur: fl
     response = slow_response(len(low), beyond, blur)
     weight = 1.0 / np.sqrt(std**2 + 5e-6**2)
     changes = np.diff(np.eye(len(edges) - 1), axis=0)
-    system = np.vstack([weight[:, None] * response, np.column_stack([np.zeros(len(changes)), changes])])
+    system = np.vstack([weight[:, None] * response, np.column_stack([np.zeros(len(changes)), 0.5 * changes])])
     wanted = np.append(weight * nodes, np.zeros(len(changes)))
     centre_slope = np.diff(nodes[1::2]) / WIDTH
     least = min(0.0, 2.0 * float(centre_slope.min()))

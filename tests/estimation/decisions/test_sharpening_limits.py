@@ -36,19 +36,31 @@ def noisy(seed: int) -> FloatArray:
 
 @pytest.mark.parametrize(
     ("blur", "share"),
-    [(0, 0), (0.06, 0.1), (0.1, 0.2), (0.13, 0.3), (0.16, 0.4), (0.19, 0.5), (0.24, 0.6), (0.3, 0.8), (0.4, 1)],
+    [
+        (0, 0),
+        (0.06, 0.1),
+        (0.1, 0.2),
+        (0.13, 0.3),
+        (0.16, 0.4),
+        (0.19, 0.5),
+        (0.23, 0.6),
+        (0.25, 0.7),
+        (0.28, 0.8),
+        (0.31, 0.9),
+        (0.4, 1),
+    ],
 )
-def test_the_longest_blur_of_nine_is_taken_that_the_nodes_allow(blur: float, share: float) -> None:
+def test_the_longest_blur_of_eleven_is_taken_that_the_nodes_allow(blur: float, share: float) -> None:
     nodes = stepped(1e-3 * blur)
     slow = slow_sharpened(LOW, nodes, EXACT, LONGEST)
     assert slow is not None
     found = sharpen(LOW, HIGH, nodes, EXACT, LONGEST)
     assert found.blur == slow.blur == pytest.approx(share * LONGEST)
     np.testing.assert_allclose(found.displacement, slow.displacement, atol=1e-15)
-    np.testing.assert_allclose(found.curve(nodes), slow.curve, atol=4e-9)
+    np.testing.assert_allclose(found.curve(nodes), slow.curve, atol=8e-9)
 
 
-@pytest.mark.parametrize(("blur", "misfit", "taken"), [(0.325e-3, 1.043, False), (0.33e-3, 0.952, True)])
+@pytest.mark.parametrize(("blur", "misfit", "taken"), [(0.324e-3, 1.011, False), (0.326e-3, 0.974, True)])
 def test_a_blur_is_allowed_up_to_a_misfit_of_one_std(blur: float, misfit: float, *, taken: bool) -> None:
     nodes = stepped(blur)
     assert slow_with_blur(LOW, nodes, EXACT, LONGEST).misfit == pytest.approx(misfit, abs=0.002)
@@ -65,7 +77,7 @@ def test_noise_and_falls_give_what_a_general_solver_gives(seed: int, std: float)
     found = sharpen(LOW, HIGH, noisy(seed), stds, 0.25e-3)
     assert found.blur == slow.blur
     assert len(found.displacement) == 5 * len(LOW) + 1
-    np.testing.assert_allclose(found.curve(noisy(seed)), slow.curve, atol=4e-9)
+    np.testing.assert_allclose(found.curve(noisy(seed)), slow.curve, atol=8e-9)
 
 
 @pytest.mark.parametrize(("steps", "left"), [(1, np.hypot(LONGEST, WIDTH / np.sqrt(12.0))), (2, 0.0)])
