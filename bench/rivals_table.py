@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.report import BenchRow
 from bench.results_page import markdown_table
-from bench.rivals_fleets import JUMPS, SMOOTH
+from bench.rivals_fleets import JUMPS, SMOOTH, STEP
 
 TITLE = "Rival estimators"
 HEADER = (
@@ -20,9 +20,9 @@ NEAR = 3  # amplitudes 1.0, 1.25 and 1.5 mm come first
 REACH_NEAR, REACH_SPEED, REACH_COVER, FOLLOWS = 0.01, 1000.0, 0.92, 0.01
 DEFAULT, OF_TODAY, FAILING = "bins", "hidden", ("extended_kalman", "particles", "cubic", "linear", "known_irregularity")
 NEAR_TEXT = (
-    "Next to contact jumps (P8/113A, 1.0 to 1.5 mm). The simulator's contact table has points every 0.05 mm, so that "
-    "wheelsets run on jumps that are ramps, up to 0.025 mm from where the profiles have them. 'As run' is against that "
-    "table; its conicity is itself off by {:.4f} (95th percentile) from that of the profiles."
+    "Next to contact jumps (P8/113A, 1.0 to 1.5 mm). The simulator's contact tables have points every {:g} mm here, so "
+    "that jumps are where the profiles have them. 'As run' is against that table; its conicity is itself off by {:.4f} "
+    "(95th percentile) from that of the profiles."
 )
 Scores = Sequence[Mapping[str, Any]]
 
@@ -128,7 +128,7 @@ def page_body(found: Scores) -> list[str]:
     return [
         f"Seeds: {listed}. Errors are of the equivalent conicity at 1.0 to 3.0 mm, against the profiles.",
         markdown_table(HEADER, table_rows(found), range(4, 10)),
-        NEAR_TEXT.format(floor(found)),
+        NEAR_TEXT.format(1e3 * STEP, floor(found)),
         markdown_table(near, near_rows(found), range(2, 6)),
         markdown_table(("what", "measured", "reach", "met"), rows),
     ]
