@@ -53,7 +53,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     isolation = Isolation(context, STAGE)
     failed = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
     with context.storage.read() as unit:
-        seen, looks = unit.looks.of(STAGE), _looks(unit, context)
+        seen, looks = unit.looks.of(STAGE), wheelset_looks(unit, context)
     news = [serial for serial, look in looks.items() if seen.get(serial) != look or serial in failed]
     if not news:
         counts["unchanged"] = len(looks)
@@ -69,8 +69,16 @@ def run(context: JobContext) -> Mapping[str, int]:
     return counts
 
 
-def _looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
-    """Return by wheelset what is said of it rests on, by what has happened to it, and what is common to all."""
+def wheelset_looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
+    """Return by wheelset what is said of it rests on, by what has happened to it, and what is common to all.
+
+    Parameters
+    ----------
+    unit
+        As one transaction sees it, before the look.
+    context
+        Settings and version of the numerics.
+    """
     codes = unit.registry.classes_in_use()
     classes = [(code, None if (found := unit.registry.vehicle_class(code)) is None else found.digest) for code in codes]
     layouts = sorted((code, standing.layout) for code, standing in unit.tracks.standings().items())
