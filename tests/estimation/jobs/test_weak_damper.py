@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from one_database import on_sqlite
-from wheelset_life import DAY_NS, START_NS, SetClock, register
+from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.no_data import NoDataRule
@@ -15,9 +15,10 @@ from estimation.alerts.rules.weak_damper import WeakDamperRule, weak_damper_find
 from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
+from estimation.jobs.steps.store_dampers import store_dampers
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, Condition
-from estimation.values.dampers import GearDamper
+from estimation.values.dampers import GearDamper, WindowDamper
 from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
@@ -68,6 +69,23 @@ def test_a_weak_damper_is_in_the_feed_after_one_run_and_ends_when_it_is_whole_ag
     assert evaluated(storage, damper(0.96, 5), 5)[-2:] == ["cleared", "closed"]
     assert opened(storage) == []
     assert evaluated(storage, damper(0.2, 6), 6)[-1] == "raised"
+
+
+@on_sqlite
+def test_what_windows_say_is_news_of_the_wheelset_that_the_alert_stands_at(
+    storage: Storage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    register(storage, "W1")
+    run_windows(storage, "W1", 2, 2)
+    assert evaluated(storage, None, 2) == []
+    monkeypatch.setattr("estimation.jobs.steps.store_dampers.gear_damper", lambda *_: damper(0.2, 2))
+    with storage.write() as unit:
+        (*_, record) = unit.windows.list("W1")
+        why = Reason(ReasonCode.DAMPER_NOT_EXCITED, "too little")
+        said = WindowDamper("V1", 1, "W1", record.start_ns, 1.0, record.content_digest, "c" * 64, 0.02, reason=why)
+        context = JobContext(storage, SetClock(START_NS + 2 * DAY_NS), "test", JobSettings())
+        store_dampers(unit, [said], context)
+    assert evaluated(storage, None, 2) == ["raised"]
 
 
 @on_sqlite
