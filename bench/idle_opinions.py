@@ -6,7 +6,8 @@ section for every section. Packed values have their first ``KEPT_BYTES`` alone: 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Insert, Table, case, func, insert, literal, select
 
@@ -53,11 +54,12 @@ def opinions_copied(mounting: Mounting, model: Mounting, sections: Sequence[str]
         day = (table.c.start_ns // DAY_NS) % len(sections)
         place = case(*((day == at, literal(code)) for at, code in enumerate(sections)))
         yield _copy(table, {"wheelset": wheelset, "vehicle": vehicle, section: place}, _same(table, model))
-    gear = {"vehicle": vehicle, "first_axle": literal(mounting.axle)}
+    gear: dict[str, ColumnElement[Any]] = {"vehicle": vehicle, "first_axle": literal(mounting.axle)}
     yield _copy(DAMPERS, {"wheelset": wheelset, **gear}, _same(DAMPERS, model))
     yield _copy(GEARS, gear, (GEARS.c.vehicle == model.vehicle) & (GEARS.c.first_axle == model.axle))
-    for code in sections:
-        yield _copy(CELLS, {"wheelset": wheelset, "section": literal(code)}, _same(CELLS, model))
+    by_interval = CELLS.c.mileage_interval % len(sections)
+    place = case(*((by_interval == at, literal(code)) for at, code in enumerate(sections)))
+    yield _copy(CELLS, {"wheelset": wheelset, "section": place}, _same(CELLS, model))
     for table in OF_WHEELSET:
         yield _copy(table, {"wheelset": wheelset}, _same(table, model))
 
@@ -103,8 +105,8 @@ def _same(table: Table, model: Mounting) -> ColumnElement[bool]:
     return table.c.wheelset == model.wheelset
 
 
-def _copy(table: Table, own: dict[str, ColumnElement[object]], rows: ColumnElement[bool]) -> Insert:
+def _copy(table: Table, own: Mapping[str, ColumnElement[Any]], rows: ColumnElement[bool]) -> Insert:
     names = [column.name for column in table.columns]
     cut = {"packed": func.substr(table.c.packed, 1, KEPT_BYTES)} if "packed" in names else {}
-    values = {**cut, **own}
+    values: dict[str, ColumnElement[Any]] = {**cut, **own}
     return insert(table).from_select(names, select(*(values.get(name, table.c[name]) for name in names)).where(rows))
