@@ -20,6 +20,7 @@ from sqlalchemy import Engine, event, func, select
 from api.factory import job_context, open_store, scheduled_jobs
 from api.settings import Settings
 from bench.idle_fleet import FleetSize, fill
+from bench.idle_opinions import note_opinions
 from bench.report import BenchRow
 from bench.wheelset_year import At
 from bench.worker_kinds import cpu_of
@@ -27,7 +28,17 @@ from estimation.errors import TreadwatchError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.values.runs import JobTrigger
 from fleet_db.migrate import upgrade
-from fleet_db.models import AlertRow, TrackSectionRow, WheelsetRow, WindowRow
+from fleet_db.models import (
+    AlertRow,
+    GearDamperRow,
+    RailCellRow,
+    SectionAdhesionRow,
+    TrackSectionRow,
+    WearSignatureRow,
+    WheelsetRow,
+    WindowAdhesionRow,
+    WindowRow,
+)
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from tests.postgres_server import SAFE, PostgresServer, stoppable_server
@@ -35,6 +46,9 @@ from tests.postgres_server import SAFE, PostgresServer, stoppable_server
 ROUNDS = 5
 MOST_RUNS = 6
 """After so many runs of all jobs there is nothing to do any more."""
+
+JUDGED_TOGETHER = ("refresh_signatures", "refresh_rails")
+"""Jobs that read all of a fleet where there is news of one wheelset: what they have seen is noted instead."""
 
 LATER_NS = 3_600_000_000_000
 REACH_S = 1.0
@@ -76,7 +90,9 @@ def _measured(name: str, settings: Settings, size: FleetSize, server_s: Callable
         end_ns = fill(context, storage, settings, size)
         filled_s = time.perf_counter() - began
         at, jobs = replace(context, clock=At(end_ns + LATER_NS)), scheduled_jobs(settings)
-        runs = _run_until_nothing_is_done(at, jobs)
+        runs = _run_until_nothing_is_done(at, tuple(job for job in jobs if job.name not in JUDGED_TOGETHER))
+        note_opinions(at, storage)
+        runs += _run_until_nothing_is_done(at, jobs)
         yield BenchRow(
             f"{name}: filled with", f"{_counts(storage)} ({filled_s:.0f} s; at rest after {runs} runs)", "", met=True
         )
@@ -148,6 +164,11 @@ def _counts(storage: SqlStorage) -> str:
                 ("sections", TrackSectionRow),
                 ("wheelsets", WheelsetRow),
                 ("alerts", AlertRow),
+                ("signatures", WearSignatureRow),
+                ("creep forces", WindowAdhesionRow),
+                ("dampers", GearDamperRow),
+                ("rail cells", RailCellRow),
+                ("sections with friction", SectionAdhesionRow),
             )
         }
     return ", ".join(f"{count:,} {name}" for name, count in of.items())

@@ -1,9 +1,10 @@
 """A fleet whose windows are all estimated: rows of a small real deployment, copied to 1,000 vehicles in bulk.
 
 One wheelset runs through receiver and jobs for ``DAYS`` days (``bench.wheelset_year``). Its windows, positions, bin
-tables, roll-ups, geometries and trends are copied for every axle of every vehicle; registry, sections, alignments and
-epochs are written through the stores, as they are made otherwise. Of packed sums, of which a window has 50 kB and
-which no idle run reads, the copies have the first ``KEPT_BYTES``: about what databases keep in the row of such a value.
+tables, roll-ups, geometries, trends and second opinions (``bench.idle_opinions``) are copied for every axle of every
+vehicle; registry, sections, alignments and epochs are written through the stores, as they are made otherwise. Of packed
+sums, of which a window has 50 kB and which no idle run reads, the copies have the first ``KEPT_BYTES``: about what
+databases keep in the row of such a value.
 """
 
 from __future__ import annotations
@@ -14,12 +15,15 @@ from dataclasses import dataclass, replace
 from sqlalchemy import Connection, Insert, Table, case, func, insert, literal, select, update
 
 from api.settings import Settings
-from bench.wheelset_year import SERIAL, WheelsetYear, recorded
-from estimation.jobs.job import JobContext
+from bench.idle_opinions import DAY_NS, KEPT_BYTES, opinions_copied, put_friction
+from bench.wheelset_year import SERIAL, At, WheelsetYear, recorded
+from estimation.jobs.catalogue import job_named
+from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
+from estimation.values.runs import JobTrigger
 from estimation.values.track import AlignmentSource
 from estimation.values.track_epochs import FoldState, TrackEpoch
 from fleet_db.changes import CHANGES
@@ -50,14 +54,13 @@ FASTER_OF = 8
 
 FASTER = 1.6
 TOGETHER = 50  # vehicles written in one transaction
-KEPT_BYTES = 500
+OPINIONS = ("refresh_adhesion", "refresh_signatures", "refresh_rails")
 SUMS = {"window_bin_tables": ("packed",), "rolling_sums": ("packed",), "roll_up_states": ("earlier",)}
 SUMS |= {"roll_ups": ("plain", "forgetting")}
 WINDOWS, POSITIONS, TABLES = table_of(WindowRow), table_of(WindowPositionRow), table_of(WindowBinTableRow)
 ROLL_UPS, MEMBERS, EPOCHS = table_of(RollUpRow), table_of(TrackEpochWindowRow), table_of(TrackEpochRow)
 MOUNTINGS, CHUNKS = table_of(MountingRow), table_of(ChunkRow)
 OF_WHEELSET = (table_of(RollUpStateRow), table_of(RollingSumsRow), table_of(GeometryRow), table_of(TrendRow))
-DAY_NS = 86_400_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +99,15 @@ def fill(context: JobContext, storage: SqlStorage, settings: Settings, size: Fle
         Of the fleet.
     """
     end_ns = WheelsetYear(context, storage, recorded(context, storage, settings)).put(1, DAYS)
+    for name in OPINIONS:
+        run_job(job_named(name), replace(context, clock=At(end_ns)), JobTrigger.CLI)
     with storage.write() as unit:
         _sections(unit, size)
     for first in range(0, size.vehicles, TOGETHER):
         with storage.write() as unit:
             _vehicles(unit, size, range(first, min(size.vehicles, first + TOGETHER)))
     with storage.write() as unit:
+        put_friction(unit.connection, [size.section(number) for number in range(size.sections)])
         _epochs(unit, context.settings)
         _members(unit, context.settings)
         unit.connection.execute(update(CHANGES).values(geometry_change=CHANGES.c.change))
@@ -132,6 +138,7 @@ def _vehicles(unit: SqlUnitOfWork, size: FleetSize, numbers: Sequence[int]) -> N
     assert model.mounting is not None
     vehicle = unit.registry.vehicle(model.mounting.vehicle)
     for number in numbers:
+        sections = size.sections_of(number)
         fleet = f"F-{number % FLEETS:02d}"
         unit.registry.add_fleet(FleetRecord(fleet, fleet))
         faster = FASTER if number % FASTER_OF == 0 else 1.0
@@ -145,7 +152,7 @@ def _vehicles(unit: SqlUnitOfWork, size: FleetSize, numbers: Sequence[int]) -> N
             serial = size.serial(number, axle)
             mounting = replace(model.mounting, wheelset=serial, vehicle=size.vehicle(number), axle=axle)
             unit.registry.add_wheelset(replace(model, serial=serial, fleet=fleet, mounting=mounting))
-            for statement in _copied(size, number, mounting):
+            for statement in (*_copied(size, number, mounting), *opinions_copied(mounting, model.mounting, sections)):
                 unit.connection.execute(statement)
         unit.connection.execute(insert(CHUNKS), list(_chunks(unit.connection, size.vehicle(number))))
 

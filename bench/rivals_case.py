@@ -163,6 +163,8 @@ def _bytes(value: object) -> int:
     """Return the bytes of all arrays in a frozen value."""
     if isinstance(value, np.ndarray):
         return int(value.nbytes)
+    if isinstance(value, tuple):
+        return sum(map(_bytes, value))
     names = [name for cls in type(value).__mro__ for name in getattr(cls, "__slots__", ())]
     return sum(_bytes(getattr(value, name)) for name in names)
 

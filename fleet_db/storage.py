@@ -137,7 +137,7 @@ class SqlUnitOfWork:
         self.trends = TrendStore(connection, self.changes)
         self.suspensions = SuspensionStore(connection)
         self.adhesion = AdhesionStore(connection)
-        self.dampers = DamperStore(connection)
+        self.dampers = DamperStore(connection, self.changes)
         self.signatures = SignatureStore(connection)
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.plausibility = PlausibilityStore(connection, self.windows)

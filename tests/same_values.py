@@ -20,6 +20,9 @@ def same_values(first: object, second: object) -> bool:
         elif is_dataclass(a):
             if not same_values(a, b):
                 return False
+        elif isinstance(a, tuple) and a and is_dataclass(a[0]):
+            if len(a) != len(b) or not all(same_values(one, other) for one, other in zip(a, b, strict=True)):
+                return False
         elif a != b and not (a != a and b != b):  # noqa: PLR0124 - NaN is the value unequal to itself
             return False
     return True

@@ -181,6 +181,19 @@ class LowAdhesionEvidence(Representation):
     delays: Delays | None = Field(description="The delays that it was raised with.")
 
 
+class WeakDamperEvidence(_OfRule):
+    """Evidence of `weak_damper`: the lateral damper of a running gear has lost most of its damping."""
+
+    kind: Literal["weak_damper"]
+    vehicle: str | None = Field(description="Code of the vehicle.")
+    first_axle: int | None = Field(description="First axle of the running gear, from 1.")
+    damping_share_1: Uncertain | None = Field(description="Damping over that of the vehicle class on file.")
+    windows: int | None = Field(description="Windows that show it.")
+    measured_from: Timestamp | None = Field(description="Start of the first of them.")
+    measured_to: Timestamp | None = Field(description="Start of the last of them.")
+    limit_1: float | None = Field(description="Share below which the alert is raised.")
+
+
 class FleetAlertEvidence(Representation):
     """Evidence of a fleet alert of any kind: how many alerts it stands for. They themselves are under `members`."""
 
@@ -219,6 +232,7 @@ Evidence = Annotated[
     | SuspensionChangeEvidence
     | DataQualityEvidence
     | LowAdhesionEvidence
+    | WeakDamperEvidence
     | FleetAlertEvidence
     | OtherEvidence,
     Field(discriminator="kind"),

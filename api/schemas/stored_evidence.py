@@ -206,6 +206,20 @@ def _low_adhesion(stored: Stored) -> kinds.LowAdhesionEvidence:
     )
 
 
+def _weak_damper(stored: Stored) -> kinds.WeakDamperEvidence:
+    return kinds.WeakDamperEvidence(
+        kind="weak_damper",
+        vehicle=text(stored.get("vehicle")),
+        first_axle=count(stored.get("first_axle")),
+        damping_share_1=estimate(stored.get("share")),
+        windows=count(stored.get("windows")),
+        measured_from=moment(stored.get("from_ns")),
+        measured_to=moment(stored.get("to_ns")),
+        limit_1=number(stored.get("limit")),
+        **_of_rule(stored),
+    )
+
+
 def _fleet_alert(alert: Alert) -> kinds.FleetAlertEvidence:
     stored = as_counted(alert.evidence)
     listed = stored.get(WHEELSETS)
@@ -261,4 +275,5 @@ _READERS: Mapping[str, Callable[[Stored], kinds.Evidence]] = {
     "suspension_change": _suspension_change,
     "data_quality": _data_quality,
     "low_adhesion": _low_adhesion,
+    "weak_damper": _weak_damper,
 }

@@ -69,7 +69,7 @@ def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> 
         listed = [one for changes in found.values() for one in changes if one.change is not Change.SAME]
         console.print(_table(listed) if listed else "no alert differs")
     console.print(
-        f"not replayed: {' and '.join(NOT_REPLAYED)}, rejected recordings, grouping into fleet alerts; low_adhesion "
+        f"not replayed: {', '.join(NOT_REPLAYED)}, rejected recordings, grouping into fleet alerts; low_adhesion "
         f"where windows keep their sums of friction, {KEPT_NS // DAY_NS} days; nothing was written",
         highlight=False,
     )

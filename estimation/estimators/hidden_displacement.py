@@ -25,7 +25,6 @@ from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_es
 from estimation.estimators.series import GROUPS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
-from estimation.geometry.uncertainty import SCALE_UNCERTAINTY
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.motion import Motion
@@ -46,31 +45,43 @@ JUMP_SHARE = 0.3  # of the std that the gauge moves contact jumps by
 
 
 @dataclass(frozen=True, slots=True)
-class HiddenState:
-    """All samples, in runs within one block each; runs of several states are set behind each other."""
+class HiddenPiece:
+    """The samples of one window, in runs within one block each."""
 
-    parameters: EstimatorParameters
     displacement: FloatArray  # (n,) m
     difference: FloatArray  # (n,) m, R
     start: IntArray  # (r + 1,) first sample of each run, and n
     group: IntArray  # (r,)
-    chunk: IntArray  # (r,) samples
-    weight: FloatArray  # (r,)
+    chunk: int  # samples
+    weight: float
+
+    def __post_init__(self) -> None:
+        n, r = len(self.displacement), len(self.group)
+        object.__setattr__(self, "displacement", frozen_array(self.displacement, (n,), name="displacement"))
+        object.__setattr__(self, "difference", frozen_array(self.difference, (n,), name="difference"))
+        object.__setattr__(self, "start", frozen_array(self.start, (r + 1,), np.int64, name="start"))
+        object.__setattr__(self, "group", frozen_array(self.group, (r,), np.int64, name="group"))
+
+
+@dataclass(frozen=True, slots=True)
+class HiddenState:
+    """All samples, window by window: states share those of earlier ones, so that a window costs its own samples."""
+
+    parameters: EstimatorParameters
+    pieces: tuple[HiddenPiece, ...]
     derivatives: FloatArray  # (CELLS, 6) m, sums of the derivatives of R by the logarithms of the parameters
     counts: FloatArray  # (CELLS,) effective samples by displacement
     stretches: int
 
     def __post_init__(self) -> None:
-        n, r = len(self.displacement), len(self.weight)
-        object.__setattr__(self, "displacement", frozen_array(self.displacement, (n,), name="displacement"))
-        object.__setattr__(self, "difference", frozen_array(self.difference, (n,), name="difference"))
-        object.__setattr__(self, "start", frozen_array(self.start, (r + 1,), np.int64, name="start"))
-        object.__setattr__(self, "group", frozen_array(self.group, (r,), np.int64, name="group"))
-        object.__setattr__(self, "chunk", frozen_array(self.chunk, (r,), np.int64, name="chunk"))
-        object.__setattr__(self, "weight", frozen_array(self.weight, (r,), name="weight"))
         shape = (CELLS, len(YAW_TARGETS) - 1)
         object.__setattr__(self, "derivatives", frozen_array(self.derivatives, shape, name="derivatives"))
         object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
+
+    @property
+    def samples(self) -> int:
+        """How many there are."""
+        return sum(len(piece.displacement) for piece in self.pieces)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,12 +98,7 @@ class HiddenDisplacement:
 
     def init(self, parameters: EstimatorParameters) -> HiddenState:
         """Return the state without samples."""
-        none, no_run = np.zeros(0), np.zeros(0, np.int64)
-        derivatives = np.zeros((CELLS, len(YAW_TARGETS) - 1))
-        start = np.zeros(1, np.int64)
-        return HiddenState(
-            parameters, none, none, start, no_run, no_run, none, derivatives, np.zeros(CELLS), 0
-        )  # fmt: skip
+        return HiddenState(parameters, (), np.zeros((CELLS, len(YAW_TARGETS) - 1)), np.zeros(CELLS), 0)
 
     def update(self, state: HiddenState, motion: Motion, weight: float = 1.0) -> HiddenState:
         """Return the state with the samples of ``motion`` set behind its own, ``weight`` times each."""
@@ -105,14 +111,13 @@ class HiddenDisplacement:
         first = np.flatnonzero(_begins(motion, keep))
         cell = np.floor((x + REACH) / (2 * REACH / CELLS)).astype(np.int64)
         derivatives = np.column_stack([np.bincount(cell, column, CELLS) for column in R[:, 1:].T])
+        piece = HiddenPiece(
+            x, R[:, 0], np.append(first, len(x)), group_of(motion.block[keep][first], GROUPS),
+            _chunk(motion, state.parameters), weight,
+        )  # fmt: skip
         return HiddenState(
             state.parameters,
-            np.append(state.displacement, x),
-            np.append(state.difference, R[:, 0]),
-            np.concatenate([state.start[:-1], len(state.displacement) + np.append(first, len(x))]),
-            np.append(state.group, group_of(motion.block[keep][first], GROUPS)),
-            np.append(state.chunk, np.full(len(first), _chunk(motion, state.parameters))),
-            np.append(state.weight, np.full(len(first), weight)),
+            (*state.pieces, piece),
             state.derivatives + weight * derivatives,
             state.counts + weight * counted(x),
             state.stretches + 1,
@@ -120,13 +125,14 @@ class HiddenDisplacement:
 
     def result(self, state: HiddenState) -> CurveEstimate:
         """Return the last curve, its intervals from groups left out and from what is systematic."""
-        samples = len(state.displacement)
+        samples = state.samples
         span = covered_range(state.counts)
         if span is None:
             reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
             return nothing(reason, state.parameters, samples, state.stretches)
-        if len(np.unique(state.group)) < FEWEST_GROUPS:
-            reason = too_few_blocks(len(np.unique(state.group)))
+        groups = len({group for piece in state.pieces for group in piece.group.tolist()})
+        if groups < FEWEST_GROUPS:
+            reason = too_few_blocks(groups)
             return nothing(reason, state.parameters, samples, state.stretches)
         sums, counts = self._expected(state)
         inside = _run(counts.sum(axis=0), span)
@@ -172,16 +178,15 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
     prior = np.exp(-0.5 * (grid / PRIOR_STD) ** 2)
     prior /= prior.sum()
     sums, counts = np.zeros((2, GROUPS, FINE))
-    for run in range(len(state.weight)):
-        part = slice(state.start[run], state.start[run + 1])
-        x, R, chunk = state.displacement[part], state.difference[part], int(state.chunk[run])
-        posterior = np.ones((len(x) // chunk, len(grid)))
-        if curve is not None:
-            likelihood = np.empty_like(posterior)
-            kernels.weigh(x, R, chunk, curve, -REACH, CELL, grid, NOISE, SHARE, likelihood)
-            kernels.smooth(likelihood, prior, MOVE, posterior)
-        group, weight = state.group[run], float(state.weight[run])
-        kernels.add_expected(x, R, chunk, posterior, grid, -REACH, CELL, weight, sums[group], counts[group])
+    for piece in state.pieces:
+        for group, first, last in zip(piece.group, piece.start[:-1], piece.start[1:], strict=True):
+            x, R, chunk = piece.displacement[first:last], piece.difference[first:last], piece.chunk
+            posterior = np.ones((len(x) // chunk, len(grid)))
+            if curve is not None:
+                likelihood = np.empty_like(posterior)
+                kernels.weigh(x, R, chunk, curve, -REACH, CELL, grid, NOISE, SHARE, likelihood)
+                kernels.smooth(likelihood, prior, MOVE, posterior)
+            kernels.add_expected(x, R, chunk, posterior, grid, -REACH, CELL, piece.weight, sums[group], counts[group])
     return sums, counts
 
 
@@ -218,8 +223,6 @@ def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatAr
     seen = state.counts > 0
     means = state.derivatives[seen] / state.counts[seen, None]
     rows = [std * np.interp(x, coarse[seen], column) for std, column in zip(unknown.yaw(), means.T, strict=True)]
-    stretch = float(np.hypot(SCALE_UNCERTAINTY if state.parameters.band_limited else 0.0, unknown.displacement))
-    rows += [unknown.scale * curve, np.interp(x / (1.0 + stretch), x, curve) - curve]
     middle = zero_crossing(x, curve)
     if state.parameters.band_limited and np.isfinite(middle):
         of_gauge = JUMP_SHARE * unknown.jump_position_std

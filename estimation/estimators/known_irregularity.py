@@ -108,14 +108,13 @@ class KnownIrregularity:
         changes = theta[:, 1:] * _stds(state.parameters)
         variance = (state.squares - theta[:, 0] @ cross[:, 0]) / max(state.counts.sum() - UNKNOWNS, 1.0)
         own = np.linalg.cholesky(np.linalg.inv(gram)) * np.sqrt(max(variance, 0.0))
-        scaled = value * (1.0 + state.parameters.uncertainty.scale)
         moment, rate = state.sums
         of_cell = -(moment / theta[0, 0] + rate) / _lever(state.parameters.vehicle)
         unfollowed = value + beside(x, value, of_cell, state.counts)
         on_file = state.parameters.vehicle.longitudinal_creep_coefficient
         creep_differs = value * (theta[0, 0] / on_file)
         rows = [_line(x, theta[:, 0] + change) for change in changes.T]
-        shifted = np.array([*rows, scaled, unfollowed, creep_differs])
+        shifted = np.array([*rows, unfollowed, creep_differs])
         return curve_estimate(
             Replicates(
                 x,

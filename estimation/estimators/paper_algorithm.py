@@ -1,9 +1,11 @@
 """The paper's own algorithm (``paper_equations``), stretch by stretch: grey-box recursion in every bin of y - d.
 
 Only the yaw identification (Eq. 17-18) runs, which gives rL - rR; V of the paper is the mean speed of a stretch. The
-recursion starts in a bin when the threshold count is reached. Its intervals are those of the recursion's own
-covariance, which takes every residual for independent and every parameter for right. A weight scales the samples by its
-square root, which is what weighted least squares does; the paper's own forgetting factor is per sample and stays 1.
+recursion starts in a bin when the threshold count is reached. Its own covariance takes every residual for independent
+and every parameter for right, so that it holds next to nothing of the truth: published intervals come from groups of
+blocks left out, uncertain parameters, and what the mean of R by cells has beside the curve. A weight scales the samples
+by its square root, which is what weighted least squares does; the paper's own forgetting factor is per sample and
+stays 1.
 """
 
 from __future__ import annotations
@@ -14,10 +16,12 @@ import numpy as np
 
 from estimation.compiled import compiled
 from estimation.errors import ParameterError
+from estimation.estimators.cell_means import CellMeans
 from estimation.estimators.coverage import REACH, usable
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.paper_equations import REGRESSORS, yaw_output
-from estimation.estimators.replicates import Replicates, curve_estimate, nothing
+from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
+from estimation.geometry.conicity import too_few_blocks
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
@@ -37,6 +41,7 @@ class PaperState:
     squares: FloatArray  # (b,) sum of squared residuals
     count: IntArray  # (b,)
     waiting: FloatArray  # (b, threshold, 4) scaled regressors and output
+    cells: CellMeans  # what the published intervals rest on
     stretches: int
 
     def __post_init__(self) -> None:
@@ -77,6 +82,7 @@ class PaperAlgorithm:
             np.zeros(b),
             np.zeros(b, dtype=np.int64),
             np.zeros((b, self.threshold, REGRESSORS + 1)),
+            CellMeans.empty(),
             0,
         )
 
@@ -90,7 +96,8 @@ class PaperAlgorithm:
         features = np.column_stack([motion.yaw[keep], motion.roll_rate[keep], np.ones(int(keep.sum()))]) / SCALE
         output = yaw_output(motion, state.parameters.vehicle, V, keep)
         root = np.sqrt(weight)
-        return self._recursed(state, root * features, root * output, index)
+        cells = state.cells.added(motion, state.parameters.vehicle, weight)
+        return self._recursed(replace(state, cells=cells), root * features, root * output, index)
 
     def _recursed(self, state: PaperState, features: FloatArray, output: FloatArray, index: IntArray) -> PaperState:
         """Run the recursion of every bin over its samples (n,), in their order."""
@@ -112,7 +119,9 @@ class PaperAlgorithm:
                 theta[b], covariance[b], squares[b] = _recurse(
                     theta[b], covariance[b], squares[b], X, z, self.forgetting
                 )
-        return PaperState(state.parameters, theta, covariance, squares, count, waiting, state.stretches + 1)
+        return PaperState(
+            state.parameters, theta, covariance, squares, count, waiting, state.cells, state.stretches + 1
+        )
 
     def result(self, state: PaperState) -> CurveEstimate:
         """Return R of the bins that have started, in the unbroken run around zero."""
@@ -127,8 +136,11 @@ class PaperAlgorithm:
         variance = state.squares[run] / (state.count[run] - REGRESSORS)
         std = abs(per_unit) * np.sqrt(variance * state.covariance[run, 2, 2]) / SCALE[2]
         x = (np.arange(run.start, run.stop) - self._half) * self.width
-        left_out = np.empty((0, len(x)))
-        curve = Replicates(x, R, left_out, R + np.diag(std), samples, state.stretches, np.diag(std))
+        left_out = state.cells.left_out(x)
+        if len(left_out) < FEWEST_GROUPS:
+            return nothing(too_few_blocks(len(left_out)), state.parameters, samples, state.stretches)
+        shifted = R + state.cells.shifted(x, R, state.parameters.uncertainty)
+        curve = Replicates(x, R, R + left_out, shifted, samples, state.stretches, np.diag(std))
         return curve_estimate(curve, state.parameters)
 
     @property

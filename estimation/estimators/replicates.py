@@ -9,6 +9,7 @@ import numpy as np
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.geometry.conicity import NO_AMPLITUDE, NO_OFFSET, NO_ZERO, not_covered, too_few_blocks
+from estimation.geometry.uncertainty import SCALE_UNCERTAINTY
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import jackknife_std, with_interval
 from estimation.values.quantities import Estimate, Status
@@ -22,6 +23,7 @@ class Replicates:
     """A curve over ``displacement``: from all data, with each group left out, shifted by each uncertainty.
 
     An estimator without groups gives none: then all that is uncertain is in ``shifted``, one standard deviation each.
+    What the scales of R and of y - d leave unknown is added to that for every estimator (``with_scales``).
     ``own`` is a root of the covariance that the estimator itself states; it takes no part in the published intervals.
     """
 
@@ -72,8 +74,8 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
     g = len(curve.left_out)
     if 0 < g < FEWEST_GROUPS:
         return nothing(too_few_blocks(g), parameters, curve.samples, curve.stretches)
-    x = curve.displacement
-    rows = np.concatenate([curve.all_data[None], curve.left_out, curve.shifted])
+    x, shifted = curve.displacement, with_scales(curve, parameters)
+    rows = np.concatenate([curve.all_data[None], curve.left_out, shifted])
     amplitude = np.array(parameters.curve.amplitudes)
     values = np.stack([equivalent_conicity(x, row, amplitude) for row in rows])
     count = float(curve.stretches)
@@ -90,7 +92,7 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
     return CurveEstimate(
         displacement=x,
         difference=curve.all_data,
-        difference_std=np.hypot(_spread(rows, g), np.sqrt(((curve.shifted - curve.all_data) ** 2).sum(axis=0))),
+        difference_std=np.hypot(_spread(rows, g), np.sqrt(((shifted - curve.all_data) ** 2).sum(axis=0))),
         amplitude=amplitude,
         conicity=conicity,
         nonlinearity=nonlinearity,
@@ -101,6 +103,21 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
         reason=None if known else NO_AMPLITUDE,
         own_std=_own_std(curve, values[0], amplitude),
     )
+
+
+def with_scales(curve: Replicates, parameters: EstimatorParameters) -> FloatArray:
+    """Return what is uncertain of a curve (p + 2, n), m, with R and y - d larger by one std of their scales.
+
+    Parameters
+    ----------
+    curve
+        Without them.
+    parameters
+        Stds of the scales; that of y - d holds what integration and alignment leave unknown.
+    """
+    x, R, unknown = curve.displacement, curve.all_data, parameters.uncertainty
+    stretch = np.hypot(SCALE_UNCERTAINTY if parameters.band_limited else 0.0, unknown.displacement)
+    return np.vstack([curve.shifted, R * (1.0 + unknown.scale), np.interp(x / (1.0 + stretch), x, R)])
 
 
 def _own_std(curve: Replicates, conicity: FloatArray, amplitude: FloatArray) -> FloatArray:

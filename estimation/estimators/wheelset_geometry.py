@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from estimation.estimators.coverage import usable
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
-from estimation.geometry.conicity import at_reference_amplitude
+from estimation.geometry.conicity import NO_AMPLITUDE, at_reference_amplitude
 from estimation.values.arrays import FloatArray, bin_centres
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.motion import Motion
@@ -71,6 +71,8 @@ def geometry_from_curve(
         Bins of lateral displacement.
     """
     best, amplitude = at_reference_amplitude(curve.amplitude, curve.conicity, parameters.curve)
+    if best.reason == NO_AMPLITUDE and curve.reason is not None:  # why there is no curve at all
+        best = replace(best, reason=curve.reason)
     unknown = np.full(len(samples), np.nan)
     nothing = BinValues(unknown, unknown, (BinStatus.UNOBSERVABLE,) * len(samples))
     return WheelsetGeometry(

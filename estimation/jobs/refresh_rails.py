@@ -1,7 +1,8 @@
 """Job: part what belongs to the rails of each section from what belongs to the wheels of each wheelset.
 
 Conicities of a wheelset by section are made again where something has happened to the wheelset; what follows from all
-of them, where one of them or what holds their level is another.
+of them, where one of them or what holds their level is another. Where nothing has happened to any wheelset, and what is
+on file of sections and classes is as it was, counters say so: no conicity is read.
 """
 
 from __future__ import annotations
@@ -17,10 +18,11 @@ from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import cells_of
+from estimation.jobs.steps.section_looks import NO_SECTION, note_sections
 from estimation.rails.apart import exceeds, init, reported, result, update
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import UnitOfWork
-from estimation.values.look import Look
+from estimation.values.look import Look, SectionLook
 from estimation.values.quarantine import SubjectKind
 from estimation.values.rails import (
     RailPart,
@@ -35,33 +37,63 @@ _log = logging.getLogger(__name__)
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Make cells again where wheelsets have news, each committed on its own; then part wheels and rails if need be."""
-    counts: Counter[str] = Counter(wheelsets=0, cells=0, sections=0, known_refused=0)
+    counts: Counter[str] = Counter(wheelsets=0, cells=0, sections=0, known_refused=0, quarantined=0)
     isolation = Isolation(context, STAGE)
     with context.storage.read() as unit:
-        seen, looks = unit.looks.of(STAGE), _looks(unit, context)
+        seen, looks, whole = unit.looks.of(STAGE), wheelset_looks(unit, context), unit.section_looks.of(STAGE)
+        everything = look_at_all(unit, context, looks)
     failed = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
-    for done, (serial, look) in enumerate(looks.items()):
-        context.checkpoint(done, len(looks))
+    news = [serial for serial, look in looks.items() if seen.get(serial) != look or serial in failed]
+    if not news and whole.get(NO_SECTION) == everything:
+        return counts
+    for done, serial in enumerate(news):
+        context.checkpoint(done, len(news))
         changes = inputs_of(context, serial)
-        unchanged = (before := seen.get(serial)) is not None and before.inputs == look.inputs and serial not in failed
-        if unchanged or isolation.waits(SubjectKind.WHEELSET, serial, changes):
+        if isolation.waits(SubjectKind.WHEELSET, serial, changes):
             continue
         with isolation.alone(SubjectKind.WHEELSET, serial, changes):
-            counts["cells"] += _refresh_cells(context, serial, look)
+            counts["cells"] += _refresh_cells(context, serial, looks[serial])
             counts["wheelsets"] += 1
     counts.update(_refresh_found(context))
+    if not isolation.held(SubjectKind.WHEELSET):  # what is held is read again, whatever is counted
+        note_sections(context, STAGE, {NO_SECTION: everything})
     counts["quarantined"] = isolation.quarantined
     return counts
 
 
-def _looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
-    """Return by wheelset what its cells are made from, by what has happened to it."""
+def wheelset_looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
+    """Return by wheelset what its cells are made from, by what has happened to it.
+
+    Parameters
+    ----------
+    unit
+        As one transaction sees it, before the look.
+    context
+        Settings and version of the numerics.
+    """
     codes = unit.registry.classes_in_use()
     classes = [(code, None if (found := unit.registry.vehicle_class(code)) is None else found.digest) for code in codes]
     settings = context.settings
     common = f"{classes!r} {settings.estimation.as_json()!r} {settings.rails.period_days!r} {context.code_version}"
     touched = unit.looks.touched()
     return {serial: Look(_digest(f"{touched[serial]} {common}")) for serial in sorted(touched)}
+
+
+def look_at_all(unit: UnitOfWork, context: JobContext, looks: Mapping[str, Look]) -> SectionLook:
+    """Return what parting wheels and rails is made from: all wheelsets, and what is on file of all sections.
+
+    Parameters
+    ----------
+    unit
+        As one transaction sees it, before the look.
+    context
+        Settings and version of the numerics.
+    looks
+        Of all wheelsets.
+    """
+    rails, of_wheelsets = context.settings.rails, [(serial, look.inputs) for serial, look in looks.items()]
+    settings = (sorted(rails.known_sections), rails.model)
+    return SectionLook(_digest(f"{of_wheelsets!r} {unit.tracks.sections()!r} {settings!r} {context.code_version}"), 0)
 
 
 def _refresh_cells(context: JobContext, serial: str, look: Look) -> int:

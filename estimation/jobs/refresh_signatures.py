@@ -12,8 +12,10 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from estimation.errors import DamagedError
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.steps.failed_windows import key_of_text, text_of_key
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import VERSION, refresh_windows, usable
 from estimation.jobs.steps.vehicle_classes import ClassLookup
@@ -24,7 +26,6 @@ from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.retirement import Change, current
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values.geometry import GeometryRecord
 from estimation.values.look import Look
 from estimation.values.quantities import Estimate
 from estimation.values.quarantine import SubjectKind
@@ -51,9 +52,9 @@ def run(context: JobContext) -> Mapping[str, int]:
     """Make signatures of new windows, and answers of wheelsets for which something has changed."""
     counts: Counter[str] = Counter(signed=0, without_signature=0, made_again=0, retired=0, answered=0, unchanged=0)
     isolation = Isolation(context, STAGE)
-    failed = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
+    failed = _held(isolation)
     with context.storage.read() as unit:
-        seen, looks = unit.looks.of(STAGE), _looks(unit, context)
+        seen, looks = unit.looks.of(STAGE), wheelset_looks(unit, context)
     news = [serial for serial, look in looks.items() if seen.get(serial) != look or serial in failed]
     if not news:
         counts["unchanged"] = len(looks)
@@ -61,7 +62,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     counts.update(refresh_windows(context, news))
     counts.update(_judge(context, isolation))
     counts["quarantined"] = isolation.quarantined
-    out = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
+    out = _held(isolation)
     with context.storage.write() as unit:
         for serial in news:
             if serial not in out:
@@ -69,8 +70,22 @@ def run(context: JobContext) -> Mapping[str, int]:
     return counts
 
 
-def _looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
-    """Return by wheelset what is said of it rests on, by what has happened to it, and what is common to all."""
+def _held(isolation: Isolation) -> frozenset[str]:
+    """Return the wheelsets that failed, or something of which is damaged."""
+    windows = {key_of_text(item.key)[0] for item in isolation.held(SubjectKind.WINDOW)}
+    return frozenset({item.key for item in isolation.held(SubjectKind.WHEELSET)} | windows)
+
+
+def wheelset_looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
+    """Return by wheelset what is said of it rests on, by what has happened to it, and what is common to all.
+
+    Parameters
+    ----------
+    unit
+        As one transaction sees it, before the look.
+    context
+        Settings and version of the numerics.
+    """
     codes = unit.registry.classes_in_use()
     classes = [(code, None if (found := unit.registry.vehicle_class(code)) is None else found.digest) for code in codes]
     layouts = sorted((code, standing.layout) for code, standing in unit.tracks.standings().items())
@@ -93,28 +108,49 @@ def _judge(context: JobContext, isolation: Isolation) -> Mapping[str, int]:
     with context.storage.read() as unit:
         classes = ClassLookup(unit, context.settings.estimation)
         reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
-        known, without = usable(unit, context, unit.signatures.known())
+        stored = unit.signatures.known()
+        known, without = usable(unit, context, stored.known)
         made, answered = reader.entries(known), unit.signatures.answered()
         subjects = _subjects(reader, known, answered, context.settings.signatures.most_mileage_km)
-        geometries = {
-            serial: _geometry(unit.geometries.current(serial), one.baseline) for serial, one in subjects.items()
-        }
+        geometries = {serial: _geometry(unit, serial, one.baseline) for serial, one in subjects.items()}
+    _set_aside(context, isolation, stored.damaged)
+    unreadable = {serial: one for serial, one in geometries.items() if isinstance(one, DamagedError)}
+    unreadable.update(made.damaged)
+    for serial, error in sorted(unreadable.items()):
+        isolation.keep(SubjectKind.WHEELSET, serial, "", error)
     shelf = _shelved(made, without, context.settings.signatures)
     counts["retired"] = shelf.retired
     for done, (serial, subject) in enumerate(subjects.items()):
         context.checkpoint(done, len(subjects))
-        digest = _digest(context, shelf, subject, geometries[serial])
+        geometry = geometries[serial]
+        if serial in unreadable or isinstance(geometry, DamagedError):
+            continue
+        digest = _digest(context, shelf, subject, geometry)
         if answered.get(serial) == (digest, context.code_version):
             counts["unchanged"] += 1
+            isolation.release(SubjectKind.WHEELSET, serial)
             continue
         with isolation.alone(SubjectKind.WHEELSET, serial):
-            record = _record(context, shelf, subject, geometries[serial], digest)
+            record = _record(context, shelf, subject, geometry, digest)
             with context.storage.write() as unit:
                 unit.signatures.put_answer(record)
             counts["answered"] += 1
             counts["estimated"] += record.answer.conicity.value is not None
             counts["disagreeing"] += record.disagreement is not None and record.disagreement.disagrees
     return counts
+
+
+def _set_aside(context: JobContext, isolation: Isolation, damaged: Sequence[tuple[str, int, str]]) -> None:
+    """Keep windows in quarantine whose signatures cannot be read; these are made again where samples are there."""
+    keys = [(wheelset, start_ns) for wheelset, start_ns, _ in damaged]
+    for wheelset, start_ns, text in damaged:
+        isolation.keep(SubjectKind.WINDOW, text_of_key(wheelset, start_ns), "", DamagedError(text))
+    if keys:
+        with context.storage.write() as unit:
+            unit.signatures.drop(keys)
+    for item in isolation.held(SubjectKind.WINDOW):
+        if key_of_text(item.key) not in keys:
+            isolation.release(SubjectKind.WINDOW, item.key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,8 +236,12 @@ def _kind(one: KnownSignatures) -> _Kind:
     return first.vehicle_class, first.position
 
 
-def _geometry(record: GeometryRecord | None, baseline: int) -> Estimate | None:
+def _geometry(unit: UnitOfWork, serial: str, baseline: int) -> Estimate | DamagedError | None:
     """Return the conicity at 3 mm by the geometry; None without one of the present profile."""
+    try:
+        record = unit.geometries.current(serial)
+    except DamagedError as error:
+        return error
     if record is None or record.baseline != baseline:
         return None
     return conicity_at_limit_amplitude(record.geometry)

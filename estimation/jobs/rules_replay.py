@@ -22,6 +22,7 @@ from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.standing import within_reach
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule
+from estimation.alerts.rules.weak_damper import WeakDamperRule
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.wheelset_facts import windows_wanted
@@ -36,7 +37,7 @@ from estimation.values.trend import TrendRecord, WearTrend
 from estimation.values.windows import WindowRecord, WindowState
 
 DAY_NS = 86_400_000_000_000
-NOT_REPLAYED = (IDENTITY, SuspensionChangeRule.kind)
+NOT_REPLAYED = (IDENTITY, SuspensionChangeRule.kind, WeakDamperRule.kind)
 _ALL = 1000
 _Trends = Callable[[Sequence[IntervalConicities], float], WearTrend]
 

@@ -6,7 +6,7 @@ along the track. Their spectra are those of the accelerations over known powers 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -199,6 +199,14 @@ class KnownSignatures:
 
     found: WindowSignatures
     mileage_km: float
+
+
+@dataclass(frozen=True, slots=True)
+class StoredSignatures:
+    """What is stored of windows and known, and of which it cannot be read: wheelset, start, and what is wrong."""
+
+    known: Sequence[KnownSignatures]
+    damaged: Sequence[tuple[str, int, str]] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, and_, delete, select
 
 from estimation.values.dampers import GearDamper, WindowDamper
+from fleet_db.changes import Changes
 from fleet_db.models.dampers import GearDamperRow, WindowDamperRow
 from fleet_db.models.windows import WindowRow
 from fleet_db.packed_dampers import pack_gear_damper, pack_window_damper, unpack_gear_damper, unpack_window_damper
@@ -26,6 +27,7 @@ class DamperStore:
     """Implements ``estimation.storage.Dampers``."""
 
     connection: Connection
+    changes: Changes
 
     def put(self, found: WindowDamper) -> None:
         """Store what a window says of a damper; what it said before is replaced."""
@@ -71,13 +73,17 @@ class DamperStore:
         own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
         return self.connection.execute(delete(OF_WINDOWS).where(*own, OF_WINDOWS.c.start_ns < before_ns)).rowcount
 
-    def put_gear(self, found: GearDamper, code_version: str, recorded_ns: int) -> bool:
+    def put_gear(self, found: GearDamper, wheelset: str, code_version: str, recorded_ns: int) -> bool:
         """Store the damper of a running gear in place of what was known; return whether anything changed.
+
+        Jobs look again at the wheelset then: its alerts rest on it.
 
         Parameters
         ----------
         found
             From its newest windows.
+        wheelset
+            Serial, of the first axle.
         code_version
             Of the job.
         recorded_ns
@@ -99,7 +105,20 @@ class DamperStore:
         before = self.connection.execute(select(OF_GEARS).where(*own)).mappings().first()
         if before is not None and all(before[name] == value for name, value in values.items()):
             return False
+        self.changes.touch(wheelset)
         return upsert(self.connection, OF_GEARS, values | {"recorded_ns": recorded_ns})
+
+    def gear(self, vehicle: str, first_axle: int) -> GearDamper | None:
+        """Return the damper of a running gear; None where it was not looked at, or none begins at that axle.
+
+        Parameters
+        ----------
+        vehicle, first_axle
+            Which running gear.
+        """
+        own = (OF_GEARS.c.vehicle == vehicle, OF_GEARS.c.first_axle == first_axle)
+        packed: bytes | None = self.connection.scalar(select(OF_GEARS.c.packed).where(*own))
+        return None if packed is None else unpack_gear_damper(packed, where=f"damper of {vehicle} axle {first_axle}")
 
     def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
         """Return the dampers of a vehicle by axle.

@@ -27,7 +27,8 @@ from sqlalchemy import (
 
 from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
 from estimation.values.interval_conicities import IntervalConicities, interval_conicities
-from estimation.values.reasons import Reason
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import GeometryRow, WheelsetBinRow, WheelsetRow, WindowBinTableRow
@@ -128,12 +129,12 @@ class GeometryStore:
         column = GEOMETRIES.c.baseline_interval
         of_interval = column.is_(None) if interval is None else column == interval
         row = self.connection.execute(
-            select(GEOMETRIES.c.reason, GEOMETRIES.c.reason_code)
+            select(GEOMETRIES.c.reason, GEOMETRIES.c.reason_code, GEOMETRIES.c.status)
             .where(GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline == baseline, of_interval)
             .order_by(*NEWEST_FIRST)
             .limit(1)
         ).first()
-        return None if row is None else stored_reason(row)
+        return None if row is None or row.status == Status.ESTIMATED.value else stored_reason(row)
 
     def interval_numbers(self, wheelset: str, baseline: int) -> Mapping[int, int]:
         """Return by interval the number of its newest geometry."""
@@ -277,13 +278,17 @@ def _current() -> Select[Any]:
 
 
 def _made_otherwise(estimator: str) -> ColumnElement[bool]:
-    """Return whether the geometry whose bins are a wheelset's current ones is of another estimator."""
-    key = GEOMETRIES.c.parameter_key
+    """Return whether the geometry whose bins are a wheelset's current ones is of another estimator.
+
+    One that was kept, as the samples for another were gone, is not; with its own estimator chosen again it is.
+    """
+    key, estimated = GEOMETRIES.c.parameter_key, GEOMETRIES.c.status == Status.ESTIMATED.value
     same = key.endswith(f" {estimator}", autoescape=True) if estimator else ~key.contains(" ")
+    kept = and_(estimated, func.coalesce(GEOMETRIES.c.reason_code, "") == ReasonCode.SAMPLES_PURGED.value)
     return (
         exists()
         .where(BINS.c.wheelset == CHANGES.c.wheelset, BINS.c.bin == 0)
-        .where(GEOMETRIES.c.geometry_id == BINS.c.geometry_id, ~same)
+        .where(GEOMETRIES.c.geometry_id == BINS.c.geometry_id, same == kept)
     )
 
 

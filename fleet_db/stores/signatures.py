@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import Connection, and_, delete, func, or_, select, tuple_
+from sqlalchemy import Connection, Row, and_, delete, func, or_, select, tuple_
 
+from estimation.errors import DamagedError
 from estimation.values.reasons import ReasonCode
-from estimation.values.signatures import KnownSignatures, SignatureRecord, WindowSignatures
+from estimation.values.signatures import KnownSignatures, SignatureRecord, StoredSignatures, WindowSignatures
 from estimation.values.windows import WindowKey, WindowState
 from fleet_db.models import SignatureAnswerRow, WearSignatureRow, WindowRow
 from fleet_db.packed_signatures import pack_answer, pack_signatures, unpack_answer, unpack_signatures
@@ -120,10 +122,11 @@ class SignatureStore:
         )
         return int(self.connection.execute(delete(SIGNATURES).where(*same)).rowcount)
 
-    def known(self) -> Sequence[KnownSignatures]:
+    def known(self) -> StoredSignatures:
         """Return signatures of windows as they are stored by now, whose mileage is believed; by key.
 
-        Of each wheelset, section and band of speed those of the newest windows, ``NEWEST`` of them.
+        Of each wheelset, section and band of speed those of the newest windows, ``NEWEST`` of them. What is damaged is
+        named beside.
         """
         order = func.row_number().over(
             partition_by=(SIGNATURES.c.wheelset, SIGNATURES.c.section, SIGNATURES.c.speed_band_m_s),
@@ -140,21 +143,25 @@ class SignatureStore:
         statement = select(SIGNATURES, newest.c.mileage_km).select_from(SIGNATURES.join(newest, own))
         statement = statement.where(newest.c.age <= NEWEST)
         rows = self.connection.execute(statement.order_by(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns))
-        return [
-            KnownSignatures(
-                WindowSignatures(
-                    wheelset=row.wheelset,
-                    start_ns=row.start_ns,
-                    vehicle=row.vehicle,
-                    window_digest=row.window_digest,
-                    assumed=row.assumed,
-                    signatures=unpack_signatures(row.packed, row.wheelset, row.start_ns),
-                    reason=stored_reason(row),
-                ),
-                row.mileage_km,
-            )
-            for row in rows
-        ]
+        known, damaged = [], []
+        for row in rows:
+            try:
+                known.append(KnownSignatures(_of_window(row), row.mileage_km))
+            except DamagedError as error:
+                damaged.append((row.wheelset, row.start_ns, str(error)))
+        return StoredSignatures(known, damaged)
+
+    def drop(self, keys: Sequence[WindowKey]) -> None:
+        """Remove what is stored of windows, so that it is made again where their samples are there.
+
+        Parameters
+        ----------
+        keys
+            Wheelset and start of each.
+        """
+        for wheelset, start_ns in keys:
+            own = (SIGNATURES.c.wheelset == wheelset, SIGNATURES.c.start_ns == start_ns)
+            self.connection.execute(delete(SIGNATURES).where(*own))
 
     def counts(self) -> Mapping[str, int]:
         """Return how many windows have signatures, and how many have none, by code of the reason; empty for none."""
@@ -200,3 +207,15 @@ class SignatureStore:
         """Return by wheelset what its newest answer was made from, and by which version of the code."""
         columns = (ANSWERS.c.wheelset, ANSWERS.c.input_digest, ANSWERS.c.code_version)
         return {row.wheelset: (row.input_digest, row.code_version) for row in self.connection.execute(select(*columns))}
+
+
+def _of_window(row: Row[Any]) -> WindowSignatures:
+    return WindowSignatures(
+        wheelset=row.wheelset,
+        start_ns=row.start_ns,
+        vehicle=row.vehicle,
+        window_digest=row.window_digest,
+        assumed=row.assumed,
+        signatures=unpack_signatures(row.packed, row.wheelset, row.start_ns),
+        reason=stored_reason(row),
+    )

@@ -29,9 +29,11 @@ from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_findin
 from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
 from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
+from estimation.alerts.rules.weak_damper import WeakDamperRule, weak_damper_finding
 from estimation.alerts.rules.wheel_asymmetry import Asymmetry, WheelAsymmetryRule, wheel_asymmetry_finding
 from estimation.values.adhesion import CellFriction, SectionAdhesion
 from estimation.values.alerts import AlertEventKind, Finding
+from estimation.values.dampers import GearDamper
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import Mounting
 from estimation.values.suspension import SuspensionChange
@@ -69,6 +71,15 @@ TREND = WearTrend(
 )
 DECIDES = {"unknown_because": None, "unknown_because_code": None}
 NO_WINDOWS = {"unknown_because": "0 windows, 3 needed", "unknown_because_code": "too_few_windows", "windows": 0}
+
+
+def weak_damper() -> GearDamper:
+    share = Estimate(0.3, 0.05, 0.2, 0.4, 9.0, Status.ESTIMATED)
+    return GearDamper(
+        "V-1", 3, share, 0.99, weak=True, windows=9, diverged=1, refused=0, from_ns=1, to_ns=AT, from_km=1.0, to_km=2.0
+    )
+
+
 CASES: list[tuple[Finding | None, dict[str, Any]]] = [
     (
         conicity_limit_finding(ConicityLimitRule(), "W", HIGH, 5, 0.4, AT),
@@ -230,6 +241,31 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
             "measured_from": to_rfc3339(AT - 10**9),
             "measured_to": to_rfc3339(AT),
             "limit_1": 0.15,
+        },
+    ),
+    (
+        weak_damper_finding(
+            WeakDamperRule(),
+            "W",
+            weak_damper(),
+        ),
+        {
+            "vehicle": "V-1",
+            "first_axle": 3,
+            "damping_share_1": {
+                **ESTIMATE,
+                **UNEXPLAINED,
+                "value": 0.3,
+                "std": 0.05,
+                "interval_95": [0.2, 0.4],
+                "n_windows": 9.0,
+            },
+            "windows": 9,
+            "measured_from": to_rfc3339(1),
+            "measured_to": to_rfc3339(AT),
+            "limit_1": 0.5,
+            "unknown_because": None,
+            "unknown_because_code": None,
         },
     ),
 ]

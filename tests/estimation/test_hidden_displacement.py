@@ -141,6 +141,17 @@ def test_the_interval_between_samples_must_be_known() -> None:
         HiddenDisplacement().update(HiddenDisplacement().init(BAND_LIMITED), motion)
 
 
+def test_a_window_costs_its_own_samples_alone() -> None:
+    estimator, motions = HiddenDisplacement(), hidden_motion()[:3]
+    state = estimator.init(BAND_LIMITED)
+    for number, motion in enumerate(motions):
+        after = estimator.update(state, motion)
+        assert all(old is new for old, new in zip(state.pieces, after.pieces, strict=False)), "nothing is copied"
+        assert len(after.pieces) == number + 1
+        state = after
+    assert state.samples == sum(len(motion) for motion in motions)
+
+
 def test_no_round_is_refused() -> None:
     with pytest.raises(ParameterError, match="rounds"):
         HiddenDisplacement(rounds=0)

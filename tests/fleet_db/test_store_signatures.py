@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import stored_values as make
 from same_values import same_values
+from sqlalchemy import update
 
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -25,6 +26,8 @@ from estimation.values.signatures import (
     WindowSignatures,
 )
 from estimation.values.windows import WindowState
+from fleet_db.models import WearSignatureRow
+from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores import signatures as signature_store
 
@@ -54,7 +57,7 @@ def test_signatures_come_back_bit_for_bit_with_the_mileage_of_their_window(fleet
         with fleet.write() as unit:
             unit.signatures.put_all([found])
         with fleet.read() as unit:
-            (known,) = unit.signatures.known()
+            (known,) = unit.signatures.known().known
         assert replace(known.found, signatures=()) == replace(found, signatures=())
         assert len(known.found.signatures) == len(found.signatures)
         for back, one in zip(known.found.signatures, found.signatures, strict=True):
@@ -71,7 +74,23 @@ def test_a_window_is_missing_until_it_has_signatures_and_again_with_other_sample
     stored_window(fleet, seed=5)
     with fleet.read() as unit:
         assert unit.signatures.missing(["WS-1"], 10) == [("WS-1", start_ns)]
-        assert unit.signatures.known() == [], "those of other samples are not known"
+        assert unit.signatures.known().known == [], "those of other samples are not known"
+
+
+def test_a_damaged_row_is_named_beside_what_is_known_and_made_again_once_it_is_dropped(fleet: SqlStorage) -> None:
+    keys = [stored_window(fleet, index) for index in range(2)]
+    with fleet.write() as unit:
+        unit.signatures.put_all([made(*key) for key in keys])
+        table = table_of(WearSignatureRow)
+        unit.connection.execute(update(table).where(table.c.start_ns == keys[0][0]).values(packed=b"torn"))
+    with fleet.write() as unit:
+        stored = unit.signatures.known()
+        assert [one.found.start_ns for one in stored.known] == [keys[1][0]]
+        ((wheelset, start_ns, text),) = stored.damaged
+        assert (wheelset, start_ns) == ("WS-1", keys[0][0])
+        assert "signatures of WS-1@" in text
+        unit.signatures.drop([(wheelset, start_ns)])
+        assert unit.signatures.missing(["WS-1"], 10) == [(wheelset, start_ns)]
 
 
 def test_a_refusal_is_kept_and_one_for_want_of_the_other_axle_is_tried_again(fleet: SqlStorage) -> None:
@@ -149,7 +168,7 @@ def test_of_a_wheelset_section_and_band_of_speed_the_newest_windows_are_known(
     keys = [stored_window(fleet, index) for index in range(4)]
     with fleet.write() as unit:
         unit.signatures.put_all([made(*keys[0], placed=False), *(made(*key) for key in keys[1:])])
-        assert [one.found.start_ns for one in unit.signatures.known()] == [key[0] for key in (keys[0], *keys[2:])]
+        assert [one.found.start_ns for one in unit.signatures.known().known] == [key[0] for key in (keys[0], *keys[2:])]
 
 
 def test_windows_of_other_wheelsets_are_not_asked_for(fleet: SqlStorage) -> None:

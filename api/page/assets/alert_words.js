@@ -4,7 +4,7 @@ import { date, number, roundKm, words } from "./format.js";
 /** Kinds of alerts of wheelsets and track sections; a test compares them with the rules. */
 export const KINDS = [
   "conicity_limit", "limit_forecast", "wheel_asymmetry", "no_data", "sensor_fault", "identity", "hunting",
-  "suspension_change", "data_quality", "low_adhesion",
+  "suspension_change", "data_quality", "low_adhesion", "weak_damper",
 ];
 
 const ACTIONS = { reprofile: "Turn the wheelset, or measure its profiles." };
@@ -71,6 +71,11 @@ const OF_KIND = {
     ...part(e.stretches?.length, () => e.stretches.map((one) => `${number(one.from_m)} to ${number(one.to_m)} m`).join(", ")),
     ...part(have(e.limit_1), () => `limit ${number(e.limit_1, 2)}`),
     ...part(have(e.passes), () => `${e.passes} passes of wheelsets`),
+  ],
+  weak_damper: (e) => [
+    ...part(estimated(e.damping_share_1), () => `${uncertain(e.damping_share_1, 2)} of its damping is left`),
+    ...part(have(e.limit_1), () => `limit ${number(e.limit_1, 2)}`),
+    ...part(have(e.vehicle, e.first_axle), () => `vehicle ${e.vehicle}, running gear from axle ${e.first_axle}`),
   ],
   fleet_alert: (e) => [
     ...part(have(e.member_count), () => `stands for ${e.member_count} alerts, ${e.open_member_count} of them open`),

@@ -13,6 +13,7 @@ from annotated_types import Interval
 from estimation.alerts.identity import IdentityEvent
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
+from estimation.values.dampers import GearDamper
 from estimation.values.geometry import GeometryRecord
 from estimation.values.interval_conicities import IntervalConicities, interval_conicities
 from estimation.values.json_value import JsonValue
@@ -68,6 +69,7 @@ class WheelsetFacts:
     open_alerts: Sequence[Alert] = ()
     identity: IdentityEvent | None = None  # since the last identity change
     suspension: SuspensionShown | None = None  # of its vehicle, where its alert stands at this wheelset
+    damper: GearDamper | None = None  # of the running gear whose first axle it is at
     trend_parameters: TrendParameters = field(default_factory=TrendParameters)  # of the trend
     rejected_recordings: Mapping[str, int] = field(default_factory=dict)  # of its vehicle, by code, as the one before
     sensors_changed_ns: int | None = None  # when the sensors of its axle were last exchanged or calibrated

@@ -110,7 +110,12 @@ def let_due_wait_again(context: JobContext, isolation: Isolation) -> None:
 
 def key_of(record: WindowRecord) -> str:
     """Return the key of a window in quarantine."""
-    return f"{record.wheelset}@{record.start_ns}"
+    return text_of_key(*record.key)
+
+
+def text_of_key(wheelset: str, start_ns: int) -> str:
+    """Return the key of a window as text."""
+    return f"{wheelset}@{start_ns}"
 
 
 def key_of_text(text: str) -> WindowKey:

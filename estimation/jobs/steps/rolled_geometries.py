@@ -13,6 +13,7 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
 from estimation.jobs.steps.estimated_geometry import EstimatedWith, estimated_geometry, no_geometry
+from estimation.jobs.steps.kept_geometry import kept, purged
 from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.passed_over import CONTRADICTED, PassedOverWindows
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
@@ -22,7 +23,7 @@ from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
 from estimation.tables.weighted_tables import weighted_sum
 from estimation.values.exact_table import ExactTable
-from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, GeometryRecord
+from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, GeometryRecord, WheelsetGeometry
 from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
@@ -248,7 +249,7 @@ class RolledGeometries:
             if any(self._passed_over.contradicted(one) for one in roll_ups):
                 contradicted = CONTRADICTED
             geometry = geometry if contradicted is None else geometry.mismatched(contradicted)
-        return GeometryRecord(
+        made = GeometryRecord(
             wheelset=self.rules.wheelset,
             baseline=place[0],
             interval=place[1],
@@ -262,6 +263,13 @@ class RolledGeometries:
             code_version=self.context.code_version,
             recorded_ns=self.context.clock.now_ns(),
         )
+        return kept(self.unit, made) if self._without_samples(geometry, parts) else made
+
+    def _without_samples(self, geometry: WheelsetGeometry, parts: Sequence[Part]) -> bool:
+        """Whether an estimator that works on samples has got none of any window, for they are purged."""
+        if geometry.windows or geometry.status is Status.MODEL_MISMATCH:
+            return False
+        return purged(member for part in parts for member in members(self.unit, self.rules, part))
 
     def _stated(self, roll_ups: Sequence[RollUp]) -> Mapping[str, JsonValue]:
         """Return what is stated of windows that would be others today."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelPair, wheel_contact
 from estimation.contact.profiles import MeasuredProfiles
+from estimation.errors import DamagedError
 from estimation.jobs.steps.baselines import Baseline, baselines
 from estimation.jobs.steps.identities import suspected
 from estimation.jobs.steps.vehicle_classes import ClassLookup
@@ -42,10 +43,14 @@ class _Label:
 
 @dataclass(frozen=True, slots=True)
 class Entries:
-    """Library entries of all classes, by key, and how many windows give none, by reason."""
+    """Library entries of all classes, by key, and how many windows give none, by reason.
+
+    ``damaged`` has the wheelsets of which something that is stored cannot be read.
+    """
 
     found: tuple[LibraryEntry, ...]
     left_out: Mapping[ReasonCode, int]
+    damaged: Mapping[str, DamagedError]
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +75,7 @@ class EntryReader:
     _baselines: dict[str, Sequence[Baseline]] = field(default_factory=dict)
     _labels: dict[tuple[str, int], Sequence[_Label]] = field(default_factory=dict)
     _measured: dict[str, Sequence[MeasuredProfiles]] = field(default_factory=dict)
+    _damaged: dict[str, DamagedError] = field(default_factory=dict)
     _contacts: dict[tuple[str, int, RailShare], tuple[float, float] | None] = field(default_factory=dict)
 
     def entries(self, known: Sequence[KnownSignatures]) -> Entries:
@@ -80,24 +86,34 @@ class EntryReader:
         known
             Signatures of windows.
         """
-        doubted, left_out = suspected(self.unit), Counter[ReasonCode]()
+        doubted, left_out = frozenset(suspected(self.unit)), Counter[ReasonCode]()
         newest: dict[tuple[str, int, Place, int], LibraryEntry] = {}
         for one in known:
             wheelset = one.found.wheelset
-            if wheelset in doubted:
-                left_out[ReasonCode.IDENTITY_DOUBTFUL] += 1
+            found = ReasonCode.IDENTITY_DOUBTFUL if wheelset in doubted else self._taught(one)
+            if isinstance(found, ReasonCode):
+                left_out[found] += 1
                 continue
-            baseline = self.baseline_at(wheelset, one.found.start_ns).number
-            section = self._section(one)
-            label = None if section is None else self._label(one, baseline, section)
-            if label is None or isinstance(label, ReasonCode):
-                left_out[label or ReasonCode.SECTION_UNKNOWN] += 1
-                continue
-            for entry in self._entries(one, baseline, label):
+            for entry in found:
                 place = entry.signature.place
                 if place is not None:
-                    newest[wheelset, baseline, place, int(entry.signature.speed // SPEED_BAND)] = entry
-        return Entries(tuple(newest.values()), left_out)
+                    newest[wheelset, entry.baseline, place, int(entry.signature.speed // SPEED_BAND)] = entry
+        return Entries(tuple(newest.values()), left_out, dict(self._damaged))
+
+    def _taught(self, one: KnownSignatures) -> list[LibraryEntry] | ReasonCode:
+        """Return the entries that a window makes, or why it makes none; what is damaged takes out its wheelset."""
+        wheelset = one.found.wheelset
+        if wheelset in self._damaged:
+            return ReasonCode.FILE_DAMAGED
+        try:
+            baseline, section = self.baseline_at(wheelset, one.found.start_ns).number, self._section(one)
+            label = None if section is None else self._label(one, baseline, section)
+        except DamagedError as error:
+            self._damaged[wheelset] = error
+            return ReasonCode.FILE_DAMAGED
+        if label is None or isinstance(label, ReasonCode):
+            return label or ReasonCode.SECTION_UNKNOWN
+        return self._entries(one, baseline, label)
 
     def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
         """Return the life of a wheelset's profile at a time.

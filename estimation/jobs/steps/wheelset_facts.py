@@ -36,7 +36,7 @@ def facts_of(
     Parameters
     ----------
     unit
-        Geometries, trends, windows, alerts and exchanges of sensors are read.
+        Geometries, trends, windows, dampers, alerts and exchanges of sensors are read.
     wheelset, vehicle
         The vehicle that it runs in; None where it is in none.
     book
@@ -59,6 +59,7 @@ def facts_of(
         conicities=conicities,
         open_alerts=alerts,
         trend_parameters=settings.trend,
+        damper=unit.dampers.gear(mounting.vehicle, mounting.axle),
         sensors_changed_ns=max(unit.sensor_changes.at_axle(mounting.vehicle, mounting.axle), default=None),
     )
 

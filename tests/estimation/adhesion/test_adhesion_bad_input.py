@@ -200,3 +200,107 @@ def test_a_section_that_nobody_passed_has_none(estimated_fleet: EstimatedFleet, 
     answer = asyncio.run(get())
     assert answer.status_code == 404
     assert "adhesion yet of track section" in answer.text
+
+
+def dead_node(window: Window) -> Window:
+    """Return a window whose node of the frame sends zeros."""
+    zeros = np.zeros_like(window.mass_lateral_acceleration)
+    return replace(window, mass_lateral_acceleration=zeros)
+
+
+def silent_node(window: Window) -> Window:
+    """Return a window whose node of the frame sends nothing."""
+    nothing = np.full_like(window.mass_lateral_acceleration, np.nan)
+    return replace(window, mass_lateral_acceleration=nothing, valid=np.zeros_like(window.valid))
+
+
+def of_first_bogie(unit: SqlUnitOfWork) -> tuple[list[WindowRecord], list[WindowRecord]]:
+    found = estimated(unit)
+    bogie = [record for record in found if record.vehicle == "V0" and record.axle <= 2]
+    return bogie, [record for record in found if record not in bogie]
+
+
+def holds_no_number(found: Sequence[WindowAdhesion | None], codes: set[ReasonCode]) -> None:
+    """Assert that every window was looked at, and gave a reason and nothing else."""
+    assert found
+    for one in found:
+        assert one is not None
+        assert one.reason is not None
+        assert one.reason.code in codes, one.reason
+        assert one.sums is None
+        numbers = (one.contact_force, one.lateral_creep, one.yaw_creep, one.used_adhesion)
+        assert [number.value for number in numbers] == [None] * 4
+
+
+def others_go_on(storage: SqlStorage, section: str, others: Sequence[WindowRecord]) -> None:
+    """Assert that the others have their friction, and that nothing is in quarantine."""
+    with storage.read() as unit:
+        found = unit.adhesion.section(section)
+        assert found is not None
+        assert found.windows == len(others)
+        assert not list(unit.quarantine.held(refresh_adhesion.STAGE))
+
+
+@pytest.mark.parametrize("broken", [dead_node, silent_node])
+def test_a_dead_node_gives_a_reason_and_stops_nobody(
+    estimated_fleet: EstimatedFleet, tmp_path: Path, broken: Callable[[Window], Window]
+) -> None:
+    bogie: list[WindowRecord] = []
+    others: list[WindowRecord] = []
+
+    def change(unit: SqlUnitOfWork) -> None:
+        for records, found in zip((bogie, others), of_first_bogie(unit), strict=True):
+            records.extend(found)
+        for record in bogie:
+            if record.axle == 1:
+                replaced(unit, record, broken)
+
+    with fleet_with(estimated_fleet, tmp_path, change) as (storage, _):
+        codes = {ReasonCode.DIVERGED, ReasonCode.AXLE_DISTANCE, ReasonCode.NO_USABLE_SAMPLE, ReasonCode.TOO_FEW_USABLE}
+        holds_no_number(of(storage, bogie), codes)
+        others_go_on(storage, estimated_fleet.scenario.section.code, others)
+
+
+def test_a_vehicle_without_class_parameters_gives_a_reason_and_stops_nobody(
+    estimated_fleet: EstimatedFleet, tmp_path: Path
+) -> None:
+    own: list[WindowRecord] = []
+    others: list[WindowRecord] = []
+
+    def change(unit: SqlUnitOfWork) -> None:
+        for record in estimated(unit):
+            (own if record.vehicle == "V0" else others).append(record)
+        unit.registry.add_vehicle(replace(unit.registry.vehicle("V0"), vehicle_class="nobody knows"))
+        for record in (*own, *others):
+            unit.windows.mark(record.wheelset, record.start_ns, WindowState.ESTIMATED)
+
+    with fleet_with(estimated_fleet, tmp_path, change) as (storage, _):
+        holds_no_number(of(storage, own), {ReasonCode.CLASS_UNKNOWN})
+        others_go_on(storage, estimated_fleet.scenario.section.code, others)
+        with storage.read() as unit:
+            assert list(unit.dampers.of_vehicle("V0")) == []
+
+
+def at_other_axles(unit: SqlUnitOfWork) -> None:
+    """File that the axles of the first vehicle, with their nodes, are as far apart as they are not."""
+    vehicle = unit.registry.vehicle("V0")
+    offsets = tuple(at + (0.9 if number % 2 else 0.0) for number, at in enumerate(vehicle.axle_offsets_m))
+    unit.registry.add_vehicle(replace(vehicle, axle_offsets_m=offsets))
+
+
+def test_a_vehicle_whose_nodes_sit_elsewhere_gives_a_reason_and_stops_nobody(
+    estimated_fleet: EstimatedFleet, tmp_path: Path
+) -> None:
+    own: list[WindowRecord] = []
+    others: list[WindowRecord] = []
+
+    def change(unit: SqlUnitOfWork) -> None:
+        for record in estimated(unit):
+            (own if record.vehicle == "V0" else others).append(record)
+        at_other_axles(unit)
+        for record in (*own, *others):
+            unit.windows.mark(record.wheelset, record.start_ns, WindowState.ESTIMATED)
+
+    with fleet_with(estimated_fleet, tmp_path, change) as (storage, _):
+        holds_no_number(of(storage, own), {ReasonCode.AXLE_DISTANCE})
+        others_go_on(storage, estimated_fleet.scenario.section.code, others)

@@ -132,6 +132,14 @@ RANGES: dict[str, dict[str, Range]] = {
         "raise_probability": PROBABILITY,
         "pooled_hours": Range(0.1, 720.0),
     },
+    "weak_damper": {
+        **DELAYS,
+        "raise_share": Range(0.05, 1.5),
+        "clear_share": Range(0.05, 1.5),
+        "raise_probability": PROBABILITY,
+        "clear_probability": PROBABILITY,
+        "minimum_windows": WINDOWS,
+    },
     "alarm_flood": {"more_than": WINDOWS, "within_hours": Range(0.01, 87_600.0)},
 }  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,19 +16,23 @@ from smooth_wheelset import mems_windows, run
 
 from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
+from estimation.errors import DamagedError
+from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import RailsSettings
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps import rail_cells
 from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
+from estimation.jobs.steps.rail_cells import CellsFound, cells_of
 from estimation.rails.parameters import RailsParameters
-from estimation.storage import Storage
+from estimation.storage import Storage, UnitOfWork
 from estimation.values.quantities import Estimate
 from estimation.values.rails import RailPart, RailsReference, WheelsetRailsRecord
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Window
+from fleet_db.stores.rails import RailsStore
 
 WEAR = 0.04  # what the rails of S2 add to every conicity
 EVERYWHERE, ONLY_WORN = (0, 1, 2), 4
@@ -144,6 +149,39 @@ def test_a_repeat_reads_no_table_and_stores_nothing(received: Storage, monkeypat
     assert set(refresh(received).values()) == {0}
     with received.read() as unit:
         assert unit.rails.of_section("S2") == before
+
+
+@on_sqlite
+def test_a_run_without_news_goes_by_counters_alone(received: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
+    refresh(received)
+    with monkeypatch.context() as patched:
+        patched.setattr(RailsStore, "cells", lambda _: pytest.fail("all cells were read"))
+        assert set(refresh(received).values()) == {0}
+    with received.write() as unit:
+        unit.tracks.add_section(replace(unit.tracks.section("S2"), tonnage_mgt_per_year=40.0))
+    assert refresh(received)["sections"] == 2
+    assert refresh(received, named("S2"))["sections"] == 2
+    with received.write() as unit:
+        unit.registry.add_measured_profiles(
+            MeasuredProfiles(NAMES[1], DAY_NS, 10.0, wheel_profile("P8"), wheel_profile("P8"), 0.1e-3)
+        )
+    assert refresh(received, named("S2"))["sections"] == 2
+
+
+@on_sqlite
+def test_wheelsets_are_parted_again_as_soon_as_one_that_failed_is_read(
+    received: Storage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(unit: UnitOfWork, serial: str, *rest: Any) -> CellsFound:  # noqa: ANN401 - passed on
+        if serial == "W1":
+            raise DamagedError("cells of W1")
+        return cells_of(unit, serial, *rest)
+
+    with monkeypatch.context() as patched:
+        patched.setattr("estimation.jobs.refresh_rails.cells_of", failing)
+        assert refresh(received)["quarantined"] == 1
+    assert refresh_rails.run(JobContext(received, StandingClock(10**18), "test", KNOWN))["cells"] == 2
+    assert wheels(received, 1).part.sections == ("S1", "S2")
 
 
 @on_sqlite

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from sqlalchemy import update
 from api.comparison import trial
 from api.comparison.truth import TrueWheelset, read_truth
 from api.settings import Settings
+from estimation.errors import DamagedError
 from estimation.jobs import refresh_signatures
 from estimation.jobs.job import JobContext
 from estimation.values.quantities import Status
@@ -21,9 +23,11 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.signatures import Basis, Signature, SignatureRecord, WindowSignatures
 from fleet_db.migrate import upgrade
-from fleet_db.models import WindowRow
+from fleet_db.models import WearSignatureRow, WindowRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.geometries import GeometryStore
+from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.signatures import SignatureStore
 from ingest.simulator.scenario_file import load_scenario
 
@@ -158,7 +162,7 @@ def stored_otherwise(
     """Yield what a run counts after the signatures of some wheelsets were stored otherwise; it is undone at the end."""
     storage, context, _, _ = ran
     with storage.read() as unit:
-        before = [one.found for one in unit.signatures.known() if one.found.wheelset in wheelsets]
+        before = [one.found for one in unit.signatures.known().known if one.found.wheelset in wheelsets]
     after = [replace(one, signatures=tuple(change(item) for item in one.signatures)) for one in before]
 
     def put(found: Sequence[WindowSignatures]) -> Mapping[str, int]:
@@ -256,6 +260,52 @@ def test_signatures_whose_samples_are_purged_stay_and_are_left_out_where_they_wo
         unit.connection.execute(update(windows).where(of_one).values(samples_purged_ns=None))
         unit.changes.touch("W09")
     refresh_signatures.run(context)
+
+
+def held(storage: SqlStorage) -> dict[tuple[str, str], ReasonCode]:
+    with storage.read() as unit:
+        return {(str(item.kind), item.key): item.code for item in unit.quarantine.held(refresh_signatures.STAGE)}
+
+
+def test_a_damaged_signature_is_kept_in_quarantine_made_again_and_stops_nobody(ran: Ran) -> None:
+    storage, context, _, _ = ran
+    table = table_of(WearSignatureRow)
+    with storage.write() as unit:
+        one = next(one.found for one in unit.signatures.known().known if one.found.wheelset == "W03")
+        own = (table.c.wheelset == "W03", table.c.start_ns == one.start_ns)
+        unit.connection.execute(update(table).where(*own).values(packed=b"torn"))
+        unit.changes.touch("W03")
+    counts = refresh_signatures.run(context)
+    assert counts["quarantined"] == 1
+    assert held(storage) == {("window", f"W03@{one.start_ns}"): ReasonCode.FILE_DAMAGED}
+    assert answer(storage, "W07").answer.conicity.value is not None
+    assert refresh_signatures.run(context)["signed"] == 1, "its samples are there"
+    assert held(storage) == {}
+    with storage.read() as unit:
+        assert one.start_ns in {again.found.start_ns for again in unit.signatures.known().known}
+
+
+@pytest.mark.parametrize("damaged", ["measured_profiles", "current"])
+def test_what_is_damaged_of_a_wheelset_stops_no_other(ran: Ran, monkeypatch: pytest.MonkeyPatch, damaged: str) -> None:
+    storage, context, _, _ = ran
+    store: Any = RegistryStore if damaged == "measured_profiles" else GeometryStore
+    read = getattr(store, damaged)
+
+    def torn(self: object, wheelset: str) -> object:
+        if wheelset == "W06":
+            raise DamagedError(f"{damaged} of W06: torn")
+        return read(self, wheelset)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(store, damaged, torn)
+        with storage.write() as unit:
+            unit.changes.touch("W06")
+        assert refresh_signatures.run(context)["quarantined"] == 1
+        assert held(storage) == {("wheelset", "W06"): ReasonCode.FILE_DAMAGED}
+        if damaged == "measured_profiles":
+            assert answer(storage, "W07").left_out["file_damaged"] > 0
+    assert refresh_signatures.run(context)["quarantined"] == 0
+    assert held(storage) == {}
 
 
 def test_an_empty_database_has_nothing_to_do(tmp_path: Path) -> None:

@@ -1,0 +1,54 @@
+"""The geometry before another estimator was chosen, where the samples that this one works on are gone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from estimation.storage import UnitOfWork
+from estimation.values.geometry import GeometryRecord
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.roll_up import Member
+
+KEPT = Reason(
+    ReasonCode.SAMPLES_PURGED, "the samples are purged: it stays as another estimator found it, before one was chosen"
+)
+NOTHING = Reason(ReasonCode.SAMPLES_PURGED, "the samples that the estimator works on are purged")
+
+
+def purged(members: Iterable[Member]) -> bool:
+    """Whether windows whose tables are summed have no samples any more.
+
+    Parameters
+    ----------
+    members
+        Those that have tables: where none has, their samples were purged before.
+    """
+    return all(one.window.record.samples_purged for one in members)
+
+
+def kept(unit: UnitOfWork, made: GeometryRecord) -> GeometryRecord:
+    """Return the geometry that a record without samples would follow, with the reason that it stays.
+
+    Parameters
+    ----------
+    unit
+        Geometries are read.
+    made
+        Of no sample, with the digest of what it was made from.
+    """
+    former = _former(unit, made)
+    if former is None or former.geometry.equivalent_conicity.value is None:
+        unknown = Estimate.unknown(NOTHING, made.geometry.equivalent_conicity.count)
+        geometry = replace(made.geometry, equivalent_conicity=unknown, status=unknown.status, reason=NOTHING)
+        return replace(made, geometry=geometry)
+    geometry = replace(former.geometry, status=Status.ESTIMATED, reason=KEPT)
+    return replace(former, geometry=geometry, input_digest=made.input_digest, recorded_ns=made.recorded_ns)
+
+
+def _former(unit: UnitOfWork, made: GeometryRecord) -> GeometryRecord | None:
+    if made.interval is None:
+        return next((one for one in unit.geometries.baselines(made.wheelset) if one.baseline == made.baseline), None)
+    found = unit.geometries.intervals(made.wheelset, made.baseline, first=made.interval, last=made.interval)
+    return next(iter(found), None)
