@@ -10,12 +10,13 @@ It is a regression with errors in both: the thetas are parameters, eliminated wh
 two numbers a section. ``tau``, what is left, follows from the residuals, with what is known of it beforehand.
 
 A constant can be moved between all wheels and all rails. It is held by rails that are known (no rho, no beta), by
-wheels that are known (observations of theta), or else by the mean of the sections; then the level is open.
+wheels that are known (observations of theta, whose residuals count as those of cells do), or else by the mean of the
+sections; then the level is open.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -31,7 +32,9 @@ LOWEST_TAU, HIGHEST_TAU = -3.0, -0.3  # decades of conicity
 SLOPES = (-0.8, 2.0)  # what a section may add to a wheel whose conicity is higher by 1
 TAU_TOLERANCE = 0.01  # decades
 HELD = 1e8  # weight of the condition that the mean over sections is 0, of the heaviest cell
-ROWS_AT_ONCE = 20_000
+CONDITIONS = 2.0  # of the means of rho and of beta
+ROWS_AT_ONCE = 5_000
+LEAST_FREEDOM = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +68,11 @@ class Parted:
     freedom: float  # degrees of freedom behind it
     centre: float  # m
     converged: bool
+    rail_moved: FloatArray  # (s,) by how much rho changes where the conicity of all known wheels is higher by 1
+    wheel_moved: FloatArray  # (w,) theta likewise
+    known_weight: FloatArray  # (w,) weight of the conicity of each known wheel; 0 of the others
+    own: FloatArray  # (w,) weight of each theta where rails are known
+    shared: csr_array  # (w, 2 s) by how much a theta falls with rho and beta
 
     def reference_wheel(self, conicity: float) -> tuple[FloatArray, FloatArray]:
         """Return the conicity (s,) of a wheel on all rails, and its covariance (s, s), what is left not included.
@@ -76,12 +84,14 @@ class Parted:
         """
         above = conicity - self.centre
         s = len(self.rail)
-        rows = np.hstack([np.eye(s), above * np.eye(s)])
-        return conicity + self.rail + self.slope * above, rows @ self.covariance @ rows.T
+        half = self.covariance[:s] + above * self.covariance[s:]
+        return conicity + self.rail + self.slope * above, half[:, :s] + above * half[:, s:]
 
 
 def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
     """Return wheels and rails apart.
+
+    Where known wheels differ by more than their errors and the interaction explain, their errors count as larger.
 
     Parameters
     ----------
@@ -96,7 +106,43 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
     elif found.surplus(LOWEST_TAU) > 0.0:
         found.surplus(HIGHEST_TAU)
     assert found.parted is not None
-    return found.parted
+    return _widened(cells, parameters, found.parted)
+
+
+def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> Parted:
+    """Return the solution with known wheels that is next to the one without them, at the same interaction.
+
+    It is one step from there: slopes of the rails do not follow a wheel that is known wrongly.
+
+    Parameters
+    ----------
+    cells
+        With the known wheels.
+    parameters
+        As for :func:`part`.
+    without
+        Solution of the same cells without the known wheels.
+    """
+    point = _Point(without.wheel, np.concatenate([without.rail, without.slope]), without.centre)
+    problem = _Problem.of(cells, parameters, without.interaction)
+    linear = problem.linearised(point)
+    return problem.described(problem.moved(point, linear, limited=False), linear, converged=without.converged)
+
+
+def _widened(cells: TwoWay, parameters: RailsParameters, found: Parted) -> Parted:
+    """Return the solution with errors of the known wheels that are as large as their residuals say."""
+    known = np.isfinite(cells.known_value)
+    if not found.converged or not known.any():
+        return found
+    weight = found.known_weight[known]
+    squares = float(np.sum(weight * (cells.known_value - found.wheel)[known] ** 2))
+    freedom = float(np.sum(1.0 - weight * found.wheel_variance[known]))
+    factor = squares / freedom if freedom > LEAST_FREEDOM else 1.0
+    if factor <= 1.0:
+        return found
+    tau = found.interaction
+    wider = replace(cells, known_variance=(cells.known_variance + tau**2) * factor - tau**2)
+    return replace(_solved(wider, parameters, tau, None)[0], freedom=found.freedom)
 
 
 @dataclass(slots=True)
@@ -124,13 +170,19 @@ class _Linear:
     """The model about one point: weighted sums, the thetas eliminated."""
 
     residual: FloatArray  # (n,)
-    of_rails: csr_array  # (n, 2 s) derivatives by rho and beta
-    of_wheel: FloatArray  # (n,) derivative by its own theta
     own: FloatArray  # (w,) weight of each theta
     right_wheel: FloatArray  # (w,)
+    crossed: csr_array  # (w, 2 s) of thetas with rho and beta
     shared: csr_array  # (w, 2 s) by how much a theta falls with rho and beta
     matrix: FloatArray  # (2 s, 2 s)
     right: FloatArray  # (2 s,)
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    theta: FloatArray  # (w,)
+    phi: FloatArray  # (2 s,) rho and beta
+    centre: float
 
 
 def _linearised(cells: TwoWay, weight: FloatArray, known: FloatArray, point: _Point, before: FloatArray) -> _Linear:
@@ -155,58 +207,107 @@ def _linearised(cells: TwoWay, weight: FloatArray, known: FloatArray, point: _Po
         for half in (slice(0, s), slice(s, 2 * s)):
             matrix[half, half] += held
             right[half] -= held * point.phi[half].sum()
-    return _Linear(residual, of_rails, a, own, right_wheel, csr_array(shared), matrix, right)
+    return _Linear(residual, own, right_wheel, csr_array(crossed), csr_array(shared), matrix, right)
 
 
 @dataclass(frozen=True, slots=True)
-class _Point:
-    theta: FloatArray  # (w,)
-    phi: FloatArray  # (2 s,) rho and beta
-    centre: float
+class _Problem:
+    """The regression at one tau."""
+
+    cells: TwoWay
+    parameters: RailsParameters
+    tau: float
+    weight: FloatArray  # (n,) of cells
+    known: FloatArray  # (w,) of thetas that are known; 0 of the others
+    before: FloatArray  # (2 s,) of what is known of rho and beta beforehand
+    free: IntArray  # which rho and beta are not known
+
+    @staticmethod
+    def of(cells: TwoWay, parameters: RailsParameters, tau: float) -> _Problem:
+        s, is_known = len(cells.known_rail), np.isfinite(cells.known_value)
+        return _Problem(
+            cells,
+            parameters,
+            tau,
+            1.0 / (cells.variance + tau**2),
+            np.where(is_known, 1.0 / np.where(is_known, cells.known_variance + tau**2, 1.0), 0.0),
+            np.concatenate([np.zeros(s), np.full(s, parameters.slope_std**-2)]),
+            np.flatnonzero(np.tile(~cells.known_rail, 2)),
+        )
+
+    def linearised(self, point: _Point) -> _Linear:
+        """Return the sums of the regression about a point."""
+        return _linearised(self.cells, self.weight, self.known, point, self.before)
+
+    def moved(self, point: _Point, linear: _Linear, *, limited: bool = True) -> _Point:
+        """Return the solution of the linear model, slopes within their limits."""
+        s = len(self.cells.known_rail)
+        step = np.zeros(2 * s)
+        if len(self.free):
+            step[self.free] = _solution(linear.matrix[np.ix_(self.free, self.free)], linear.right[self.free])
+            if limited:
+                step[s:] = np.clip(point.phi[s:] + step[s:], *SLOPES) - point.phi[s:]
+        of_theta = linear.right_wheel / linear.own - linear.shared @ step
+        return _Point(point.theta + of_theta, point.phi + step, point.centre)
+
+    def described(self, point: _Point, linear: _Linear, *, converged: bool) -> Parted:
+        """Return a solution with its covariance."""
+        s, known = len(self.cells.known_rail), self.known
+        covariance = np.zeros((2 * s, 2 * s))
+        if len(self.free):
+            inverse = _solution(linear.matrix[np.ix_(self.free, self.free)], np.eye(len(self.free)))
+            covariance[np.ix_(self.free, self.free)] = inverse
+        moved = covariance @ -(linear.crossed.T @ (known / linear.own))
+        return Parted(
+            wheel=point.theta,
+            wheel_variance=1.0 / linear.own + _quadratic(linear.shared, covariance),
+            rail=point.phi[:s],
+            slope=point.phi[s:],
+            covariance=covariance,
+            interaction=self.tau,
+            freedom=self.parameters.interaction_weight + _freedom(self.cells, covariance, self.before),
+            centre=point.centre,
+            converged=converged and bool((np.diag(covariance) >= 0.0).all()),
+            rail_moved=moved[:s],
+            wheel_moved=known / linear.own - linear.shared @ moved,
+            known_weight=known,
+            own=linear.own,
+            shared=linear.shared,
+        )
 
 
 def _solved(
     cells: TwoWay, parameters: RailsParameters, tau: float, start: _Point | None
 ) -> tuple[Parted, _Point, float]:
     """Return the solution at ``tau``, where it is, and the weighted squares of its residuals."""
-    s, w = len(cells.known_rail), len(cells.known_value)
-    weight = 1.0 / (cells.variance + tau**2)
-    is_known = np.isfinite(cells.known_value)
-    known = np.where(is_known, 1.0 / np.where(is_known, cells.known_variance + tau**2, 1.0), 0.0)
-    free = np.flatnonzero(np.tile(~cells.known_rail, 2))
-    before = np.concatenate([np.zeros(s), np.full(s, parameters.slope_std**-2)])
-    centre = float(np.mean(cells.value))
-    point, converged = start or _Point(np.full(w, centre), np.zeros(2 * s), centre), False
+    problem = _Problem.of(cells, parameters, tau)
+    s, centre = len(cells.known_rail), float(np.mean(cells.value))
+    point, converged = start or _Point(np.full(len(cells.known_value), centre), np.zeros(2 * s), centre), False
     for _ in range(ROUNDS):
-        linear = _linearised(cells, weight, known, point, before)
-        step = np.zeros(2 * s)
-        if len(free):
-            step[free] = _solution(linear.matrix[np.ix_(free, free)], linear.right[free])
-            step[s:] = np.clip(point.phi[s:] + step[s:], *SLOPES) - point.phi[s:]
-        of_theta = linear.right_wheel / linear.own - linear.shared @ step
-        point = _Point(point.theta + of_theta, point.phi + step, centre)
-        if max(float(np.abs(of_theta).max()), float(np.abs(step[:s]).max())) < TOLERANCE:
+        before, point = point, problem.moved(point, problem.linearised(point))
+        if max(_farthest(point.theta - before.theta), _farthest((point.phi - before.phi)[:s])) < TOLERANCE:
             converged = True
             break
-    linear = _linearised(cells, weight, known, point, before)
-    covariance = np.zeros((2 * s, 2 * s))
-    if len(free):
-        inverse = _solution(linear.matrix[np.ix_(free, free)], np.eye(len(free)))
-        covariance[np.ix_(free, free)] = inverse
-    fitted = 1.0 / linear.own[cells.wheel] * linear.of_wheel**2 + _quadratic(_apart(linear, cells), covariance)
-    found = Parted(
-        wheel=point.theta,
-        wheel_variance=1.0 / linear.own + _quadratic(linear.shared, covariance),
-        rail=point.phi[:s],
-        slope=point.phi[s:],
-        covariance=covariance,
-        interaction=tau,
-        freedom=parameters.interaction_weight + float(np.sum(1.0 - weight * fitted)),
-        centre=centre,
-        converged=converged and bool((np.diag(covariance) >= 0.0).all()),
-    )
-    squares = float(np.sum(weight * linear.residual**2))
+    linear = problem.linearised(point)
+    found = problem.described(point, linear, converged=converged)
+    apart = np.where(problem.known > 0.0, np.nan_to_num(cells.known_value) - point.theta, 0.0)
+    squares = float(np.sum(problem.weight * linear.residual**2) + np.sum(problem.known * apart**2))
     return found, point, squares if found.converged else np.inf
+
+
+def _farthest(change: FloatArray) -> float:
+    return float(np.abs(change).max())
+
+
+def _freedom(cells: TwoWay, covariance: FloatArray, before: FloatArray) -> float:
+    """Return how many residuals, of cells and of known wheels, are left over by what is fitted.
+
+    A number that is fitted takes one, less what is known of it beforehand.
+    """
+    residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
+    fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())
+    conditions = 0.0 if cells.anchored else CONDITIONS
+    return residuals - (fitted - float(before @ np.diag(covariance)) - conditions)
 
 
 def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -217,15 +318,10 @@ def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
         return np.full_like(right, np.nan)
 
 
-def _apart(linear: _Linear, cells: TwoWay) -> csr_array:
-    """Return the derivatives (n, 2 s) of what is fitted by rho and beta, the thetas following."""
-    return csr_array(linear.of_rails - diags_array(linear.of_wheel) @ linear.shared[cells.wheel])
-
-
 def _quadratic(rows: csr_array, covariance: FloatArray) -> FloatArray:
     """Return the variance (n,) of linear combinations, the rows (n, k), of what has a covariance (k, k)."""
     found = np.empty(rows.shape[0])
     for first in range(0, len(found), ROWS_AT_ONCE):
-        some = rows[first : first + ROWS_AT_ONCE].toarray()
-        found[first : first + ROWS_AT_ONCE] = np.einsum("ij,jk,ik->i", some, covariance, some, optimize=True)
+        some = rows[first : first + ROWS_AT_ONCE]
+        found[first : first + ROWS_AT_ONCE] = some.multiply(some @ covariance).sum(axis=1)
     return found

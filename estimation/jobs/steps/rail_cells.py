@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,8 @@ from estimation.values.track import TrackAlignment
 
 DAY_NS = 86_400_000_000_000
 CellKey = tuple[WheelKey, RailKey]
+CELL_VERSION = 2
+LOST = "damaged, and its windows are purged"  # in the place of a digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +36,11 @@ class CellsFound:
     gone: tuple[CellKey, ...]
 
 
-def cells_of(unit: UnitOfWork, serial: str, context: JobContext, stored: Mapping[CellKey, str]) -> CellsFound:
+def cells_of(unit: UnitOfWork, serial: str, context: JobContext) -> CellsFound:
     """Return what has changed of the cells of a wheelset.
 
-    Of a mileage interval whose windows have been purged the cells stay as they are.
+    Of a mileage interval whose windows have been purged the cells stay as they are; where its geometry is refused by
+    now they are not used, until it is not any more.
 
     Parameters
     ----------
@@ -47,27 +50,37 @@ def cells_of(unit: UnitOfWork, serial: str, context: JobContext, stored: Mapping
         Serial number of the wheelset.
     context
         Settings and version of the numerics.
-    stored
-        Digests of the cells that are stored.
     """
+    stored = {(one.wheel, one.rail): one for one in unit.rails.cells(serial)}
     rules = membership(unit, serial, ClassLookup(unit, context.settings.estimation))
     reader = _CellReader(unit, rules, context)
     changed: list[StoredCell] = []
     seen: set[CellKey] = set()
     for part in _chosen(rules, rolled(unit, rules).parts):
         wheel = WheelKey(serial, part.roll_up.key.baseline, part.roll_up.key.interval)
-        if part.roll_up.sealed and any(key[0] == wheel for key in stored):
-            seen |= {key for key in stored if key[0] == wheel}
+        refused = unit.geometries.reason(serial, wheel.baseline, wheel.interval)
+        own = [one for key, one in stored.items() if key[0] == wheel]
+        if part.roll_up.sealed and own:
+            seen |= {(one.wheel, one.rail) for one in own}
+            changed += [one for one in (_sealed(before, refused) for before in own) if one is not None]
             continue
         assumed = rules.assumed(part.roll_up)
         assert assumed is not None  # parts of another class are not chosen
-        refused = unit.geometries.reason(serial, wheel.baseline, wheel.interval)
-        for rail, own in _by_rail(members(unit, rules, part), context.settings.rails.period_days).items():
-            digest = reader.digest(own, assumed, refused)
+        for rail, there in _by_rail(members(unit, rules, part), context.settings.rails.period_days).items():
+            digest = reader.digest(there, assumed, refused)
             seen.add((wheel, rail))
-            if stored.get((wheel, rail)) != digest:
-                changed.append(reader.cell(wheel, rail, own, assumed, refused, digest))
+            if (wheel, rail) not in stored or stored[wheel, rail].digest != digest:
+                changed.append(reader.cell(wheel, rail, there, assumed, refused, digest))
     return CellsFound(tuple(changed), tuple(sorted(set(stored) - seen)))
+
+
+def _sealed(before: StoredCell, refused: Reason | None) -> StoredCell | None:
+    """Return a cell whose windows have been purged as it is by now; None where nothing has changed."""
+    if before.damaged:
+        return replace(before, digest=LOST)
+    if before.cell is None or before.reason == refused:
+        return None
+    return replace(before, reason=refused)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +93,9 @@ class _CellReader:
         """Return the digest of all that a cell is made from."""
         code = "" if refused is None else refused.code
         settings = self.context.settings.estimation.as_json()
-        text = hashlib.sha256(f"{self.context.code_version} {assumed.digest} {code} {settings!r}\n".encode())
+        text = hashlib.sha256(
+            f"{CELL_VERSION} {self.context.code_version} {assumed.digest} {code} {settings!r}\n".encode()
+        )
         for one in own:
             text.update(f"{one.line}\n".encode())
         return text.hexdigest()
@@ -95,8 +110,10 @@ class _CellReader:
         digest: str,
     ) -> StoredCell:
         """Return a cell, or why its windows give none: what contradicts the whole interval, or themselves."""
+        last = own[-1].window.record
+        extent = len(own), own[0].start_ns, last.start_ns + last.length_ns
         if refused is not None:
-            return StoredCell(wheel, rail, digest, None, refused)
+            return StoredCell(wheel, rail, digest, None, refused, *extent)
         bins, settings = bin_parameters(assumed.windows), self.context.settings.estimation
         starts = [one.start_ns for one in own]
         table = merge_all((cells for _, cells in self.unit.tables.cells_of(wheel.wheelset, starts)), bins)
@@ -104,7 +121,6 @@ class _CellReader:
         used = [self.unit.tracks.alignment(rail.section, version) for version in versions]
         tracks = [at_own_gauge(track) for track in used if track is not None]
         uncertainty = ParameterUncertainty.of(assumed.on_file.vehicle_class).on(tracks, wheel.wheelset)
-        last = own[-1].window.record
         found = section_conicity(
             wheel,
             rail,
@@ -112,11 +128,11 @@ class _CellReader:
             bins,
             replace(settings.geometry, uncertainty=uncertainty),
             scale_std=max((track.scale_std for track in tracks), default=0.0),
-            span_ns=(starts[0], last.start_ns + last.length_ns),
+            span_ns=extent[1:],
         )
         if isinstance(found, Reason):
-            return StoredCell(wheel, rail, digest, None, found)
-        return StoredCell(wheel, rail, digest, found, None)
+            return StoredCell(wheel, rail, digest, None, found, *extent)
+        return StoredCell(wheel, rail, digest, found, None, *extent)
 
 
 def at_own_gauge(track: TrackAlignment) -> TrackAlignment:
