@@ -16,12 +16,13 @@ sections; then the level is open.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import brentq
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array
 
 from estimation.rails.parameters import RailsParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
@@ -105,8 +106,8 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
         found.surplus(float(brentq(found.surplus, LOWEST_TAU, HIGHEST_TAU, xtol=TAU_TOLERANCE)))
     elif found.surplus(LOWEST_TAU) > 0.0:
         found.surplus(HIGHEST_TAU)
-    assert found.parted is not None
-    return _widened(cells, parameters, found.parted)
+    assert found.solved is not None
+    return _widened(cells, parameters, found.solved.parted())
 
 
 def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> Parted:
@@ -126,7 +127,7 @@ def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> P
     point = _Point(without.wheel, np.concatenate([without.rail, without.slope]), without.centre)
     problem = _Problem.of(cells, parameters, without.interaction)
     linear = problem.linearised(point)
-    return problem.described(problem.moved(point, linear, limited=False), linear, converged=without.converged)
+    return _Solved(problem, problem.moved(point, linear, limited=False), linear, converged=without.converged).parted()
 
 
 def _widened(cells: TwoWay, parameters: RailsParameters, found: Parted) -> Parted:
@@ -142,7 +143,7 @@ def _widened(cells: TwoWay, parameters: RailsParameters, found: Parted) -> Parte
         return found
     tau = found.interaction
     wider = replace(cells, known_variance=(cells.known_variance + tau**2) * factor - tau**2)
-    return replace(_solved(wider, parameters, tau, None)[0], freedom=found.freedom)
+    return replace(_solved(wider, parameters, tau, None).parted(), freedom=found.freedom)
 
 
 @dataclass(slots=True)
@@ -151,18 +152,24 @@ class _Search:
 
     cells: TwoWay
     parameters: RailsParameters
-    point: _Point | None = None
-    parted: Parted | None = None
+    solved: _Solved | None = None
 
     def surplus(self, decades: float) -> float:
         """Return by how much residuals are too large for a tau of 10^``decades``; it falls with that."""
         tau, known = 10.0**decades, self.parameters
-        self.parted, point, squares = _solved(self.cells, known, tau, self.point)
-        self.point = point if self.parted.converged else None
-        if not self.parted.converged:
+        start = self.solved.point if self.solved is not None and self.solved.converged else None
+        self.solved = _solved(self.cells, known, tau, start)
+        if not self.solved.converged:
             return np.inf
         before = known.interaction_weight * ((known.interaction / tau) ** 2 - 1.0)
-        return float(squares - (self.parted.freedom - known.interaction_weight) + before)
+        return float(self.solved.squares() - self.solved.freedom() + before)
+
+
+@dataclass(frozen=True, slots=True)
+class _Point:
+    theta: FloatArray  # (w,)
+    phi: FloatArray  # (2 s,) rho and beta
+    centre: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,40 +186,8 @@ class _Linear:
 
 
 @dataclass(frozen=True, slots=True)
-class _Point:
-    theta: FloatArray  # (w,)
-    phi: FloatArray  # (2 s,) rho and beta
-    centre: float
-
-
-def _linearised(cells: TwoWay, weight: FloatArray, known: FloatArray, point: _Point, before: FloatArray) -> _Linear:
-    """Return the sums of the regression about a point; ``known`` are the weights (w,) of thetas that are known."""
-    n, s = len(cells.value), len(cells.known_rail)
-    theta, rho, beta = point.theta, point.phi[:s], point.phi[s:]
-    above = theta[cells.wheel] - point.centre
-    a = 1.0 + beta[cells.rail]
-    residual = cells.value - theta[cells.wheel] - rho[cells.rail] - beta[cells.rail] * above
-    rows, columns = np.tile(np.arange(n), 2), np.concatenate([cells.rail, cells.rail + s])
-    of_rails = csr_array((np.concatenate([np.ones(n), above]), (rows, columns)), shape=(n, 2 * s))
-    of_wheels = csr_array((weight * a, (np.arange(n), cells.wheel)), shape=(n, len(theta)))
-    own = known + np.bincount(cells.wheel, weight * a * a, minlength=len(theta))
-    apart = np.where(known > 0.0, np.nan_to_num(cells.known_value) - theta, 0.0)
-    right_wheel = known * apart + np.bincount(cells.wheel, weight * a * residual, minlength=len(theta))
-    crossed = of_wheels.T @ of_rails
-    shared = diags_array(1.0 / own) @ crossed
-    matrix = (of_rails.T @ diags_array(weight) @ of_rails - crossed.T @ shared).toarray() + np.diag(before)
-    right = of_rails.T @ (weight * residual) - crossed.T @ (right_wheel / own) - before * point.phi
-    if not cells.anchored:
-        held = HELD * weight.max()
-        for half in (slice(0, s), slice(s, 2 * s)):
-            matrix[half, half] += held
-            right[half] -= held * point.phi[half].sum()
-    return _Linear(residual, own, right_wheel, csr_array(crossed), csr_array(shared), matrix, right)
-
-
-@dataclass(frozen=True, slots=True)
 class _Problem:
-    """The regression at one tau."""
+    """The regression at one tau; cells in the order of their wheels."""
 
     cells: TwoWay
     parameters: RailsParameters
@@ -221,10 +196,17 @@ class _Problem:
     known: FloatArray  # (w,) of thetas that are known; 0 of the others
     before: FloatArray  # (2 s,) of what is known of rho and beta beforehand
     free: IntArray  # which rho and beta are not known
+    places: IntArray  # (2 n,) of rho and beta of each cell
+    begin: IntArray  # (w + 1,) of the places of each wheel
 
     @staticmethod
     def of(cells: TwoWay, parameters: RailsParameters, tau: float) -> _Problem:
         s, is_known = len(cells.known_rail), np.isfinite(cells.known_value)
+        if (np.diff(cells.wheel) < 0).any():
+            order = np.argsort(cells.wheel, kind="stable")
+            names = ("wheel", "rail", "value", "variance")
+            cells = replace(cells, **{name: getattr(cells, name)[order] for name in names})
+        count = np.bincount(cells.wheel, minlength=len(is_known))
         return _Problem(
             cells,
             parameters,
@@ -233,11 +215,39 @@ class _Problem:
             np.where(is_known, 1.0 / np.where(is_known, cells.known_variance + tau**2, 1.0), 0.0),
             np.concatenate([np.zeros(s), np.full(s, parameters.slope_std**-2)]),
             np.flatnonzero(np.tile(~cells.known_rail, 2)),
+            np.column_stack([cells.rail, cells.rail + s]).ravel(),
+            np.concatenate([[0], np.cumsum(2 * count)]),
         )
 
     def linearised(self, point: _Point) -> _Linear:
         """Return the sums of the regression about a point."""
-        return _linearised(self.cells, self.weight, self.known, point, self.before)
+        cells, weight, s, w = self.cells, self.weight, len(self.cells.known_rail), len(self.known)
+        theta, rho, beta = point.theta, point.phi[:s], point.phi[s:]
+        above = theta[cells.wheel] - point.centre
+        a = 1.0 + beta[cells.rail]
+        residual = cells.value - theta[cells.wheel] - rho[cells.rail] - beta[cells.rail] * above
+        own = self.known + np.bincount(cells.wheel, weight * a * a, minlength=w)
+        apart = np.where(self.known > 0.0, np.nan_to_num(cells.known_value) - theta, 0.0)
+        right_wheel = self.known * apart + np.bincount(cells.wheel, weight * a * residual, minlength=w)
+        values = (weight * a)[:, None] * np.column_stack([np.ones(len(above)), above])
+        crossed = csr_array((values.ravel(), self.places, self.begin), shape=(w, 2 * s))
+        by_wheel = values.ravel() * np.repeat(1.0 / own, np.diff(self.begin))
+        shared = csr_array((by_wheel, self.places, self.begin), shape=(w, 2 * s))
+        matrix: FloatArray = -np.asarray((crossed.T @ shared).toarray(), np.float64)
+        first, both, second = (np.bincount(cells.rail, weight * above**power, minlength=s) for power in (0, 1, 2))
+        at = np.arange(s)
+        matrix[at, at] += first
+        matrix[at, at + s] += both
+        matrix[at + s, at] += both
+        matrix[at + s, at + s] += second + self.before[s:]
+        pulls = (np.bincount(cells.rail, weight * residual * above**power, minlength=s) for power in (0, 1))
+        right = np.concatenate(list(pulls)) - crossed.T @ (right_wheel / own) - self.before * point.phi
+        if not cells.anchored:
+            held = HELD * weight.max()
+            for half in (slice(0, s), slice(s, 2 * s)):
+                matrix[half, half] += held
+                right[half] -= held * point.phi[half].sum()
+        return _Linear(residual, own, right_wheel, crossed, shared, matrix, right)
 
     def moved(self, point: _Point, linear: _Linear, *, limited: bool = True) -> _Point:
         """Return the solution of the linear model, slopes within their limits."""
@@ -250,24 +260,48 @@ class _Problem:
         of_theta = linear.right_wheel / linear.own - linear.shared @ step
         return _Point(point.theta + of_theta, point.phi + step, point.centre)
 
-    def described(self, point: _Point, linear: _Linear, *, converged: bool) -> Parted:
-        """Return a solution with its covariance."""
-        s, known = len(self.cells.known_rail), self.known
-        covariance = np.zeros((2 * s, 2 * s))
-        if len(self.free):
-            inverse = _solution(linear.matrix[np.ix_(self.free, self.free)], np.eye(len(self.free)))
-            covariance[np.ix_(self.free, self.free)] = inverse
-        moved = covariance @ -(linear.crossed.T @ (known / linear.own))
+
+@dataclass(slots=True)
+class _Solved:
+    """A solution at one tau."""
+
+    problem: _Problem
+    point: _Point
+    linear: _Linear  # about it
+    converged: bool
+    covariance: FloatArray = field(init=False)  # (2 s, 2 s)
+
+    def __post_init__(self) -> None:
+        free = self.problem.free
+        self.covariance = np.zeros((len(self.point.phi),) * 2)
+        if len(free):
+            self.covariance[np.ix_(free, free)] = _inverse(self.linear.matrix[np.ix_(free, free)])
+        self.converged = self.converged and bool((np.diag(self.covariance) >= 0.0).all())
+
+    def squares(self) -> float:
+        """Return the weighted squares of the residuals, of cells and of known wheels."""
+        problem = self.problem
+        apart = np.where(problem.known > 0.0, np.nan_to_num(problem.cells.known_value) - self.point.theta, 0.0)
+        return float(np.sum(problem.weight * self.linear.residual**2) + np.sum(problem.known * apart**2))
+
+    def freedom(self) -> float:
+        """Return how many residuals are left over."""
+        return _freedom(self.problem.cells, self.covariance, self.problem.before)
+
+    def parted(self) -> Parted:
+        """Return it as others need it."""
+        s, known, linear = len(self.problem.cells.known_rail), self.problem.known, self.linear
+        moved = self.covariance @ -(linear.crossed.T @ (known / linear.own))
         return Parted(
-            wheel=point.theta,
-            wheel_variance=1.0 / linear.own + _quadratic(linear.shared, covariance),
-            rail=point.phi[:s],
-            slope=point.phi[s:],
-            covariance=covariance,
-            interaction=self.tau,
-            freedom=self.parameters.interaction_weight + _freedom(self.cells, covariance, self.before),
-            centre=point.centre,
-            converged=converged and bool((np.diag(covariance) >= 0.0).all()),
+            wheel=self.point.theta,
+            wheel_variance=1.0 / linear.own + _quadratic(linear.shared, self.covariance),
+            rail=self.point.phi[:s],
+            slope=self.point.phi[s:],
+            covariance=self.covariance,
+            interaction=self.problem.tau,
+            freedom=self.problem.parameters.interaction_weight + self.freedom(),
+            centre=self.point.centre,
+            converged=self.converged,
             rail_moved=moved[:s],
             wheel_moved=known / linear.own - linear.shared @ moved,
             known_weight=known,
@@ -276,10 +310,8 @@ class _Problem:
         )
 
 
-def _solved(
-    cells: TwoWay, parameters: RailsParameters, tau: float, start: _Point | None
-) -> tuple[Parted, _Point, float]:
-    """Return the solution at ``tau``, where it is, and the weighted squares of its residuals."""
+def _solved(cells: TwoWay, parameters: RailsParameters, tau: float, start: _Point | None) -> _Solved:
+    """Return the solution at ``tau``, where it is."""
     problem = _Problem.of(cells, parameters, tau)
     s, centre = len(cells.known_rail), float(np.mean(cells.value))
     point, converged = start or _Point(np.full(len(cells.known_value), centre), np.zeros(2 * s), centre), False
@@ -288,11 +320,7 @@ def _solved(
         if max(_farthest(point.theta - before.theta), _farthest((point.phi - before.phi)[:s])) < TOLERANCE:
             converged = True
             break
-    linear = problem.linearised(point)
-    found = problem.described(point, linear, converged=converged)
-    apart = np.where(problem.known > 0.0, np.nan_to_num(cells.known_value) - point.theta, 0.0)
-    squares = float(np.sum(problem.weight * linear.residual**2) + np.sum(problem.known * apart**2))
-    return found, point, squares if found.converged else np.inf
+    return _Solved(problem, point, problem.linearised(point), converged)
 
 
 def _farthest(change: FloatArray) -> float:
@@ -316,6 +344,16 @@ def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
         return np.asarray(cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False))
     except np.linalg.LinAlgError:
         return np.full_like(right, np.nan)
+
+
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a symmetric matrix; NaN where it has none."""
+    factor, bad = dpotrf(matrix, lower=1)
+    inverse, worse = dpotri(factor, lower=1)
+    if bad or worse:
+        return np.full_like(matrix, np.nan)
+    low = np.tril(inverse)
+    return np.asarray(low + np.tril(low, -1).T)
 
 
 def _quadratic(rows: csr_array, covariance: FloatArray) -> FloatArray:
