@@ -83,9 +83,20 @@ def test_the_error_of_a_trend_is_that_of_the_line_and_what_all_cells_share_in_pr
     assert shared.std is not None
     assert np.sqrt(shared.std**2 - alone.std**2) == pytest.approx(0.2 * 0.08, rel=0.05)
     found = apart(worn([0.02, 0.06, 0.10, 0.14]))
-    interaction = float(found.interaction[1])
     value = [one.reference_wheel[1] for one in found.rails if one.rail.section == "B"]
     at = np.arange(4) * 0.5 - 0.75  # years
     independent = np.sqrt(np.mean([one.std**2 for one in value if one.std is not None]) / (at**2).sum())
     assert alone.std == pytest.approx(independent, rel=0.15)
-    assert alone.std > interaction / np.sqrt((at**2).sum())
+
+
+def test_what_no_wheel_explains_is_in_every_period_of_a_trend() -> None:
+    """Pins that the interaction of the wheel as designed is new in each of them: many wheels leave nothing else."""
+    cells = [
+        cell(wheel(f"W{n:03d}", p), s, 0.19 + 0.001 * n + 0.01 * p * (s == "B"), period=p, std=1e-4)
+        for n in range(60)
+        for p in range(4)
+        for s in ("A", "B")
+    ]
+    found = apart(cells)
+    least = float(found.interaction[1]) / np.sqrt((np.array([-0.75, -0.25, 0.25, 0.75]) ** 2).sum())
+    assert least < (found.trends["B"].per_year.std or 0.0) < 1.3 * least
