@@ -87,6 +87,8 @@ class RailsStore:
 
 _KEY = ("wheelset", "baseline", "mileage_interval", "section", "period")
 
+_EXTENT = ("windows", "from_ns", "to_ns")
+
 
 def _key_values(wheel: WheelKey, rail: RailKey) -> dict[str, Any]:
     parts = (wheel.wheelset, wheel.baseline, wheel.interval, rail.section, rail.period)
@@ -98,7 +100,7 @@ def _key(row: Row[Any]) -> tuple[WheelKey, RailKey]:
 
 
 def _values(one: StoredCell) -> dict[str, Any]:
-    document: dict[str, Any] = {"windows": one.windows, "from_ns": one.from_ns, "to_ns": one.to_ns}
+    document: dict[str, Any] = {name: getattr(one, name) for name in _EXTENT}
     if one.reason is not None:
         document["reason"] = to_json(one.reason)
     if one.cell is not None:
@@ -114,7 +116,7 @@ def _cell(row: Row[Any]) -> StoredCell:
         document = json.loads(row.document)
         reason = from_json(document["reason"], Reason) if "reason" in document else None
         cell = _conicities(document, wheel, rail) if "arrays" in document or reason is None else None
-        extent = tuple(int(document.get(name, 0)) for name in ("windows", "from_ns", "to_ns"))
+        extent = tuple(int(document.get(name, getattr(cell, name, 0))) for name in _EXTENT)
     except (ValueError, TypeError, LookupError, AttributeError, StorageError, ParameterError) as error:
         text = f"the conicities of {wheel.wheelset} on {rail.section} are damaged in the store ({error})"
         return StoredCell(wheel, rail, "", None, Reason(ReasonCode.CELL_DAMAGED, text))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.rails.cell import section_conicity
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import bin_parameters, merge_all
-from estimation.values.rails import RailKey, StoredCell, WheelKey
+from estimation.values.rails import RailKey, SectionConicity, StoredCell, WheelKey
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member, Side
 from estimation.values.track import TrackAlignment
@@ -59,10 +59,11 @@ def cells_of(unit: UnitOfWork, serial: str, context: JobContext) -> CellsFound:
     for part in _chosen(rules, rolled(unit, rules).parts):
         wheel = WheelKey(serial, part.roll_up.key.baseline, part.roll_up.key.interval)
         refused = unit.geometries.reason(serial, wheel.baseline, wheel.interval)
-        own = [one for key, one in stored.items() if key[0] == wheel]
-        if part.roll_up.sealed and own:
-            seen |= {(one.wheel, one.rail) for one in own}
-            changed += [one for one in (_sealed(before, refused) for before in own) if one is not None]
+        own = _within(part, wheel, stored.values()) if part.roll_up.sealed else []
+        if own:
+            kept = [_sealed(replace(one, wheel=wheel), refused) for one in own]
+            seen |= {(one.wheel, one.rail) for one in kept}
+            changed += [one for one in kept if one != stored.get((one.wheel, one.rail))]
             continue
         assumed = rules.assumed(part.roll_up)
         assert assumed is not None  # parts of another class are not chosen
@@ -74,13 +75,27 @@ def cells_of(unit: UnitOfWork, serial: str, context: JobContext) -> CellsFound:
     return CellsFound(tuple(changed), tuple(sorted(set(stored) - seen)))
 
 
-def _sealed(before: StoredCell, refused: Reason | None) -> StoredCell | None:
-    """Return a cell whose windows have been purged as it is by now; None where nothing has changed."""
+def _within(part: Part, wheel: WheelKey, stored: Iterable[StoredCell]) -> list[StoredCell]:
+    """Return the cells of a mileage interval by time: its number is another where a lathe was registered later."""
+    first_ns, end_ns = part.roll_up.first_ns, part.roll_up.end_ns
+    return [
+        one
+        for one in stored
+        if (one.wheel == wheel if not one.to_ns else first_ns <= one.from_ns and one.to_ns <= end_ns)
+    ]
+
+
+def _sealed(before: StoredCell, refused: Reason | None) -> StoredCell:
+    """Return a cell whose windows have been purged as it is by now, under the key that it has."""
     if before.damaged:
         return replace(before, digest=LOST)
-    if before.cell is None or before.reason == refused:
-        return None
-    return replace(before, reason=refused)
+    if before.cell is None:
+        return before
+    return replace(before, cell=_of_wheel(before.cell, before.wheel), reason=refused)
+
+
+def _of_wheel(cell: SectionConicity, wheel: WheelKey) -> SectionConicity:
+    return cell if cell.wheel == wheel else replace(cell, wheel=wheel)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,13 +20,15 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.jobs.refresh_rails import STAGE, _refresh_found
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps import rail_anchors
+from estimation.jobs.steps import rail_anchors, rail_cells
 from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
-from estimation.jobs.steps.rail_cells import LOST, _sealed
+from estimation.jobs.steps.rail_cells import LOST, CellsFound, cells_of
+from estimation.jobs.steps.rolling import Part
 from estimation.values.identity import IdentityChange
 from estimation.values.quarantine import SubjectKind
 from estimation.values.rails import RailKey, SectionRailsRecord, StoredCell, WheelKey, WheelsetRailsRecord
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.roll_up import RollUp, RollUpKey, Side
 from estimation.values.track import TrackSectionRecord
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.rails import CELLS
@@ -142,17 +145,69 @@ def test_a_damaged_cell_is_said_and_its_wheelset_is_looked_at_again(registered: 
             assert [one.damaged for one in unit.rails.cells("W4")] == [False, False, True]
 
 
-def test_a_cell_of_purged_windows_follows_what_is_said_of_its_geometry() -> None:
-    known = stored(wheel("W0"), "S1", 0.2)
-    refused = _sealed(known, WHY)
-    assert refused == replace(known, reason=WHY)
-    assert refused.usable is None
-    assert _sealed(refused, WHY) is None
-    assert _sealed(refused, None) == known
-    assert _sealed(known, None) is None
-    assert _sealed(replace(known, digest="", cell=None, reason=WHY), None) == replace(
-        known, digest=LOST, cell=None, reason=WHY
-    )
+def sealed(baseline: int, first_ns: int, end_ns: int) -> Part:
+    key = RollUpKey(baseline, 0, Side.WHOLE, "tables", "metro")
+    return Part(RollUp(key, 1, windows=6, first_ns=first_ns, end_ns=end_ns, vehicles=("V0",), sealed=True))
+
+
+def by_now(storage: SqlStorage, monkeypatch: pytest.MonkeyPatch, reason: Reason | None, *parts: Part) -> CellsFound:
+    """Return what has changed of the cells of W0, whose windows are purged."""
+    monkeypatch.setattr(rail_cells, "rolled", lambda *_: SimpleNamespace(parts=parts))
+    monkeypatch.setattr(rail_cells, "_chosen", lambda _, given: given)
+    monkeypatch.setattr("fleet_db.stores.geometries.GeometryStore.reason", lambda *_: reason)
+    with storage.read() as unit:
+        changes = cells_of(unit, "W0", context(storage))
+    with storage.write() as unit:
+        unit.rails.put_cells(changes.changed)
+        unit.rails.drop_cells(changes.gone)
+    return changes
+
+
+@on_sqlite
+def test_a_cell_of_purged_windows_follows_what_is_said_of_its_geometry(
+    registered: SqlStorage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known, part = stored(wheel("W0"), "S1", 0.2), sealed(0, 0, DAY_NS)
+    with registered.write() as unit:
+        unit.rails.put_cells([known])
+    assert by_now(registered, monkeypatch, None, part) == CellsFound((), ())
+    (refused,) = by_now(registered, monkeypatch, WHY, part).changed
+    assert (refused.reason, refused.usable) == (WHY, None)
+    assert by_now(registered, monkeypatch, WHY, part) == CellsFound((), ())
+    (again,) = by_now(registered, monkeypatch, None, part).changed
+    assert again.usable is not None
+
+
+@on_sqlite
+def test_a_damaged_cell_of_purged_windows_stays_damaged(
+    registered: SqlStorage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with registered.write() as unit:
+        unit.rails.put_cells([stored(wheel("W0"), "S1", 0.2)])
+        unit.connection.execute(update(CELLS).values(document={"arrays": 1}))
+    (lost,) = by_now(registered, monkeypatch, None, sealed(0, 0, DAY_NS)).changed
+    assert (lost.digest, lost.damaged) == (LOST, False)
+    assert lost.reason is not None
+    assert lost.reason.code is ReasonCode.CELL_DAMAGED
+
+
+@on_sqlite
+def test_cells_of_purged_windows_go_with_their_profile_where_a_lathe_was_registered_later(
+    registered: SqlStorage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was the first profile is the second by now, and what was the second the third."""
+    first, second = (stored(WheelKey("W0", n, 0), "S1", 0.2 + 0.1 * n, period=n) for n in (0, 1))
+    with registered.write() as unit:
+        unit.rails.put_cells([first, second])
+    begins = [one.from_ns for one in (first, second)]
+    parts = [sealed(n + 1, begin, begin + DAY_NS) for n, begin in enumerate(begins)]
+    by_now(registered, monkeypatch, None, *parts)
+    with registered.read() as unit:
+        found = {one.wheel.baseline: one.usable for one in unit.rails.cells("W0")}
+    assert {number: one and (one.wheel.baseline, one.conicity[0]) for number, one in found.items()} == {
+        1: (1, 0.2),
+        2: (2, pytest.approx(0.3)),
+    }
 
 
 @on_sqlite
