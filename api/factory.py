@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
+from api.known_sections import known_sections
 from api.raw_stores import open_raw_store
 from api.retention_file import load_retention
 from api.rules_file import load_rules
@@ -24,7 +25,7 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.errors import ParameterError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.rails_settings import RailsSettings
+from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.rails.parameters import RailsParameters
@@ -174,9 +175,9 @@ def estimation_settings(settings: Settings) -> EstimationSettings:
 
 def rails_settings(settings: Settings) -> RailsSettings:
     """Return the settings of wheels and rails apart that this deployment asks for."""
-    named = (code.strip() for code in (settings.rails_known_sections or "").split(","))
+    known = known_sections(settings.rails_known_sections or "")
     model = replace(RailsParameters(), limit=settings.rails_limit)
-    return RailsSettings(frozenset(code for code in named if code), model)
+    return RailsSettings(frozenset(KnownSection(code, on_ns) for code, on_ns in known), model)
 
 
 def retention_of(settings: Settings) -> Retention:

@@ -10,6 +10,7 @@ from urllib.parse import quote, urlsplit
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from api.known_sections import known_sections
 from api.store_urls import names_endpoint, names_store
 from estimation.errors import ParameterError
 from estimation.rails.parameters import RailsParameters
@@ -90,7 +91,8 @@ class Settings(BaseSettings):
     compiled_cpu
         ``host``: code for the CPU of this machine. ``portable``: code that other machines of its kind load too.
     rails_known_sections
-        Codes of the track sections whose rails are as on file, with commas between; all others are compared with them.
+        Track sections whose rails are as on file, each with the day for which that is known: ``S1@2026-03-01``, with
+        commas between; all others are compared with them.
     rails_limit
         On what rails add to the conicity of the wheel as designed, over those on file.
     estimator
@@ -248,6 +250,12 @@ class Settings(BaseSettings):
         here = value is not None and urlsplit(value).hostname in LOOPBACK
         if value is not None and value.startswith("http://") and not here:
             raise ValueError("must be https:// or a file: whoever can change keys on their way can sign tokens")
+        return value
+
+    @field_validator("rails_known_sections")
+    @classmethod
+    def _sections_with_days(cls, value: str | None) -> str | None:
+        known_sections(value or "")
         return value
 
     @property

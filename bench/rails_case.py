@@ -28,7 +28,7 @@ from api.settings import Settings
 from bench.rails_sections import KNOWN, BenchSection, reference_wheel, sections_of
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
-from estimation.jobs.rails_settings import RailsSettings
+from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate
@@ -36,11 +36,7 @@ from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan
 from ingest.simulator.wear import truth_of, wear_at, worn_contact
 
 AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm, as in the accuracy table
-ANCHORS: Mapping[str, frozenset[str]] = {
-    "known rails": frozenset({KNOWN}),
-    "measured wheels": frozenset(),
-    "none": frozenset(),
-}
+ANCHORS: Mapping[str, tuple[str, ...]] = {"known rails": (KNOWN,), "measured wheels": (), "none": ()}
 MEASURED = 2  # wheelsets whose profiles are on file, where these hold the level
 Scored = dict[str, Any]
 
@@ -75,7 +71,9 @@ def score(seed: int, cache: Path, *, surveyed: bool = True, drawn: bool = False)
 
 def _scored(seed: int, sections: Sequence[BenchSection], anchor: str, storage: Storage, context: JobContext) -> Scored:
     began = time.perf_counter()
-    settings = replace(context.settings, rails=RailsSettings(ANCHORS[anchor]))
+    begin_ns = sections[0].scenario.sessions.start_ns
+    known = frozenset(KnownSection(code, begin_ns) for code in ANCHORS[anchor])
+    settings = replace(context.settings, rails=RailsSettings(known))
     run_jobs(replace(context, settings=settings), (refresh_rails.JOB,))
     with storage.read() as unit:
         scored = _stored(unit, sections)

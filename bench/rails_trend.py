@@ -17,11 +17,11 @@ from bench.rails_case import received
 from bench.rails_sections import KNOWN, TEMPLATE, BenchSection, on_section, reference_wheel
 from estimation.contact.rail_wear import RailWear
 from estimation.jobs import refresh_rails
-from estimation.jobs.rails_settings import RailsSettings
+from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.values.quantities import Estimate
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.rail_course import section_at
-from ingest.simulator.scenario import Scenario, VehiclePlan
+from ingest.simulator.scenario import DAY_NS, Scenario, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario
 
 CAMPAIGNS = 5
@@ -79,7 +79,7 @@ def score_trend(seed: int, cache: Path) -> Scored:
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
         settings = copied(received(sections, cache), Path(folder))
         with opened(settings) as (storage, context):
-            known = replace(context.settings, rails=RailsSettings(frozenset({KNOWN})))
+            known = replace(context.settings, rails=RailsSettings(_looked_at(sections[0].scenario)))
             run_jobs(replace(context, settings=known), (*ESTIMATION, refresh_rails.JOB))
             with storage.read() as unit:
                 found = unit.rails.of_section(sections[1].plan.code)
@@ -96,6 +96,12 @@ def score_trend(seed: int, cache: Path) -> Scored:
         "true_per_100_mgt": per_year * 100.0 / TONNAGE,
         "per_100_mgt": _interval(trend.per_100_mgt),
     }
+
+
+def _looked_at(scenario: Scenario) -> frozenset[KnownSection]:
+    """Return the known section with a day of every campaign: its rails are looked at again and again."""
+    days = (round(campaign * DAYS_BETWEEN) * DAY_NS for campaign in range(CAMPAIGNS))
+    return frozenset(KnownSection(KNOWN, scenario.sessions.start_ns + day_ns) for day_ns in days)
 
 
 def _true_slope(scenario: Scenario, amplitude: float) -> float:

@@ -18,6 +18,8 @@ from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 MM = 1000.0
 NO_GEOMETRY = Estimate.unknown(Reason(ReasonCode.NO_GEOMETRY, "there is no geometry at this amplitude yet"))
 
+NO_TREND = Reason(ReasonCode.TOO_FEW_PERIODS, "too few periods of the section are known")  # of earlier versions
+
 
 class ConicityMethod(StrEnum):
     """How a conicity was found; those of different methods are never mixed."""
@@ -69,11 +71,13 @@ class SectionRails(Representation):
     limit_1: float = Field(description="On the excess.")
     limit_exceeded: bool | None = Field(
         description="Whether the newest excess is beyond the limit, and its interval leaves no doubt of its sign; "
-        "null where it is not known."
+        "null where it is not known: the newest period says why."
     )
     limit_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude below that is known.")
     periods: list[RailsPeriod] = Field(description="Oldest first.")
-    trend: RailsTrend | None = Field(description="Null until there are enough periods.")
+    trend: RailsTrend | None = Field(description="Null where there is none; `trend_reason_code` says why.")
+    trend_reason: str | None = Field(description="Why there is no trend; null where there is one.")
+    trend_reason_code: ReasonCode | None = Field(description="Its code.")
     reason: str | None = Field(
         description="Why the section holds no level though it is named as known; null where that does not apply."
     )
@@ -112,6 +116,10 @@ class WheelsetRails(Representation):
     measured_to: Timestamp
     by_amplitude: list[ConicitiesAtAmplitude] = Field(description="Smallest amplitude first.")
     status: Status = Field(description="`estimated` where a conicity is published at some amplitude.")
+    reason: str | None = Field(
+        description="Why it holds no level though its profiles were measured; null where that does not apply."
+    )
+    reason_code: ReasonCode | None = Field(description="Its code.")
     code_version: str
     input_digest: str
     recorded_at: Timestamp
@@ -127,6 +135,7 @@ def section_rails(record: SectionRailsRecord) -> SectionRails:
         As stored.
     """
     own, trend = f"/v1/track-sections/{segment(record.section)}", record.trend
+    no_trend = (record.no_trend or NO_TREND) if trend is None else None
     return SectionRails(
         section=record.section,
         reference_wheel_profile=record.reference_wheel_profile,
@@ -142,6 +151,8 @@ def section_rails(record: SectionRailsRecord) -> SectionRails:
             amplitude_mm=trend.amplitude * MM,
             n_periods=trend.periods,
         ),
+        trend_reason=text_of(no_trend),
+        trend_reason_code=code_of(no_trend),
         reason=text_of(record.refused),
         reason_code=code_of(record.refused),
         code_version=record.code_version,
@@ -180,6 +191,8 @@ def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None)
         measured_to=to_rfc3339(part.to_ns),
         by_amplitude=rows,
         status=Status.ESTIMATED if known else Status.UNESTIMATED,
+        reason=text_of(record.refused),
+        reason_code=code_of(record.refused),
         code_version=record.code_version,
         input_digest=record.input_digest,
         recorded_at=to_rfc3339(record.recorded_ns),

@@ -125,7 +125,8 @@ def conicity_of(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: fl
     for row, share in enumerate((-NORMAL_95, -1.0, 1.0, NORMAL_95)):
         factor = 1.0 + share * std / amplitude
         possible = factor > 0.0
-        stretched = equivalent_conicity(x, curve, np.where(possible, amplitude / factor, amplitude)) / factor
+        factor = np.where(possible, factor, 1.0)
+        stretched = equivalent_conicity(x, curve, amplitude / factor) / factor
         changes[row] = np.where(possible, np.abs(stretched - here) / abs(share), np.inf)
     widest = np.where(np.isnan(changes), 0.0, changes).max(axis=0)
     return tuple(_estimate(*row) for row in zip(here, widest, amplitude, strict=True))

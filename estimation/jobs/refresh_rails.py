@@ -10,10 +10,12 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 
 import numpy as np
 
+from estimation.errors import DamagedError
 from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
@@ -21,13 +23,17 @@ from estimation.jobs.steps.rail_cells import cells_of
 from estimation.jobs.steps.section_looks import NO_SECTION, note_sections
 from estimation.rails.apart import exceeds, init, reported, result, update
 from estimation.rails.parameters import RailsParameters
+from estimation.rails.refused_cells import with_refused
 from estimation.storage import UnitOfWork
 from estimation.values.look import Look, SectionLook
 from estimation.values.quarantine import SubjectKind
 from estimation.values.rails import (
+    RailKey,
     RailPart,
     RailsApart,
     SectionRailsRecord,
+    StoredCell,
+    WheelKey,
     WheelsetRailsRecord,
 )
 
@@ -54,7 +60,7 @@ def run(context: JobContext) -> Mapping[str, int]:
         with isolation.alone(SubjectKind.WHEELSET, serial, changes):
             counts["cells"] += _refresh_cells(context, serial, looks[serial])
             counts["wheelsets"] += 1
-    counts.update(_refresh_found(context))
+    counts.update(_refresh_found(context, isolation))
     if not isolation.held(SubjectKind.WHEELSET):  # what is held is read again, whatever is counted
         note_sections(context, STAGE, {NO_SECTION: everything})
     counts["quarantined"] = isolation.quarantined
@@ -99,7 +105,7 @@ def look_at_all(unit: UnitOfWork, context: JobContext, looks: Mapping[str, Look]
 def _refresh_cells(context: JobContext, serial: str, look: Look) -> int:
     """Store the cells of a wheelset that are others by now; return how many."""
     with context.storage.read() as unit:
-        found = cells_of(unit, serial, context, unit.rails.digests(serial))
+        found = cells_of(unit, serial, context)
     with context.storage.write() as unit:
         unit.rails.put_cells(found.changed)
         unit.rails.drop_cells(found.gone)
@@ -107,7 +113,7 @@ def _refresh_cells(context: JobContext, serial: str, look: Look) -> int:
     return len(found.changed) + len(found.gone)
 
 
-def _refresh_found(context: JobContext) -> Mapping[str, int]:
+def _refresh_found(context: JobContext, isolation: Isolation) -> Mapping[str, int]:
     """Part wheels and rails where that is not what is stored; return of how many sections something is said.
 
     Beside that, how many sections that are named as known hold no level.
@@ -116,21 +122,38 @@ def _refresh_found(context: JobContext) -> Mapping[str, int]:
     with context.storage.read() as unit:
         cells = unit.rails.cells()
         inputs = anchor_inputs(unit, cells, context)
-        digest = _digest(f"{[(one.wheel, one.rail, one.digest) for one in cells]!r} {inputs.text} {parameters!r}")
-        if unit.rails.input_digest() == (digest, context.code_version):
-            return {"sections": 0, "known_refused": 0}
-        usable = [one.cell for one in cells if one.cell is not None]
-        amplitude = usable[0].amplitude if usable else np.array(context.settings.estimation.geometry.curve.amplitudes)
+        digest = _digest(f"{[_stands_for(one) for one in cells]!r} {inputs.text} {parameters!r}")
+        unchanged = unit.rails.input_digest() == (digest, context.code_version)
+    _keep_damaged(context, isolation, cells)
+    if unchanged:
+        return {"sections": 0, "known_refused": 0}
+    usable = [one.usable for one in cells if one.usable is not None]
+    amplitude = usable[0].amplitude if usable else np.array(context.settings.estimation.geometry.curve.amplitudes)
+    with context.storage.read() as unit:
         held = anchors(unit, inputs, amplitude)
-    found = result(update(init(parameters, amplitude), usable), held)
+    found = with_refused(result(update(init(parameters, amplitude), usable), held), cells)
     refused = {**dict.fromkeys(held.missing, "not on file"), **{code: str(why) for code, why in found.refused.items()}}
     for code, why in sorted(refused.items()):
         _log.warning("section %s is named as known, but holds no level: %s", code, why)
+    for serial, reason in sorted(found.refused_wheels.items()):
+        _log.warning("wheelset %s is measured, but holds no level: %s", serial, reason)
     sections = _section_records(found, held.wheel.profile, parameters, digest, context)
     wheelsets = _wheelset_records(found, digest, context)
     with context.storage.write() as unit:
         unit.rails.put_found(sections, wheelsets)
     return {"sections": len(sections), "known_refused": len(refused)}
+
+
+def _stands_for(one: StoredCell) -> tuple[WheelKey, RailKey, str, str | None]:
+    return one.wheel, one.rail, one.digest, None if one.reason is None else str(one.reason.code)
+
+
+def _keep_damaged(context: JobContext, isolation: Isolation, cells: Sequence[StoredCell]) -> None:
+    """Keep wheelsets with cells that cannot be read in quarantine, which has them made again."""
+    for serial, own in groupby((one for one in cells if one.damaged), key=lambda one: one.wheel.wheelset):
+        if serial not in {item.key for item in isolation.held(SubjectKind.WHEELSET)}:
+            error = DamagedError("; ".join(str(one.reason) for one in own))
+            isolation.keep(SubjectKind.WHEELSET, serial, inputs_of(context, serial)(), error)
 
 
 def _section_records(
@@ -142,8 +165,8 @@ def _section_records(
         periods[one.rail.section].append(one)
     records = []
     for section, parts in sorted(periods.items()):
-        known = (reported(part.excess, found.amplitude, parameters.limit_amplitude) for part in reversed(parts))
-        excess, amplitude = next((one for one in known if one is not None), (None, None))
+        newest = reported(parts[-1].excess, found.amplitude, parameters.limit_amplitude)
+        excess, amplitude = (None, None) if newest is None else newest
         records.append(
             SectionRailsRecord(
                 section=section,
@@ -158,6 +181,7 @@ def _section_records(
                 code_version=context.code_version,
                 recorded_ns=context.clock.now_ns(),
                 refused=found.refused.get(section),
+                no_trend=found.no_trends.get(section),
             )
         )
     return records
@@ -167,7 +191,10 @@ def _wheelset_records(found: RailsApart, digest: str, context: JobContext) -> li
     """Return what is found of every wheelset in its newest interval."""
     newest = {one.wheel.wheelset: one for one in found.wheels}  # in the order of their keys
     amplitude, now_ns = tuple(found.amplitude.tolist()), context.clock.now_ns()
-    return [WheelsetRailsRecord(amplitude, one, digest, context.code_version, now_ns) for one in newest.values()]
+    return [
+        WheelsetRailsRecord(amplitude, one, digest, context.code_version, now_ns, found.refused_wheels.get(serial))
+        for serial, one in newest.items()
+    ]
 
 
 def _digest(text: str) -> str:

@@ -16,6 +16,7 @@ from estimation.errors import DamagedError
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.failed_windows import key_of_text, text_of_key
+from estimation.jobs.steps.identities import identity_change, suspected
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import VERSION, refresh_windows, usable
 from estimation.jobs.steps.vehicle_classes import ClassLookup
@@ -206,14 +207,19 @@ def _line(entry: LibraryEntry) -> str:
 def _subjects(
     reader: EntryReader, known: Sequence[KnownSignatures], answered: Collection[str], most_km: float
 ) -> dict[str, _Subject]:
-    """Return who is judged, by serial: every wheelset that has signatures, or had some when it was judged last."""
+    """Return who is judged, by serial: every wheelset that has signatures, or had some when it was judged last.
+
+    By signatures of the wheelset that it is now: of none from before its identity has changed.
+    """
     of_wheelset: dict[str, list[KnownSignatures]] = {serial: [] for serial in answered}
     for one in known:
         of_wheelset.setdefault(one.found.wheelset, []).append(one)
-    found = {}
+    found, doubted = {}, suspected(reader.unit)
     for serial, mine in sorted(of_wheelset.items()):
         last = reader.lives(serial)[-1]
-        now = [one for one in mine if one.found.start_ns >= last.from_ns]
+        change = identity_change(reader.unit, serial) if serial in doubted else None
+        begin_ns = last.from_ns if change is None else max(last.from_ns, change.after_ns)
+        now = [one for one in mine if one.found.start_ns >= begin_ns]
         newest = now[-1] if now else None
         near = [one for one in now if newest and newest.mileage_km - one.mileage_km <= most_km][-NEWEST:]
         kind = _kind(near[-1]) if near else None

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from estimation.rails.component import Component, RailAt, WheelAt, parted
+from estimation.rails.cell_table import CellTable
+from estimation.rails.component import Component, component
+from estimation.rails.connections import Runs, connected, islands
+from estimation.rails.measured_wheels import Check, checks
 from estimation.rails.parameters import Anchors, RailsParameters
-from estimation.values.quantities import Estimate
-from estimation.values.rails import KnownWheel, RailKey, SectionConicity, WheelKey
+from estimation.rails.published import RailAt, WheelAt, parted
+from estimation.rails.trend_line import TrendAt
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.rails import RailKey, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 
 NOT_COVERED = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no wheelset has moved as far as this amplitude there")
-NOT_CONNECTED = Reason(
-    ReasonCode.RAILS_NOT_CONNECTED, "no wheelset that runs there runs on another section at this amplitude"
-)
+UNCONFIRMED = "it was measured, but nothing else that holds the level confirms it: two measured wheelsets are needed"
 
 
 @dataclass(slots=True)
@@ -28,19 +28,17 @@ class AtAmplitude:
 
     rails: dict[RailKey, RailAt] = field(default_factory=dict)
     wheels: dict[WheelKey, WheelAt] = field(default_factory=dict)
-    trends: dict[str, tuple[Estimate, int]] = field(default_factory=dict)
+    trends: dict[str, TrendAt] = field(default_factory=dict)  # of sections with rails that were parted, or why not
     interaction: float = float("nan")  # of the component with most cells
 
 
-def at_amplitude(
-    cells: Sequence[SectionConicity], k: int, anchors: Anchors, parameters: RailsParameters
-) -> AtAmplitude:
+def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsParameters) -> AtAmplitude:
     """Return what is published at an amplitude, for every wheel and every rail that has cells.
 
     Parameters
     ----------
-    cells
-        All, in the order of their keys.
+    table
+        All cells.
     k
         Number of the amplitude.
     anchors
@@ -48,90 +46,108 @@ def at_amplitude(
     parameters
         Of the model.
     """
-    given = [cell for cell in cells if np.isfinite([cell.conicity[k], cell.sampled[k], cell.systematic[k]]).all()]
-    known = {one.wheel: one for one in anchors.known_wheels if np.isfinite([one.conicity[k], one.std[k]]).all()}
-    kept, refused = _supported(given, known, anchors.known_rails, parameters.least_wheelsets)
+    level, confirmed = _Level.of(table, k, anchors).confirmed(parameters)
+    level = level.widened(confirmed)
+    groups = connected(level.runs, parameters.least_wheelsets)
     found = AtAmplitude()
-    for cell in cells:
-        why = refused.get(cell.rail, NOT_COVERED)
-        found.rails[cell.rail] = RailAt.unknown(why)
-        if found.wheels.get(cell.wheel) is None or cell in given:
-            found.wheels[cell.wheel] = WheelAt.unknown(why)
+    for place, key in enumerate(table.rails):
+        found.rails[key] = RailAt.unknown(groups.refused.get(place, NOT_COVERED))
+    for row in (~level.given).nonzero()[0].tolist() + level.cells.tolist():  # what is known there comes last
+        why = groups.refused.get(int(table.rail[row]), NOT_COVERED) if level.given[row] else NOT_COVERED
+        found.wheels[table.wheels[table.wheel[row]]] = WheelAt.unknown(why)
     most = 0
-    for component in _components(kept, k, known, anchors):
-        answer = parted(component, anchors.wheel, parameters)
+    for one in level.components(groups.group):
+        answer = parted(one, level.anchors.wheel, parameters)
         found.rails.update(answer.rails)
         found.wheels.update(answer.wheels)
-        found.trends.update(answer.trends)
-        if len(component.cells) > most:
-            most, found.interaction = len(component.cells), answer.interaction
+        for section, trend in answer.trends.items():
+            if section not in found.trends or found.trends[section].periods < trend.periods:
+                found.trends[section] = trend
+        if len(one.cells) > most:
+            most, found.interaction = len(one.cells), answer.interaction
     return found
 
 
-def _supported(
-    cells: Sequence[SectionConicity], known: Mapping[WheelKey, KnownWheel], known_rails: frozenset[str], least: int
-) -> tuple[list[SectionConicity], dict[RailKey, Reason]]:
-    """Return the cells on rails that enough wheelsets connect to others, and why the other rails are refused.
+def wheel_checks(table: CellTable, k: int, anchors: Anchors, parameters: RailsParameters) -> dict[str, Check]:
+    """Return by serial how far measured wheelsets are from what the others say at an amplitude.
 
-    What is refused connects nothing any more, so that others may follow.
+    Parameters
+    ----------
+    table, k, anchors, parameters
+        As for :func:`at_amplitude`.
     """
-    kept, refused = list(cells), dict[RailKey, Reason]()
-    while True:
-        linking = _linking(kept, known, known_rails)
-        weak = {key for key, serials in linking.items() if len(serials) < least and key.section not in known_rails}
-        if not weak:
-            return kept, refused
-        for key in weak:
-            count = len(linking[key])
-            text = f"{count} wheelset{'s' * (count != 1)} connect the section to others, {least} are needed"
-            refused[key] = NOT_CONNECTED if count == 0 else Reason(ReasonCode.TOO_FEW_WHEELSETS, text)
-        kept = [cell for cell in kept if cell.rail not in weak]
+    return _Level.of(table, k, anchors).confirmed(parameters)[1]
 
 
-def _linking(
-    cells: Sequence[SectionConicity], known: Mapping[WheelKey, KnownWheel], known_rails: frozenset[str]
-) -> dict[RailKey, set[str]]:
-    """Return by rails the serials of wheelsets that connect them to others: on other rails too, or known themselves."""
-    places: defaultdict[WheelKey, set[RailKey | str]] = defaultdict(set)
-    for cell in cells:
-        places[cell.wheel].add(_node(cell.rail, known_rails))
-    linking: dict[RailKey, set[str]] = {cell.rail: set() for cell in cells}
-    for cell in cells:
-        if len(places[cell.wheel]) > 1 or cell.wheel in known:
-            linking[cell.rail].add(cell.wheel.wheelset)
-    return linking
+@dataclass(frozen=True, slots=True, eq=False)
+class _Level:
+    """The cells that are known at an amplitude, and what holds their level there."""
 
+    table: CellTable
+    k: int
+    anchors: Anchors
+    given: BoolArray  # (n,) which cells are known
+    known: tuple[FloatArray, FloatArray]  # (w,) conicity of measured wheels and its std; NaN
 
-def _node(rail: RailKey, known_rails: frozenset[str]) -> RailKey | str:
-    """Return what stands for rails in the graph; all that are known are one."""
-    return "" if rail.section in known_rails else rail
+    @staticmethod
+    def of(table: CellTable, k: int, anchors: Anchors) -> _Level:
+        value, std = np.full((2, len(table.wheels)), np.nan)
+        places = {key: place for place, key in enumerate(table.wheels)} if anchors.known_wheels else {}
+        for one in anchors.known_wheels:
+            if one.wheel in places and np.isfinite([one.conicity[k], one.std[k]]).all():
+                value[places[one.wheel]], std[places[one.wheel]] = one.conicity[k], one.std[k]
+        return _Level(table, k, anchors, table.given(k), (value, std))
 
+    @property
+    def cells(self) -> IntArray:
+        """Numbers of the cells that are known."""
+        return np.flatnonzero(self.given)
 
-def _components(
-    cells: Sequence[SectionConicity], k: int, known: Mapping[WheelKey, KnownWheel], anchors: Anchors
-) -> list[Component]:
-    """Return the cells that are connected; all that is known counts as connected, for it is compared with one thing."""
-    wheels, rails = sorted({cell.wheel for cell in cells}), sorted({cell.rail for cell in cells})
-    if not cells:
-        return []
-    nodes: list[WheelKey | RailKey] = [*wheels, *rails]
-    numbers = {key: 1 + place for place, key in enumerate(nodes)}
-    pairs = [(numbers[cell.wheel], numbers[cell.rail]) for cell in cells]
-    pairs += [(0, numbers[key]) for key in rails if key.section in anchors.known_rails]
-    pairs += [(0, numbers[key]) for key in wheels if key in known]
-    first, second = np.array(pairs).T
-    graph = coo_array((np.ones(len(pairs)), (first, second)), shape=(len(numbers) + 1,) * 2)
-    _, label = connected_components(graph, directed=False)
-    found: defaultdict[int, list[SectionConicity]] = defaultdict(list)
-    for cell in cells:
-        found[int(label[numbers[cell.wheel]])].append(cell)
-    return [
-        Component(
-            tuple(own),
-            k,
-            anchors.known_rails,
-            {cell.wheel: known[cell.wheel] for cell in own if cell.wheel in known},
-            anchors.level_open,
-        )
-        for own in found.values()
-    ]
+    @property
+    def runs(self) -> Runs:
+        """Which wheel ran where."""
+        table, cells = self.table, self.cells
+        known_rail = np.array([key in self.anchors.known_rails for key in table.rails], np.bool_)
+        return Runs(table.wheel[cells], table.rail[cells], table.serial, known_rail, np.isfinite(self.known[0]))
+
+    def components(self, group: IntArray) -> Iterator[Component]:
+        """Return the cells of each group of rails (s,)."""
+        cells = self.cells
+        own = group[self.table.rail[cells]]
+        order = np.argsort(own, kind="stable")
+        bounds = np.flatnonzero(np.diff(own[order])) + 1
+        for some in np.split(cells[order], bounds):
+            if len(some) and group[self.table.rail[some[0]]] >= 0:
+                known_rails, level_open = self.anchors.known_rails, self.anchors.level_open
+                yield component(self.table, some, self.k, self.known, known_rails, level_open)
+
+    def checks(self, parameters: RailsParameters) -> dict[str, Check]:
+        """Return by serial how far measured wheelsets are from what the others say."""
+        found: dict[str, Check] = {}
+        if np.isfinite(self.known[0]).any():
+            apart = replace(self.runs, known_wheel=np.zeros(len(self.table.wheels), np.bool_))
+            for one in self.components(islands(apart)):
+                found |= checks(one, self.anchors.wheel, parameters)
+        return found
+
+    def confirmed(self, parameters: RailsParameters) -> tuple[_Level, dict[str, Check]]:
+        """Return the level without measured wheelsets of which the others say too little, and what of those left."""
+        level = self
+        while True:
+            found = level.checks(parameters)
+            few = {name for name, one in found.items() if one.std > parameters.confirmed_within}
+            if not few:
+                return level, found
+            level = level.without(few)
+
+    def widened(self, found: Mapping[str, Check]) -> _Level:
+        """Return the level with errors of measured wheelsets that are no smaller than what the others leave open."""
+        of_others = np.array([found[key.wheelset].std if key.wheelset in found else 0.0 for key in self.table.wheels])
+        return replace(self, known=(self.known[0], np.hypot(self.known[1], of_others)))
+
+    def without(self, serials: set[str]) -> _Level:
+        """Return the level that some measured wheelsets hold no more."""
+        own = np.array([key.wheelset in serials for key in self.table.wheels])
+        value, std = (np.where(own, np.nan, one) for one in self.known)
+        why = dict.fromkeys(serials, Reason(ReasonCode.RAILS_LEVEL_OPEN, UNCONFIRMED))
+        return replace(self, anchors=self.anchors.without({}, why), known=(value, std))

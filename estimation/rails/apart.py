@@ -5,17 +5,20 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.rails.amplitude import AtAmplitude, at_amplitude
-from estimation.rails.component import NEXT_TO_JUMP
+from estimation.rails.amplitude import NOT_COVERED, AtAmplitude, at_amplitude
+from estimation.rails.cell_table import cell_table
 from estimation.rails.contact_jumps import on_rise
 from estimation.rails.known_rails import confirmed
 from estimation.rails.parameters import Anchors, RailsParameters
+from estimation.rails.published import NEXT_TO_JUMP
+from estimation.rails.trend_line import TrendAt
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate
 from estimation.values.rails import (
@@ -28,6 +31,9 @@ from estimation.values.rails import (
     WheelKey,
     WheelPart,
 )
+from estimation.values.reasons import Reason, ReasonCode
+
+SAME_AMPLITUDE = 1e-9  # m
 
 Cells = Mapping[tuple[WheelKey, RailKey], SectionConicity]
 
@@ -90,16 +96,27 @@ def result(state: RailsState, anchors: Anchors) -> RailsApart:
         What holds the level.
     """
     cells = [state.cells[key] for key in sorted(state.cells)]
-    held = confirmed(cells, state.amplitude, anchors, state.parameters)
-    levels = [at_amplitude(cells, k, held, state.parameters) for k in range(len(state.amplitude))]
+    table = cell_table(cells, state.amplitude)
+    held = confirmed(table, anchors, state.parameters)
+    levels = [at_amplitude(table, k, held, state.parameters) for k in range(len(state.amplitude))]
     _refuse_rises(levels, state)
+    of_rails, of_wheels = (
+        defaultdict[RailKey, list[SectionConicity]](list),
+        defaultdict[WheelKey, list[SectionConicity]](list),
+    )
+    for cell in cells:
+        of_rails[cell.rail].append(cell)
+        of_wheels[cell.wheel].append(cell)
+    trends, no_trends = _trends(levels, state, held)
     return RailsApart(
         amplitude=state.amplitude,
-        rails=tuple(_rail_part(key, cells, levels) for key in sorted({cell.rail for cell in cells})),
-        wheels=tuple(_wheel_part(key, cells, levels) for key in sorted({cell.wheel for cell in cells})),
-        trends=_trends(levels, state, held),
+        rails=tuple(_rail_part(key, of_rails[key], levels) for key in table.rails),
+        wheels=tuple(_wheel_part(key, of_wheels[key], levels) for key in table.wheels),
+        trends=trends,
+        no_trends=no_trends,
         interaction=np.array([level.interaction for level in levels]),
         refused=held.refused,
+        refused_wheels=held.refused_wheels,
     )
 
 
@@ -115,11 +132,10 @@ def _refuse_rises(levels: Sequence[AtAmplitude], state: RailsState) -> None:
         for level in (one for one, rises in zip(levels, rising, strict=True) if rises):
             if level.rails[key].reference_wheel.value is not None:
                 level.rails[key] = level.rails[key].without_reference_wheel(NEXT_TO_JUMP)
-                level.trends.pop(key.section, None)
+                level.trends[key.section] = TrendAt.unknown(NEXT_TO_JUMP)
 
 
-def _rail_part(key: RailKey, cells: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> RailPart:
-    own = [cell for cell in cells if cell.rail == key]
+def _rail_part(key: RailKey, own: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> RailPart:
     found = [level.rails[key] for level in levels]
     return RailPart(
         rail=key,
@@ -127,15 +143,14 @@ def _rail_part(key: RailKey, cells: Sequence[SectionConicity], levels: Sequence[
         part=tuple(one.part for one in found),
         reference_wheel=tuple(one.reference_wheel for one in found),
         excess=tuple(one.excess for one in found),
-        wheelsets=max((one.wheelsets for one in found), default=0),
+        wheelsets=len({cell.wheel.wheelset for cell in own}),
         windows=sum(cell.windows for cell in own),
         from_ns=min(cell.from_ns for cell in own),
         to_ns=max(cell.to_ns for cell in own),
     )
 
 
-def _wheel_part(key: WheelKey, cells: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> WheelPart:
-    own = [cell for cell in cells if cell.wheel == key]
+def _wheel_part(key: WheelKey, own: Sequence[SectionConicity], levels: Sequence[AtAmplitude]) -> WheelPart:
     found = [level.wheels[key] for level in levels]
     return WheelPart(
         wheel=key,
@@ -152,15 +167,27 @@ def _strongest(references: Sequence[RailsReference | None]) -> RailsReference | 
     return next((one for one in RailsReference if one in references), None)
 
 
-def _trends(levels: Sequence[AtAmplitude], state: RailsState, anchors: Anchors) -> Mapping[str, RailTrend]:
-    """Return the trend of each section at the largest amplitude up to that of the limit at which it is known."""
+def _trends(
+    levels: Sequence[AtAmplitude], state: RailsState, anchors: Anchors
+) -> tuple[dict[str, RailTrend], dict[str, Reason]]:
+    """Return the trend of each section at the largest amplitude up to that of the limit at which it is known.
+
+    Of the others why there is none, at the largest amplitude at which that is said; where the excess is not on a line
+    at one amplitude, that it is at a smaller one says nothing.
+    """
     found: dict[str, RailTrend] = {}
-    for amplitude, level in zip(state.amplitude, levels, strict=True):
-        if amplitude <= state.parameters.limit_amplitude + 1e-9:
-            for section, (per_year, periods) in level.trends.items():
-                trend = RailTrend(per_year, float(amplitude), periods)
+    why: dict[str, Reason] = {}
+    for amplitude, level in reversed(list(zip(state.amplitude, levels, strict=True))):
+        if amplitude > state.parameters.limit_amplitude + SAME_AMPLITUDE:
+            continue
+        for section in {key.section for key in level.rails} - found.keys():
+            one = level.trends.get(section, TrendAt.unknown(NOT_COVERED))
+            if one.per_year.reason is not None:
+                why.setdefault(section, one.per_year.reason)
+            elif section not in why or why[section].code is not ReasonCode.TREND_NOT_A_LINE:
+                trend = RailTrend(one.per_year, float(amplitude), one.periods)
                 found[section] = trend.with_tonnage(anchors.tonnage.get(section))
-    return found
+    return found, {section: reason for section, reason in why.items() if section not in found}
 
 
 def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> tuple[Estimate, float] | None:
@@ -176,7 +203,9 @@ def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> 
         In m.
     """
     known = [
-        (one, float(a)) for one, a in zip(part, amplitude, strict=True) if one.value is not None and a <= most + 1e-9
+        (one, float(a))
+        for one, a in zip(part, amplitude, strict=True)
+        if one.value is not None and a <= most + SAME_AMPLITUDE
     ]
     return known[-1] if known else None
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.rails import KnownWheel
+from estimation.values.rails import KnownWheel, RailKey
 from estimation.values.reasons import Reason, ReasonCode
+
+DIFFER = (ReasonCode.KNOWN_RAILS_DIFFER, ReasonCode.MEASURED_WHEELS_DIFFER)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,14 +33,19 @@ class RailsParameters:
     steepest
         Most that the conicity of the wheel as designed may change within 0.25 mm of amplitude, where it is published.
     known_apart
-        Half intervals by which sections that are named as known must differ until they contradict each other; 1.7 of
-        95 % are 1 of 99.9 %.
+        Half intervals by which sections that are named as known, or measured wheels, must differ until they contradict
+        each other; 1.7 of 95 % are 1 of 99.9 %.
+    confirmed_within
+        Standard deviation to which the others that hold the level must know the conicity of a measured wheel, so that
+        they confirm it.
     most_interaction
         Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is published.
     least_wheelsets
         Different wheelsets that must connect a section to its reference.
     period_days
         Length of a period, in which rails hardly wear.
+    known_days
+        How long rails that are as on file on a day are taken to be so.
     least_periods
         Fewest periods of a trend.
     limit
@@ -53,9 +60,11 @@ class RailsParameters:
     farthest: float = 0.03
     steepest: float = 0.03
     known_apart: float = 1.7
+    confirmed_within: float = 0.02
     most_interaction: float = 0.01
     least_wheelsets: int = 2
     period_days: float = 180.0
+    known_days: float = 365.0
     least_periods: int = 3
     limit: float = 0.05
     limit_amplitude: float = 3.0e-3
@@ -89,18 +98,36 @@ class Anchors:
     """What holds the level, and what the wheel as designed is."""
 
     wheel: ReferenceWheel
-    known_rails: frozenset[str] = frozenset()  # sections whose rails are as on file, and alike
+    known_rails: frozenset[RailKey] = frozenset()  # rails that are as on file, and alike
     known_wheels: tuple[KnownWheel, ...] = ()
     tonnage: Mapping[str, float] = field(default_factory=dict)  # by section, million gross tonnes a year
     refused: Mapping[str, Reason] = field(default_factory=dict)  # why sections named as known hold no level
+    refused_wheels: Mapping[str, Reason] = field(default_factory=dict)  # why measured wheelsets hold none, by serial
     missing: tuple[str, ...] = ()  # sections named as known that are not on file
 
     @property
     def level_open(self) -> Reason:
         """Why nothing holds the level, where nothing does."""
         nothing = "no section with known rails and no measured wheelset holds the level"
-        why = "".join(f"; {code}: {reason.text}" for code, reason in sorted(self.refused.items()))
+        refused = [*sorted(self.refused.items()), *sorted(self.refused_wheels.items())]
+        why = "".join(f"; {name}: {reason.text}" for name, reason in refused)
         why += "".join(f"; {code} is named as known, but not on file" for code in self.missing)
-        differ = any(one.code is ReasonCode.KNOWN_RAILS_DIFFER for one in self.refused.values())
-        code = ReasonCode.KNOWN_RAILS_DIFFER if differ else ReasonCode.RAILS_LEVEL_OPEN
+        differ = (one.code for _, one in refused if one.code in DIFFER)
+        code = next(differ, ReasonCode.RAILS_LEVEL_OPEN)
         return Reason(code, f"{nothing}: only differences of sections are known{why}")
+
+    def without(self, sections: Mapping[str, Reason], wheelsets: Mapping[str, Reason]) -> Anchors:
+        """Return the anchors without some sections and measured wheelsets, and why.
+
+        Parameters
+        ----------
+        sections, wheelsets
+            By code, and by serial.
+        """
+        return replace(
+            self,
+            known_rails=frozenset(key for key in self.known_rails if key.section not in sections),
+            known_wheels=tuple(one for one in self.known_wheels if one.wheel.wheelset not in wheelsets),
+            refused={**self.refused, **sections},
+            refused_wheels={**self.refused_wheels, **wheelsets},
+        )

@@ -10,17 +10,19 @@ It is a regression with errors in both: the thetas are parameters, eliminated wh
 two numbers a section. ``tau``, what is left, follows from the residuals, with what is known of it beforehand.
 
 A constant can be moved between all wheels and all rails. It is held by rails that are known (no rho, no beta), by
-wheels that are known (observations of theta), or else by the mean of the sections; then the level is open.
+wheels that are known (observations of theta, whose residuals count as those of cells do), or else by the mean of the
+sections; then the level is open.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import brentq
-from scipy.sparse import csr_array, diags_array
+from scipy.sparse import csr_array
 
 from estimation.rails.parameters import RailsParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
@@ -31,7 +33,9 @@ LOWEST_TAU, HIGHEST_TAU = -3.0, -0.3  # decades of conicity
 SLOPES = (-0.8, 2.0)  # what a section may add to a wheel whose conicity is higher by 1
 TAU_TOLERANCE = 0.01  # decades
 HELD = 1e8  # weight of the condition that the mean over sections is 0, of the heaviest cell
-ROWS_AT_ONCE = 20_000
+CONDITIONS = 2.0  # of the means of rho and of beta
+ROWS_AT_ONCE = 5_000
+LEAST_FREEDOM = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +69,11 @@ class Parted:
     freedom: float  # degrees of freedom behind it
     centre: float  # m
     converged: bool
+    rail_moved: FloatArray  # (s,) by how much rho changes where the conicity of all known wheels is higher by 1
+    wheel_moved: FloatArray  # (w,) theta likewise
+    known_weight: FloatArray  # (w,) weight of the conicity of each known wheel; 0 of the others
+    own: FloatArray  # (w,) weight of each theta where rails are known
+    shared: csr_array  # (w, 2 s) by how much a theta falls with rho and beta
 
     def reference_wheel(self, conicity: float) -> tuple[FloatArray, FloatArray]:
         """Return the conicity (s,) of a wheel on all rails, and its covariance (s, s), what is left not included.
@@ -76,12 +85,14 @@ class Parted:
         """
         above = conicity - self.centre
         s = len(self.rail)
-        rows = np.hstack([np.eye(s), above * np.eye(s)])
-        return conicity + self.rail + self.slope * above, rows @ self.covariance @ rows.T
+        half = self.covariance[:s] + above * self.covariance[s:]
+        return conicity + self.rail + self.slope * above, half[:, :s] + above * half[:, s:]
 
 
 def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
     """Return wheels and rails apart.
+
+    Where known wheels differ by more than their errors and the interaction explain, their errors count as larger.
 
     Parameters
     ----------
@@ -95,8 +106,44 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
         found.surplus(float(brentq(found.surplus, LOWEST_TAU, HIGHEST_TAU, xtol=TAU_TOLERANCE)))
     elif found.surplus(LOWEST_TAU) > 0.0:
         found.surplus(HIGHEST_TAU)
-    assert found.parted is not None
-    return found.parted
+    assert found.solved is not None
+    return _widened(cells, parameters, found.solved.parted())
+
+
+def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> Parted:
+    """Return the solution with known wheels that is next to the one without them, at the same interaction.
+
+    It is one step from there: slopes of the rails do not follow a wheel that is known wrongly.
+
+    Parameters
+    ----------
+    cells
+        With the known wheels.
+    parameters
+        As for :func:`part`.
+    without
+        Solution of the same cells without the known wheels.
+    """
+    point = _Point(without.wheel, np.concatenate([without.rail, without.slope]), without.centre)
+    problem = _Problem.of(cells, parameters, without.interaction)
+    linear = problem.linearised(point)
+    return _Solved(problem, problem.moved(point, linear, limited=False), linear, converged=without.converged).parted()
+
+
+def _widened(cells: TwoWay, parameters: RailsParameters, found: Parted) -> Parted:
+    """Return the solution with errors of the known wheels that are as large as their residuals say."""
+    known = np.isfinite(cells.known_value)
+    if not found.converged or not known.any():
+        return found
+    weight = found.known_weight[known]
+    squares = float(np.sum(weight * (cells.known_value - found.wheel)[known] ** 2))
+    freedom = float(np.sum(1.0 - weight * found.wheel_variance[known]))
+    factor = squares / freedom if freedom > LEAST_FREEDOM else 1.0
+    if factor <= 1.0:
+        return found
+    tau = found.interaction
+    wider = replace(cells, known_variance=(cells.known_variance + tau**2) * factor - tau**2)
+    return replace(_solved(wider, parameters, tau, None).parted(), freedom=found.freedom)
 
 
 @dataclass(slots=True)
@@ -105,57 +152,17 @@ class _Search:
 
     cells: TwoWay
     parameters: RailsParameters
-    point: _Point | None = None
-    parted: Parted | None = None
+    solved: _Solved | None = None
 
     def surplus(self, decades: float) -> float:
         """Return by how much residuals are too large for a tau of 10^``decades``; it falls with that."""
         tau, known = 10.0**decades, self.parameters
-        self.parted, point, squares = _solved(self.cells, known, tau, self.point)
-        self.point = point if self.parted.converged else None
-        if not self.parted.converged:
+        start = self.solved.point if self.solved is not None and self.solved.converged else None
+        self.solved = _solved(self.cells, known, tau, start)
+        if not self.solved.converged:
             return np.inf
         before = known.interaction_weight * ((known.interaction / tau) ** 2 - 1.0)
-        return float(squares - (self.parted.freedom - known.interaction_weight) + before)
-
-
-@dataclass(frozen=True, slots=True)
-class _Linear:
-    """The model about one point: weighted sums, the thetas eliminated."""
-
-    residual: FloatArray  # (n,)
-    of_rails: csr_array  # (n, 2 s) derivatives by rho and beta
-    of_wheel: FloatArray  # (n,) derivative by its own theta
-    own: FloatArray  # (w,) weight of each theta
-    right_wheel: FloatArray  # (w,)
-    shared: csr_array  # (w, 2 s) by how much a theta falls with rho and beta
-    matrix: FloatArray  # (2 s, 2 s)
-    right: FloatArray  # (2 s,)
-
-
-def _linearised(cells: TwoWay, weight: FloatArray, known: FloatArray, point: _Point, before: FloatArray) -> _Linear:
-    """Return the sums of the regression about a point; ``known`` are the weights (w,) of thetas that are known."""
-    n, s = len(cells.value), len(cells.known_rail)
-    theta, rho, beta = point.theta, point.phi[:s], point.phi[s:]
-    above = theta[cells.wheel] - point.centre
-    a = 1.0 + beta[cells.rail]
-    residual = cells.value - theta[cells.wheel] - rho[cells.rail] - beta[cells.rail] * above
-    rows, columns = np.tile(np.arange(n), 2), np.concatenate([cells.rail, cells.rail + s])
-    of_rails = csr_array((np.concatenate([np.ones(n), above]), (rows, columns)), shape=(n, 2 * s))
-    of_wheels = csr_array((weight * a, (np.arange(n), cells.wheel)), shape=(n, len(theta)))
-    own = known + np.bincount(cells.wheel, weight * a * a, minlength=len(theta))
-    apart = np.where(known > 0.0, np.nan_to_num(cells.known_value) - theta, 0.0)
-    right_wheel = known * apart + np.bincount(cells.wheel, weight * a * residual, minlength=len(theta))
-    crossed = of_wheels.T @ of_rails
-    shared = diags_array(1.0 / own) @ crossed
-    matrix = (of_rails.T @ diags_array(weight) @ of_rails - crossed.T @ shared).toarray() + np.diag(before)
-    right = of_rails.T @ (weight * residual) - crossed.T @ (right_wheel / own) - before * point.phi
-    if not cells.anchored:
-        held = HELD * weight.max()
-        for half in (slice(0, s), slice(s, 2 * s)):
-            matrix[half, half] += held
-            right[half] -= held * point.phi[half].sum()
-    return _Linear(residual, of_rails, a, own, right_wheel, csr_array(shared), matrix, right)
+        return float(self.solved.squares() - self.solved.freedom() + before)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,48 +172,170 @@ class _Point:
     centre: float
 
 
-def _solved(
-    cells: TwoWay, parameters: RailsParameters, tau: float, start: _Point | None
-) -> tuple[Parted, _Point, float]:
-    """Return the solution at ``tau``, where it is, and the weighted squares of its residuals."""
-    s, w = len(cells.known_rail), len(cells.known_value)
-    weight = 1.0 / (cells.variance + tau**2)
-    is_known = np.isfinite(cells.known_value)
-    known = np.where(is_known, 1.0 / np.where(is_known, cells.known_variance + tau**2, 1.0), 0.0)
-    free = np.flatnonzero(np.tile(~cells.known_rail, 2))
-    before = np.concatenate([np.zeros(s), np.full(s, parameters.slope_std**-2)])
-    centre = float(np.mean(cells.value))
-    point, converged = start or _Point(np.full(w, centre), np.zeros(2 * s), centre), False
-    for _ in range(ROUNDS):
-        linear = _linearised(cells, weight, known, point, before)
+@dataclass(frozen=True, slots=True)
+class _Linear:
+    """The model about one point: weighted sums, the thetas eliminated."""
+
+    residual: FloatArray  # (n,)
+    own: FloatArray  # (w,) weight of each theta
+    right_wheel: FloatArray  # (w,)
+    crossed: csr_array  # (w, 2 s) of thetas with rho and beta
+    shared: csr_array  # (w, 2 s) by how much a theta falls with rho and beta
+    matrix: FloatArray  # (2 s, 2 s)
+    right: FloatArray  # (2 s,)
+
+
+@dataclass(frozen=True, slots=True)
+class _Problem:
+    """The regression at one tau; cells in the order of their wheels."""
+
+    cells: TwoWay
+    parameters: RailsParameters
+    tau: float
+    weight: FloatArray  # (n,) of cells
+    known: FloatArray  # (w,) of thetas that are known; 0 of the others
+    before: FloatArray  # (2 s,) of what is known of rho and beta beforehand
+    free: IntArray  # which rho and beta are not known
+    places: IntArray  # (2 n,) of rho and beta of each cell
+    begin: IntArray  # (w + 1,) of the places of each wheel
+
+    @staticmethod
+    def of(cells: TwoWay, parameters: RailsParameters, tau: float) -> _Problem:
+        s, is_known = len(cells.known_rail), np.isfinite(cells.known_value)
+        if (np.diff(cells.wheel) < 0).any():
+            order = np.argsort(cells.wheel, kind="stable")
+            names = ("wheel", "rail", "value", "variance")
+            cells = replace(cells, **{name: getattr(cells, name)[order] for name in names})
+        count = np.bincount(cells.wheel, minlength=len(is_known))
+        return _Problem(
+            cells,
+            parameters,
+            tau,
+            1.0 / (cells.variance + tau**2),
+            np.where(is_known, 1.0 / np.where(is_known, cells.known_variance + tau**2, 1.0), 0.0),
+            np.concatenate([np.zeros(s), np.full(s, parameters.slope_std**-2)]),
+            np.flatnonzero(np.tile(~cells.known_rail, 2)),
+            np.column_stack([cells.rail, cells.rail + s]).ravel(),
+            np.concatenate([[0], np.cumsum(2 * count)]),
+        )
+
+    def linearised(self, point: _Point) -> _Linear:
+        """Return the sums of the regression about a point."""
+        cells, weight, s, w = self.cells, self.weight, len(self.cells.known_rail), len(self.known)
+        theta, rho, beta = point.theta, point.phi[:s], point.phi[s:]
+        above = theta[cells.wheel] - point.centre
+        a = 1.0 + beta[cells.rail]
+        residual = cells.value - theta[cells.wheel] - rho[cells.rail] - beta[cells.rail] * above
+        own = self.known + np.bincount(cells.wheel, weight * a * a, minlength=w)
+        apart = np.where(self.known > 0.0, np.nan_to_num(cells.known_value) - theta, 0.0)
+        right_wheel = self.known * apart + np.bincount(cells.wheel, weight * a * residual, minlength=w)
+        values = (weight * a)[:, None] * np.column_stack([np.ones(len(above)), above])
+        crossed = csr_array((values.ravel(), self.places, self.begin), shape=(w, 2 * s))
+        by_wheel = values.ravel() * np.repeat(1.0 / own, np.diff(self.begin))
+        shared = csr_array((by_wheel, self.places, self.begin), shape=(w, 2 * s))
+        matrix: FloatArray = -np.asarray((crossed.T @ shared).toarray(), np.float64)
+        first, both, second = (np.bincount(cells.rail, weight * above**power, minlength=s) for power in (0, 1, 2))
+        at = np.arange(s)
+        matrix[at, at] += first
+        matrix[at, at + s] += both
+        matrix[at + s, at] += both
+        matrix[at + s, at + s] += second + self.before[s:]
+        pulls = (np.bincount(cells.rail, weight * residual * above**power, minlength=s) for power in (0, 1))
+        right = np.concatenate(list(pulls)) - crossed.T @ (right_wheel / own) - self.before * point.phi
+        if not cells.anchored:
+            held = HELD * weight.max()
+            for half in (slice(0, s), slice(s, 2 * s)):
+                matrix[half, half] += held
+                right[half] -= held * point.phi[half].sum()
+        return _Linear(residual, own, right_wheel, crossed, shared, matrix, right)
+
+    def moved(self, point: _Point, linear: _Linear, *, limited: bool = True) -> _Point:
+        """Return the solution of the linear model, slopes within their limits."""
+        s = len(self.cells.known_rail)
         step = np.zeros(2 * s)
-        if len(free):
-            step[free] = _solution(linear.matrix[np.ix_(free, free)], linear.right[free])
-            step[s:] = np.clip(point.phi[s:] + step[s:], *SLOPES) - point.phi[s:]
+        if len(self.free):
+            step[self.free] = _solution(linear.matrix[np.ix_(self.free, self.free)], linear.right[self.free])
+            if limited:
+                step[s:] = np.clip(point.phi[s:] + step[s:], *SLOPES) - point.phi[s:]
         of_theta = linear.right_wheel / linear.own - linear.shared @ step
-        point = _Point(point.theta + of_theta, point.phi + step, centre)
-        if max(float(np.abs(of_theta).max()), float(np.abs(step[:s]).max())) < TOLERANCE:
+        return _Point(point.theta + of_theta, point.phi + step, point.centre)
+
+
+@dataclass(slots=True)
+class _Solved:
+    """A solution at one tau."""
+
+    problem: _Problem
+    point: _Point
+    linear: _Linear  # about it
+    converged: bool
+    covariance: FloatArray = field(init=False)  # (2 s, 2 s)
+
+    def __post_init__(self) -> None:
+        free = self.problem.free
+        self.covariance = np.zeros((len(self.point.phi),) * 2)
+        if len(free):
+            self.covariance[np.ix_(free, free)] = _inverse(self.linear.matrix[np.ix_(free, free)])
+        self.converged = self.converged and bool((np.diag(self.covariance) >= 0.0).all())
+
+    def squares(self) -> float:
+        """Return the weighted squares of the residuals, of cells and of known wheels."""
+        problem = self.problem
+        apart = np.where(problem.known > 0.0, np.nan_to_num(problem.cells.known_value) - self.point.theta, 0.0)
+        return float(np.sum(problem.weight * self.linear.residual**2) + np.sum(problem.known * apart**2))
+
+    def freedom(self) -> float:
+        """Return how many residuals are left over."""
+        return _freedom(self.problem.cells, self.covariance, self.problem.before)
+
+    def parted(self) -> Parted:
+        """Return it as others need it."""
+        s, known, linear = len(self.problem.cells.known_rail), self.problem.known, self.linear
+        moved = self.covariance @ -(linear.crossed.T @ (known / linear.own))
+        return Parted(
+            wheel=self.point.theta,
+            wheel_variance=1.0 / linear.own + _quadratic(linear.shared, self.covariance),
+            rail=self.point.phi[:s],
+            slope=self.point.phi[s:],
+            covariance=self.covariance,
+            interaction=self.problem.tau,
+            freedom=self.problem.parameters.interaction_weight + self.freedom(),
+            centre=self.point.centre,
+            converged=self.converged,
+            rail_moved=moved[:s],
+            wheel_moved=known / linear.own - linear.shared @ moved,
+            known_weight=known,
+            own=linear.own,
+            shared=linear.shared,
+        )
+
+
+def _solved(cells: TwoWay, parameters: RailsParameters, tau: float, start: _Point | None) -> _Solved:
+    """Return the solution at ``tau``, where it is."""
+    problem = _Problem.of(cells, parameters, tau)
+    s, centre = len(cells.known_rail), float(np.mean(cells.value))
+    point, converged = start or _Point(np.full(len(cells.known_value), centre), np.zeros(2 * s), centre), False
+    for _ in range(ROUNDS):
+        before, point = point, problem.moved(point, problem.linearised(point))
+        if max(_farthest(point.theta - before.theta), _farthest((point.phi - before.phi)[:s])) < TOLERANCE:
             converged = True
             break
-    linear = _linearised(cells, weight, known, point, before)
-    covariance = np.zeros((2 * s, 2 * s))
-    if len(free):
-        inverse = _solution(linear.matrix[np.ix_(free, free)], np.eye(len(free)))
-        covariance[np.ix_(free, free)] = inverse
-    fitted = 1.0 / linear.own[cells.wheel] * linear.of_wheel**2 + _quadratic(_apart(linear, cells), covariance)
-    found = Parted(
-        wheel=point.theta,
-        wheel_variance=1.0 / linear.own + _quadratic(linear.shared, covariance),
-        rail=point.phi[:s],
-        slope=point.phi[s:],
-        covariance=covariance,
-        interaction=tau,
-        freedom=parameters.interaction_weight + float(np.sum(1.0 - weight * fitted)),
-        centre=centre,
-        converged=converged and bool((np.diag(covariance) >= 0.0).all()),
-    )
-    squares = float(np.sum(weight * linear.residual**2))
-    return found, point, squares if found.converged else np.inf
+    return _Solved(problem, point, problem.linearised(point), converged)
+
+
+def _farthest(change: FloatArray) -> float:
+    return float(np.abs(change).max())
+
+
+def _freedom(cells: TwoWay, covariance: FloatArray, before: FloatArray) -> float:
+    """Return how many residuals, of cells and of known wheels, are left over by what is fitted.
+
+    A number that is fitted takes one, less what is known of it beforehand.
+    """
+    residuals = len(cells.value) + int(np.isfinite(cells.known_value).sum())
+    fitted = len(cells.known_value) + 2 * int((~cells.known_rail).sum())
+    conditions = 0.0 if cells.anchored else CONDITIONS
+    return residuals - (fitted - float(before @ np.diag(covariance)) - conditions)
 
 
 def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -217,15 +346,20 @@ def _solution(matrix: FloatArray, right: FloatArray) -> FloatArray:
         return np.full_like(right, np.nan)
 
 
-def _apart(linear: _Linear, cells: TwoWay) -> csr_array:
-    """Return the derivatives (n, 2 s) of what is fitted by rho and beta, the thetas following."""
-    return csr_array(linear.of_rails - diags_array(linear.of_wheel) @ linear.shared[cells.wheel])
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a symmetric matrix; NaN where it has none."""
+    factor, bad = dpotrf(matrix, lower=1)
+    inverse, worse = dpotri(factor, lower=1)
+    if bad or worse:
+        return np.full_like(matrix, np.nan)
+    low = np.tril(inverse)
+    return np.asarray(low + np.tril(low, -1).T)
 
 
 def _quadratic(rows: csr_array, covariance: FloatArray) -> FloatArray:
     """Return the variance (n,) of linear combinations, the rows (n, k), of what has a covariance (k, k)."""
     found = np.empty(rows.shape[0])
     for first in range(0, len(found), ROWS_AT_ONCE):
-        some = rows[first : first + ROWS_AT_ONCE].toarray()
-        found[first : first + ROWS_AT_ONCE] = np.einsum("ij,jk,ik->i", some, covariance, some, optimize=True)
+        some = rows[first : first + ROWS_AT_ONCE]
+        found[first : first + ROWS_AT_ONCE] = some.multiply(some @ covariance).sum(axis=1)
     return found

@@ -60,3 +60,19 @@ def since_change(records: Sequence[_Record], change: IdentityChange | None) -> l
 def _change(alert: Alert) -> IdentityChange | None:
     before, after = alert.evidence.get(BEFORE), alert.evidence.get(AFTER)
     return IdentityChange(before, after) if isinstance(before, int) and isinstance(after, int) else None
+
+
+def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) -> bool:
+    """Return whether two times are of the same wheelset: both before its identity change, or both after it.
+
+    Parameters
+    ----------
+    change
+        The last one; None where there was none.
+    first_ns, second_ns
+        Times, ns UTC.
+    """
+    if change is None:
+        return True
+    before = first_ns <= change.before_ns and second_ns <= change.before_ns
+    return before or (first_ns >= change.after_ns and second_ns >= change.after_ns)

@@ -90,7 +90,7 @@ class RailPart:
     part: tuple[Estimate, ...]  # conicity of the fleet's mean wheel here less that on the reference
     reference_wheel: tuple[Estimate, ...]  # conicity of the wheel as designed, on these rails
     excess: tuple[Estimate, ...]  # of that over what it would be on the rails as on file
-    wheelsets: int  # that connect the section to the reference, at the amplitude that most reach
+    wheelsets: int  # that ran there
     windows: int
     from_ns: int
     to_ns: int
@@ -145,8 +145,10 @@ class RailsApart:
     rails: tuple[RailPart, ...]  # in the order of their keys
     wheels: tuple[WheelPart, ...]
     trends: Mapping[str, RailTrend]  # by section
+    no_trends: Mapping[str, Reason]  # why the other sections have none
     interaction: FloatArray  # (k,) std of what neither wheel nor rail explains; NaN where nothing was parted
     refused: Mapping[str, Reason] = field(default_factory=dict)  # why sections named as known hold no level
+    refused_wheels: Mapping[str, Reason] = field(default_factory=dict)  # why measured wheelsets hold none, by serial
 
     def __post_init__(self) -> None:
         k = len(self.amplitude)
@@ -160,9 +162,22 @@ class StoredCell:
 
     wheel: WheelKey
     rail: RailKey
-    digest: str  # of windows, tables, class and settings
+    digest: str  # of windows, tables, class and settings; empty where what is stored cannot be read
     cell: SectionConicity | None
-    reason: Reason | None
+    reason: Reason | None  # why it is not used, or why there is none
+    windows: int = 0  # that it was made from
+    from_ns: int = 0
+    to_ns: int = 0
+
+    @property
+    def usable(self) -> SectionConicity | None:
+        """The cell where nothing speaks against it."""
+        return self.cell if self.reason is None else None
+
+    @property
+    def damaged(self) -> bool:
+        """Whether it cannot be read: it is made again."""
+        return not self.digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +196,7 @@ class SectionRailsRecord:
     code_version: str
     recorded_ns: int
     refused: Reason | None = None  # why it holds no level though it is named as known
+    no_trend: Reason | None = None  # why there is no trend
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +208,7 @@ class WheelsetRailsRecord:
     input_digest: str
     code_version: str
     recorded_ns: int
+    refused: Reason | None = None  # why it holds no level though its profiles were measured
 
     @property
     def wheelset(self) -> str:

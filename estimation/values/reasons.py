@@ -290,6 +290,27 @@ class ReasonCode(StrEnum):
         "known_rails_other",
         "The section is named as known, but has other rails on file than those that all are compared with.",
     )
+    KNOWN_RAILS_OTHER_TIME = (
+        "known_rails_other_time",
+        "The section is named as known for another time than it was run on. Look at its rails again; name the date.",
+    )
+    MEASURED_WHEELS_DIFFER = (
+        "measured_wheels_differ",
+        "Measured profiles contradict each other, or known rails. Check which wheelset they are of; measure again.",
+    )
+    TREND_NOT_A_LINE = (
+        "trend_not_a_line",
+        "The excess of the section changes otherwise than evenly, as where rails are ground or replaced.",
+    )
+    TOO_FEW_PERIODS = "too_few_periods", "Too few periods of the section are known for a trend. Wait."
+    RAILS_ARE_REFERENCE = (
+        "rails_are_reference",
+        "The section is named as known: it is what others are compared with, and nothing is measured of its rails.",
+    )
+    CELL_DAMAGED = (
+        "cell_damaged",
+        "A stored conicity of a wheelset on the section is damaged. It is made again from the bin tables by itself.",
+    )
     PROFILE_UNKNOWN = "profile_unknown", "The profile on file is none that is built in. Nothing follows from its name."
     # recording
     LOG_DAMAGED = "log_damaged", "The recording is truncated, damaged or no log. Send it again."

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, Table, delete, select
+from sqlalchemy import Connection, Row, Select, Table, Text, cast, delete, select
 
+from estimation.errors import ParameterError, StorageError
 from estimation.values.rails import (
     RailKey,
     SectionConicity,
@@ -17,7 +19,7 @@ from estimation.values.rails import (
     WheelKey,
     WheelsetRailsRecord,
 )
-from estimation.values.reasons import Reason
+from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.fields import fields_of, from_json, to_json, value_of
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import RailCellRow, SectionRailsRow, WheelsetRailsRow
@@ -33,15 +35,14 @@ class RailsStore:
 
     connection: Connection
 
-    def digests(self, wheelset: str) -> Mapping[tuple[WheelKey, RailKey], str]:
-        """Return by key what the cells of a wheelset were made from."""
-        columns = (CELLS.c[name] for name in (*_KEY, "digest"))
-        found = self.connection.execute(select(*columns).where(CELLS.c.wheelset == wheelset))
-        return {_key(row): row.digest for row in found}
+    def cells(self, wheelset: str | None = None) -> Sequence[StoredCell]:
+        """Return all cells, or those of a wheelset, in the order of their keys.
 
-    def cells(self) -> Sequence[StoredCell]:
-        """Return all cells, in the order of their keys."""
-        found = self.connection.execute(select(CELLS))
+        One that cannot be read says so by its reason, and has no digest, so that it is made again.
+        """
+        columns = [CELLS.c[name] for name in (*_KEY, "digest")]
+        wanted: Select[Any] = select(*columns, cast(CELLS.c.document, Text).label("document"))
+        found = self.connection.execute(wanted if wheelset is None else wanted.where(CELLS.c.wheelset == wheelset))
         return sorted((_cell(row) for row in found), key=lambda one: (one.wheel, one.rail))
 
     def put_cells(self, cells: Sequence[StoredCell]) -> None:
@@ -86,6 +87,8 @@ class RailsStore:
 
 _KEY = ("wheelset", "baseline", "mileage_interval", "section", "period")
 
+_EXTENT = ("windows", "from_ns", "to_ns")
+
 
 def _key_values(wheel: WheelKey, rail: RailKey) -> dict[str, Any]:
     parts = (wheel.wheelset, wheel.baseline, wheel.interval, rail.section, rail.period)
@@ -97,21 +100,32 @@ def _key(row: Row[Any]) -> tuple[WheelKey, RailKey]:
 
 
 def _values(one: StoredCell) -> dict[str, Any]:
-    if one.cell is None:
-        return {"digest": one.digest, "document": {"reason": to_json(one.reason)}}
-    scalars, arrays = fields_of(one.cell, without=("wheel", "rail"))
-    of_arrays = {name: to_json(values.tolist()) for name, values in arrays.items()}
-    return {"digest": one.digest, "document": {"scalars": scalars, "arrays": of_arrays}}
+    document: dict[str, Any] = {name: getattr(one, name) for name in _EXTENT}
+    if one.reason is not None:
+        document["reason"] = to_json(one.reason)
+    if one.cell is not None:
+        scalars, arrays = fields_of(one.cell, without=("wheel", "rail"))
+        of_arrays = {name: to_json(values.tolist()) for name, values in arrays.items()}
+        document |= {"scalars": scalars, "arrays": of_arrays}
+    return {"digest": one.digest, "document": document}
 
 
 def _cell(row: Row[Any]) -> StoredCell:
     wheel, rail = _key(row)
-    document = row.document
-    if "reason" in document:
-        return StoredCell(wheel, rail, row.digest, None, from_json(document["reason"], Reason))
+    try:
+        document = json.loads(row.document)
+        reason = from_json(document["reason"], Reason) if "reason" in document else None
+        cell = _conicities(document, wheel, rail) if "arrays" in document or reason is None else None
+        extent = tuple(int(document.get(name, getattr(cell, name, 0))) for name in _EXTENT)
+    except (ValueError, TypeError, LookupError, AttributeError, StorageError, ParameterError) as error:
+        text = f"the conicities of {wheel.wheelset} on {rail.section} are damaged in the store ({error})"
+        return StoredCell(wheel, rail, "", None, Reason(ReasonCode.CELL_DAMAGED, text))
+    return StoredCell(wheel, rail, row.digest, cell, reason, *extent)
+
+
+def _conicities(document: Mapping[str, Any], wheel: WheelKey, rail: RailKey) -> SectionConicity:
     arrays = {name: np.array(from_json(values, tuple[float, ...])) for name, values in document["arrays"].items()}
-    cell = value_of(SectionConicity, document["scalars"], arrays, wheel=wheel, rail=rail)
-    return StoredCell(wheel, rail, row.digest, cell, None)
+    return value_of(SectionConicity, document["scalars"], arrays, wheel=wheel, rail=rail)
 
 
 def _provenance(record: SectionRailsRecord | WheelsetRailsRecord) -> dict[str, Any]:

@@ -334,7 +334,8 @@ def wheelset_rails() -> WheelsetRailsRecord:
     """Return the wheels of the first wheelset without the rails of S-1."""
     own = WheelKey(WHEELSETS[0], 0, 3)
     part = WheelPart(own, RailsReference.KNOWN_RAILS, (RAILS_KNOWN, RAILS_OPEN), ("S-1",), 24, START, START + DAY)
-    return WheelsetRailsRecord(RAILS_AMPLITUDES, part, "d" * 64, "test", RECORDED)
+    differs = Reason(ReasonCode.MEASURED_WHEELS_DIFFER, "measured, as S-9, but the conicity differs by 0.080")
+    return WheelsetRailsRecord(RAILS_AMPLITUDES, part, "d" * 64, "test", RECORDED, differs)
 
 
 def gear_dampers() -> list[GearDamper]:

@@ -363,8 +363,10 @@ def test_a_section_and_a_wheelset_lead_to_what_belongs_to_rails_and_to_wheels(cl
     assert near["excess_1"]["interval_95"] == [0.0375, 0.0875]
     assert far["rail_part_1"]["reason_code"] == "amplitude_not_covered"
     assert section["trend"]["n_periods"] == 3
+    assert (section["trend_reason"], section["trend_reason_code"]) == (None, None)
     serial = api_fleet.WHEELSETS[0]
     wheels = get(client, f"/v1/wheelsets/{serial}/rails")
+    assert wheels["reason_code"] == "measured_wheels_differ"
     methods = {one["method"]: one["equivalent_conicity_1"] for one in wheels["by_amplitude"][0]["conicities"]}
     assert list(methods) == ["wheel_and_rail_apart", "geometry"]
     assert methods["wheel_and_rail_apart"]["value"] == 0.0625

@@ -15,6 +15,7 @@ DESIGN = 0.2  # conicity of the wheel as designed on the reference rails
 DAY_NS = 86_400 * 10**9
 YEAR_NS = 365.25 * DAY_NS
 SECTIONS = ("A", "B", "C", "D")
+PERIODS = 12  # in which known rails are known
 
 
 def wheel(serial: str, interval: int = 0) -> WheelKey:
@@ -49,7 +50,8 @@ def cell(
 
 def anchors(*known: str) -> Anchors:
     both = np.ones(2)
-    return Anchors(ReferenceWheel("P8", DESIGN * both, dict.fromkeys(SECTIONS, DESIGN * both)), frozenset(known))
+    rails = frozenset(RailKey(section, period) for section in known for period in range(PERIODS))
+    return Anchors(ReferenceWheel("P8", DESIGN * both, dict.fromkeys(SECTIONS, DESIGN * both)), rails)
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,11 @@ def test_cells_come_back_to_the_last_bit(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
         unit.rails.put_cells([refused, known])
     with fleet.read() as unit:
-        assert unit.rails.digests("WS-1") == {(WHEEL, RAIL): "a" * 64, (open_, RAIL): "b" * 64}
         found = unit.rails.cells()
+        assert [(one.wheel, one.rail, one.digest) for one in unit.rails.cells("WS-1")] == [
+            (WHEEL, RAIL, "a" * 64),
+            (open_, RAIL, "b" * 64),
+        ]
     assert found[1] == refused
     assert found[0].cell is not None
     assert same_values(found[0].cell, cell())
@@ -61,7 +64,7 @@ def test_a_cell_replaces_the_one_of_its_key_and_is_removed_by_it(fleet: SqlStora
     with fleet.write() as unit:
         unit.rails.put_cells([StoredCell(WHEEL, RAIL, "a" * 64, cell(), None)])
         unit.rails.put_cells([StoredCell(WHEEL, RAIL, "b" * 64, None, WHY)])
-        assert unit.rails.digests("WS-1") == {(WHEEL, RAIL): "b" * 64}
+        assert [one.digest for one in unit.rails.cells()] == ["b" * 64]
         unit.rails.drop_cells([(WHEEL, RAIL), (replace(WHEEL, interval=9), RAIL)])
         assert unit.rails.cells() == []
 

@@ -32,9 +32,10 @@ export function railsPanel(rails) {
   const fact = (name, found) => (found ? [el("dt", {}, name), el("dd", {}, estimate(found), found.reason ? el("span", { class: "second" }, found.reason) : null)] : null);
   return el(
     "section", { class: "panel" }, title,
-    rails.limit_exceeded ? el("p", {}, el("span", { class: "badge warning" }, "limit exceeded"), ` The rails add more than ${number(rails.limit_1, 2)} to the conicity of ${rails.reference_wheel_profile}.`) : null,
+    rails.limit_exceeded ? el("p", {}, el("span", { class: "badge warning" }, "limit exceeded"), ` The rails ${at?.excess_1.value < 0 ? "take" : "add"} more than ${number(rails.limit_1, 2)} ${at?.excess_1.value < 0 ? "from" : "to"} the conicity of ${rails.reference_wheel_profile}.`) : null,
     el("dl", { class: "facts" },
       fact("The rails add", at?.rail_part_1), fact(`Conicity of ${rails.reference_wheel_profile ?? "the wheel as designed"}`, at?.reference_wheel_conicity_1), fact("Beyond that on file", at?.excess_1)),
     el("p", { class: "quiet" }, `At ${number(at?.amplitude_mm ?? AMPLITUDE_MM, 1)} mm; ${newest.n_wheelsets} wheelsets, ${newest.n_windows} windows.`),
+    rails.trend_reason ? el("p", { class: "quiet" }, `No trend: ${rails.trend_reason}.`) : null,
   );
 }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,13 +17,15 @@ from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.rails.cell import section_conicity
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import bin_parameters, merge_all
-from estimation.values.rails import RailKey, StoredCell, WheelKey
+from estimation.values.rails import RailKey, SectionConicity, StoredCell, WheelKey
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member, Side
 from estimation.values.track import TrackAlignment
 
 DAY_NS = 86_400_000_000_000
 CellKey = tuple[WheelKey, RailKey]
+CELL_VERSION = 2
+LOST = "damaged, and its windows are purged"  # in the place of a digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,10 +36,11 @@ class CellsFound:
     gone: tuple[CellKey, ...]
 
 
-def cells_of(unit: UnitOfWork, serial: str, context: JobContext, stored: Mapping[CellKey, str]) -> CellsFound:
+def cells_of(unit: UnitOfWork, serial: str, context: JobContext) -> CellsFound:
     """Return what has changed of the cells of a wheelset.
 
-    Of a mileage interval whose windows have been purged the cells stay as they are.
+    Of a mileage interval whose windows have been purged the cells stay as they are; where its geometry is refused by
+    now they are not used, until it is not any more.
 
     Parameters
     ----------
@@ -47,27 +50,52 @@ def cells_of(unit: UnitOfWork, serial: str, context: JobContext, stored: Mapping
         Serial number of the wheelset.
     context
         Settings and version of the numerics.
-    stored
-        Digests of the cells that are stored.
     """
+    stored = {(one.wheel, one.rail): one for one in unit.rails.cells(serial)}
     rules = membership(unit, serial, ClassLookup(unit, context.settings.estimation))
     reader = _CellReader(unit, rules, context)
     changed: list[StoredCell] = []
     seen: set[CellKey] = set()
     for part in _chosen(rules, rolled(unit, rules).parts):
         wheel = WheelKey(serial, part.roll_up.key.baseline, part.roll_up.key.interval)
-        if part.roll_up.sealed and any(key[0] == wheel for key in stored):
-            seen |= {key for key in stored if key[0] == wheel}
+        refused = unit.geometries.reason(serial, wheel.baseline, wheel.interval)
+        own = _within(part, wheel, stored.values()) if part.roll_up.sealed else []
+        if own:
+            kept = [_sealed(replace(one, wheel=wheel), refused) for one in own]
+            seen |= {(one.wheel, one.rail) for one in kept}
+            changed += [one for one in kept if one != stored.get((one.wheel, one.rail))]
             continue
         assumed = rules.assumed(part.roll_up)
         assert assumed is not None  # parts of another class are not chosen
-        refused = unit.geometries.reason(serial, wheel.baseline, wheel.interval)
-        for rail, own in _by_rail(members(unit, rules, part), context.settings.rails.period_days).items():
-            digest = reader.digest(own, assumed, refused)
+        for rail, there in _by_rail(members(unit, rules, part), context.settings.rails.period_days).items():
+            digest = reader.digest(there, assumed, refused)
             seen.add((wheel, rail))
-            if stored.get((wheel, rail)) != digest:
-                changed.append(reader.cell(wheel, rail, own, assumed, refused, digest))
+            if (wheel, rail) not in stored or stored[wheel, rail].digest != digest:
+                changed.append(reader.cell(wheel, rail, there, assumed, refused, digest))
     return CellsFound(tuple(changed), tuple(sorted(set(stored) - seen)))
+
+
+def _within(part: Part, wheel: WheelKey, stored: Iterable[StoredCell]) -> list[StoredCell]:
+    """Return the cells of a mileage interval by time: its number is another where a lathe was registered later."""
+    first_ns, end_ns = part.roll_up.first_ns, part.roll_up.end_ns
+    return [
+        one
+        for one in stored
+        if (one.wheel == wheel if not one.to_ns else first_ns <= one.from_ns and one.to_ns <= end_ns)
+    ]
+
+
+def _sealed(before: StoredCell, refused: Reason | None) -> StoredCell:
+    """Return a cell whose windows have been purged as it is by now, under the key that it has."""
+    if before.damaged:
+        return replace(before, digest=LOST)
+    if before.cell is None:
+        return before
+    return replace(before, cell=_of_wheel(before.cell, before.wheel), reason=refused)
+
+
+def _of_wheel(cell: SectionConicity, wheel: WheelKey) -> SectionConicity:
+    return cell if cell.wheel == wheel else replace(cell, wheel=wheel)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +108,9 @@ class _CellReader:
         """Return the digest of all that a cell is made from."""
         code = "" if refused is None else refused.code
         settings = self.context.settings.estimation.as_json()
-        text = hashlib.sha256(f"{self.context.code_version} {assumed.digest} {code} {settings!r}\n".encode())
+        text = hashlib.sha256(
+            f"{CELL_VERSION} {self.context.code_version} {assumed.digest} {code} {settings!r}\n".encode()
+        )
         for one in own:
             text.update(f"{one.line}\n".encode())
         return text.hexdigest()
@@ -95,8 +125,10 @@ class _CellReader:
         digest: str,
     ) -> StoredCell:
         """Return a cell, or why its windows give none: what contradicts the whole interval, or themselves."""
+        last = own[-1].window.record
+        extent = len(own), own[0].start_ns, last.start_ns + last.length_ns
         if refused is not None:
-            return StoredCell(wheel, rail, digest, None, refused)
+            return StoredCell(wheel, rail, digest, None, refused, *extent)
         bins, settings = bin_parameters(assumed.windows), self.context.settings.estimation
         starts = [one.start_ns for one in own]
         table = merge_all((cells for _, cells in self.unit.tables.cells_of(wheel.wheelset, starts)), bins)
@@ -104,7 +136,6 @@ class _CellReader:
         used = [self.unit.tracks.alignment(rail.section, version) for version in versions]
         tracks = [at_own_gauge(track) for track in used if track is not None]
         uncertainty = ParameterUncertainty.of(assumed.on_file.vehicle_class).on(tracks, wheel.wheelset)
-        last = own[-1].window.record
         found = section_conicity(
             wheel,
             rail,
@@ -112,11 +143,11 @@ class _CellReader:
             bins,
             replace(settings.geometry, uncertainty=uncertainty),
             scale_std=max((track.scale_std for track in tracks), default=0.0),
-            span_ns=(starts[0], last.start_ns + last.length_ns),
+            span_ns=extent[1:],
         )
         if isinstance(found, Reason):
-            return StoredCell(wheel, rail, digest, None, found)
-        return StoredCell(wheel, rail, digest, found, None)
+            return StoredCell(wheel, rail, digest, None, found, *extent)
+        return StoredCell(wheel, rail, digest, found, None, *extent)
 
 
 def at_own_gauge(track: TrackAlignment) -> TrackAlignment:

@@ -97,3 +97,11 @@ def test_what_cannot_run_has_a_reason() -> None:
     nothing = wheel_contact(WheelPair(stub, stub, 0.46), ())
     assert isinstance(nothing, Reason)
     assert nothing.code is ReasonCode.SECTION_UNKNOWN
+
+
+def test_an_error_that_is_as_large_as_the_amplitude_leaves_the_conicity_open() -> None:
+    """The stretch is 0 there to the last bit."""
+    x = np.linspace(-0.02, 0.02, 401)
+    (one,) = conicity_of(x, 0.1 * x, np.array([2.0**-9]), 2.0**-9)
+    assert one.reason is not None
+    assert one.reason.code is ReasonCode.CONICITY_OPEN

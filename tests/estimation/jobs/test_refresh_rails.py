@@ -19,7 +19,7 @@ from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.errors import DamagedError
 from estimation.jobs import refresh_rails
 from estimation.jobs.job import JobContext
-from estimation.jobs.rails_settings import RailsSettings
+from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps import rail_cells
 from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
@@ -36,7 +36,7 @@ from fleet_db.stores.rails import RailsStore
 
 WEAR = 0.04  # what the rails of S2 add to every conicity
 EVERYWHERE, ONLY_WORN = (0, 1, 2), 4
-KNOWN = JobSettings(rails=RailsSettings(frozenset({"S1"})))
+KNOWN = JobSettings(rails=RailsSettings(frozenset({KnownSection("S1", 0)})))
 
 
 @cache
@@ -106,7 +106,7 @@ def reason_of(storage: Storage, section: str) -> ReasonCode | None:
 
 
 def named(*sections: str) -> JobSettings:
-    return JobSettings(rails=RailsSettings(frozenset(sections)))
+    return JobSettings(rails=RailsSettings(frozenset(KnownSection(code, 0) for code in sections)))
 
 
 def values(estimates: tuple[Estimate, ...]) -> list[float]:
@@ -230,7 +230,7 @@ def test_rails_of_another_kind_hold_no_level_though_they_be_known(received: Stor
     with received.write() as unit:
         unit.tracks.add_section(TrackSectionRecord("S1", 1, "Section", "60E1", 0.025, 1.435, LENGTH))
     estimate(received)
-    refresh(received, JobSettings(rails=RailsSettings(frozenset({"S1", "S2"}))))
+    refresh(received, named("S1", "S2"))
     references = {code: newest(received, code).reference for code in ("S1", "S2")}
     assert set(references.values()) == {RailsReference.KNOWN_RAILS}
     assert values(newest(received, "S2").part) == pytest.approx([0.0] * len(values(newest(received, "S2").part)))
@@ -267,7 +267,8 @@ def test_what_contradicts_the_class_gives_no_cell(received: Storage, monkeypatch
 def test_the_limit_of_the_settings_makes_the_finding(received: Storage) -> None:
     found = {}
     for limit in (0.01, 0.3):
-        refresh(received, JobSettings(rails=RailsSettings(frozenset({"S1"}), replace(RailsParameters(), limit=limit))))
+        rails = replace(KNOWN.rails, model=replace(RailsParameters(), limit=limit))
+        refresh(received, replace(KNOWN, rails=rails))
         with received.read() as unit:
             record = unit.rails.of_section("S2")
         assert record is not None

@@ -17,7 +17,9 @@ from api.comparison.truth import TrueWheelset, read_truth
 from api.settings import Settings
 from estimation.errors import DamagedError
 from estimation.jobs import refresh_signatures
+from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import JobContext
+from estimation.values.identity import IdentityChange
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
@@ -314,6 +316,22 @@ def test_an_empty_database_has_nothing_to_do(tmp_path: Path) -> None:
     with trial.opened(settings) as (_, context):
         counts = refresh_signatures.run(context)
     assert set(counts.values()) == {0}
+
+
+def test_signatures_of_before_an_identity_change_say_nothing_of_the_wheelset_that_it_is_now(
+    ran: Ran, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    storage, context, truth, _ = ran
+    serial, later = min(truth), IdentityChange(10**18, 2 * 10**18)  # behind all windows
+    with monkeypatch.context() as exchanged:
+        exchanged.setattr(refresh_signatures, "suspected", lambda *_: frozenset({serial}))
+        exchanged.setattr(refresh_signatures, "identity_change", lambda *_: later)
+        refresh_signatures._judge(context, Isolation(context, refresh_signatures.STAGE))
+        found = answer(storage, serial).answer.conicity
+    assert found.reason is not None
+    assert found.reason.code is ReasonCode.NO_SIGNATURE
+    refresh_signatures._judge(context, Isolation(context, refresh_signatures.STAGE))
+    assert answer(storage, serial).answer.conicity.reason != found.reason
 
 
 def test_a_wheelset_that_was_turned_has_no_answer_and_teaches_nothing_about_its_old_profile(

@@ -1,0 +1,317 @@
+"""What of the solution of connected cells may be published: rails, wheels, and trends of sections."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from estimation.geometry.conicity import LARGEST_STD
+from estimation.rails.component import Component
+from estimation.rails.contact_jumps import next_to_jump
+from estimation.rails.parameters import RailsParameters, ReferenceWheel
+from estimation.rails.trend_line import AS_ON_FILE, TrendAt, line, not_a_line, too_few
+from estimation.rails.two_way import Parted, part
+from estimation.values.arrays import FloatArray
+from estimation.values.intervals import with_interval
+from estimation.values.quantities import Estimate, Status
+from estimation.values.rails import RailKey, RailsReference, WheelKey
+from estimation.values.reasons import Reason, ReasonCode
+
+NO_REFERENCE_WHEEL = Reason(ReasonCode.PROFILE_UNKNOWN, "the conicity of the wheel as designed is not known here")
+NEXT_TO_JUMP = Reason(ReasonCode.CONTACT_JUMP_NEAR, "the wheel as designed is next to a contact jump at this amplitude")
+NOT_CONVERGED = Reason(ReasonCode.NOT_CONVERGED, "wheels and rails were not parted: the iteration did not converge")
+HALF = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class RailAt:
+    """What is published of rails at one amplitude."""
+
+    reference: RailsReference | None
+    part: Estimate
+    reference_wheel: Estimate
+    excess: Estimate
+    solved: float = float("nan")  # conicity of the wheel as designed, published or not; NaN on known rails
+
+    @staticmethod
+    def unknown(reason: Reason, solved: float = float("nan")) -> RailAt:
+        """Return that nothing is known, with the reason."""
+        nothing = Estimate.unknown(reason)
+        return RailAt(None, nothing, nothing, nothing, solved)
+
+    def without_reference_wheel(self, reason: Reason) -> RailAt:
+        """Return the same without the wheel as designed, for which nothing follows."""
+        nothing = Estimate.unknown(reason, self.reference_wheel.count)
+        return replace(self, reference_wheel=nothing, excess=nothing)
+
+
+@dataclass(frozen=True, slots=True)
+class WheelAt:
+    """What is published of a wheelset at one amplitude."""
+
+    reference: RailsReference | None
+    conicity: Estimate
+
+    @staticmethod
+    def unknown(reason: Reason) -> WheelAt:
+        """Return that nothing is known, with the reason."""
+        return WheelAt(None, Estimate.unknown(reason))
+
+
+@dataclass(slots=True)
+class Answer:
+    """What is published of a component."""
+
+    rails: dict[RailKey, RailAt] = field(default_factory=dict)
+    wheels: dict[WheelKey, WheelAt] = field(default_factory=dict)
+    trends: dict[str, TrendAt] = field(default_factory=dict)
+    interaction: float = float("nan")
+
+
+def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParameters) -> Answer:
+    """Return what may be published of connected cells.
+
+    Parameters
+    ----------
+    component
+        The cells.
+    wheel
+        The wheel as designed.
+    parameters
+        Of the model.
+    """
+    solution = part(component.two_way, parameters)
+    refused = refusal(component, solution, wheel, parameters)
+    if refused is not None:
+        solved, _ = solution.reference_wheel(float(wheel.on_reference[component.k]))
+        return Answer(
+            {key: RailAt.unknown(refused, float(one)) for key, one in zip(component.rails, solved, strict=True)},
+            {key: WheelAt.unknown(refused) for key in component.wheels},
+            {key.section: TrendAt.unknown(refused) for key in component.rails},
+            interaction=solution.interaction,
+        )
+    publisher = _publisher(component, solution, wheel, parameters)
+    return Answer(publisher.rails(), publisher.wheels(), publisher.trends(), solution.interaction)
+
+
+def refusal(
+    component: Component, solution: Parted, wheel: ReferenceWheel, parameters: RailsParameters
+) -> Reason | None:
+    """Return why nothing of a solution is published; None where it is.
+
+    Parameters
+    ----------
+    component, wheel, parameters
+        As for :func:`parted`.
+    solution
+        Of the cells.
+    """
+    if not solution.converged:
+        return NOT_CONVERGED
+    if _is_steep(component, wheel.on_reference, parameters):
+        return NEXT_TO_JUMP
+    if solution.interaction > parameters.most_interaction:
+        text = f"neither wheel nor rail explains {solution.interaction:.3f} of the conicities at this amplitude"
+        return Reason(ReasonCode.RAILS_INTERACT, text)
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class _Publisher:
+    """Turns a solution into estimates.
+
+    Systematic errors are those that residuals do not show. What all cells share (creep, stiffness, a sensor's scale) is
+    in proportion to the conicity: of a difference of rails it leaves as much as that is of the conicity, of rails whose
+    level wheels hold all of it. The scale of y - d that the alignment of a section leaves open belongs to the section,
+    and looks like its rails.
+    """
+
+    component: Component
+    solution: Parted
+    wheel: ReferenceWheel
+    parameters: RailsParameters
+    shared: float  # relative, what is systematic in all cells
+    scale: FloatArray  # (s,) relative, of the scale of y - d on each section
+    scale_of_reference: float  # that of what is the reference
+    value: FloatArray  # (s,) conicity of the wheel as designed
+    covariance: FloatArray  # (s, s) of that
+    apart: FloatArray  # (s,) by how much the wheel as designed is outside the wheels that ran there
+
+    def rails(self) -> dict[RailKey, RailAt]:
+        """Return what is published of every rail."""
+        component = self.component
+        two_way, windows = component.two_way, component.table.windows[component.cells]
+        count = np.bincount(two_way.rail, windows, minlength=len(component.rail))
+        return {
+            key: self._of_known(key, count[at]) if two_way.known_rail[at] else self._of_rail(at, key, count[at])
+            for at, key in enumerate(component.rails)
+        }
+
+    def wheels(self) -> dict[WheelKey, WheelAt]:
+        """Return what is published of every wheel."""
+        component = self.component
+        windows = component.table.windows[component.cells]
+        count = np.bincount(component.two_way.wheel, windows, minlength=len(component.wheel))
+        if not component.two_way.anchored:
+            return {
+                key: WheelAt(RailsReference.MEAN, Estimate.unknown(component.level_open, float(count[at])))
+                for at, key in enumerate(component.wheels)
+            }
+        systematic, found = self._systematic_of_wheels(), {}
+        for place, key in enumerate(component.wheels):
+            theta, std = float(self.solution.wheel[place]), float(np.sqrt(self.solution.wheel_variance[place]))
+            estimate = self._published(theta, std, float(systematic[place]), float(count[place]))
+            found[key] = WheelAt(self._reference(self.solution.wheel_moved[place]), estimate)
+        return found
+
+    def trends(self) -> dict[str, TrendAt]:
+        """Return the trend of the reference wheel's conicity, 1/year, of every section, or why there is none."""
+        of_section: defaultdict[str, list[int]] = defaultdict(list)
+        for place, key in enumerate(self.component.rails):
+            of_section[key.section].append(place)
+        return {section: self._trend(section, places) for section, places in of_section.items()}
+
+    def _trend(self, section: str, places: list[int]) -> TrendAt:
+        unknown = [place for place in places if not self.component.two_way.known_rail[place]]
+        if not unknown:
+            return AS_ON_FILE
+        why = {place: self._no_conclusion(place, section) for place in unknown}
+        own = [place for place in unknown if why[place] is None]
+        if len(own) < self.parameters.least_periods:
+            newest = why[unknown[-1]]
+            return too_few(len(own), self.parameters.least_periods) if newest is None else TrendAt.unknown(newest)
+        at = self.component.by_rail(self.component.table.years[self.component.cells])
+        covariance = self.covariance[np.ix_(own, own)] + self.solution.interaction**2 * np.eye(len(own))
+        found = line(at[own], self.value[own], covariance)
+        if not found.fits(self.solution.freedom):
+            return not_a_line(len(own))
+        systematic = self.shared * abs(found.slope)
+        return TrendAt(with_interval(found.slope, found.std, systematic, self._groups, float(len(own))), len(own))
+
+    def _of_rail(self, place: int, key: RailKey, windows: float) -> RailAt:
+        reference, rho = self._reference(self.solution.rail_moved[place]), float(self.solution.rail[place])
+        std = float(np.sqrt(self.solution.covariance[place, place]))
+        part = self._published(rho, std, self._systematic(place, abs(rho)), windows)
+        value = float(self.value[place])
+        refused = self._no_conclusion(place, key.section)
+        if refused is not None:
+            nothing = Estimate.unknown(refused, windows)
+            return RailAt(reference, part, nothing, nothing, value)
+        std = float(np.sqrt(self.covariance[place, place] + self.solution.interaction**2))
+        change = abs(value - self._design) + abs(float(self.solution.slope[place])) * self._mean
+        systematic = self._systematic(place, change)
+        whole = self._published(value, std, systematic, windows)
+        on_file = float(self.wheel.of(key.section)[self.component.k])
+        if not np.isfinite(on_file):
+            return RailAt(reference, part, whole, Estimate.unknown(NO_REFERENCE_WHEEL, windows), value)
+        excess = self._published(value - on_file, std, systematic, windows)
+        return RailAt(reference, part, whole, excess, value)
+
+    def _of_known(self, key: RailKey, windows: float) -> RailAt:
+        """Return what is said of rails that are as on file, at the gauge on file: nothing has been measured of them."""
+        reference, none = RailsReference.KNOWN_RAILS, _exactly(0.0, windows)
+        here, on_file = self._design, float(self.wheel.of(key.section)[self.component.k])
+        if not np.isfinite(here) or not np.isfinite(on_file):
+            unknown = Estimate.unknown(NO_REFERENCE_WHEEL, windows)
+            return RailAt(reference, none, unknown, unknown)
+        return RailAt(reference, none, _exactly(here, windows), _exactly(here - on_file, windows))
+
+    def _published(self, value: float, sampled: float, systematic: float, windows: float) -> Estimate:
+        """Return an estimate with its interval; unknown where that says nothing of a wheel or a rail."""
+        found = with_interval(value, sampled, systematic, self._groups, windows)
+        if found.std is not None and found.std <= LARGEST_STD:
+            return found
+        text = f"the data leave the conicity open by {found.std:.2f}"
+        return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), windows)
+
+    def _no_conclusion(self, place: int, section: str) -> Reason | None:
+        """Return why nothing follows from the wheels on some rails for the wheel as designed; None where it does."""
+        if not self.component.two_way.anchored:
+            return self.component.level_open
+        if not np.isfinite(self._design):
+            return NO_REFERENCE_WHEEL
+        if _is_steep(self.component, self.wheel.of(section), self.parameters):
+            return NEXT_TO_JUMP
+        if self.apart[place] <= self.parameters.farthest:
+            return None
+        text = "the conicity of the wheel as designed is outside that of the wheels that run there"
+        return Reason(ReasonCode.REFERENCE_WHEEL_APART, f"{text} by {self.apart[place]:.3f}")
+
+    def _reference(self, moved: float) -> RailsReference:
+        """Return what holds the level of what moves so far with the conicity of all known wheels."""
+        if not self.component.two_way.anchored:
+            return RailsReference.MEAN
+        by_wheels = abs(moved) > HALF or not self.component.two_way.known_rail.any()
+        return RailsReference.MEASURED_WHEELS if by_wheels else RailsReference.KNOWN_RAILS
+
+    def _systematic(self, place: int, change: float) -> float:
+        """Return the systematic std of a difference of rails that is as large as ``change``."""
+        wheels = min(abs(float(self.solution.rail_moved[place])), 1.0)
+        level = wheels * self._mean + (1.0 - wheels) * change
+        of_reference = (1.0 - wheels) * self.scale_of_reference
+        return float(np.hypot(self.shared * level, np.hypot(self.scale[place], of_reference) * self._mean))
+
+    def _systematic_of_wheels(self) -> FloatArray:
+        """Return the systematic std (w,) of conicities on the reference rails."""
+        theta, known = self.solution.wheel, np.isfinite(self.component.two_way.known_value)
+        wheels = np.clip(np.abs(self.solution.wheel_moved), 0.0, 1.0)
+        by_wheels = np.abs(theta - float(theta[known].mean())) if known.any() else np.zeros(len(theta))
+        of_rails = np.hypot(self.shared, self.scale_of_reference) * np.abs(theta)
+        return np.asarray(wheels * self.shared * by_wheels + (1.0 - wheels) * of_rails)
+
+    @property
+    def _design(self) -> float:
+        return float(self.wheel.on_reference[self.component.k])
+
+    @property
+    def _mean(self) -> float:
+        return abs(self.solution.centre)
+
+    @property
+    def _groups(self) -> int:
+        return 1 + max(1, int(self.solution.freedom))
+
+
+def _publisher(
+    component: Component, solution: Parted, wheel: ReferenceWheel, parameters: RailsParameters
+) -> _Publisher:
+    design = float(wheel.on_reference[component.k])
+    two_way, s = component.two_way, len(component.rail)
+    lowest, highest = np.full(s, np.inf), np.full(s, -np.inf)
+    np.minimum.at(lowest, two_way.rail, solution.wheel[two_way.wheel])
+    np.maximum.at(highest, two_way.rail, solution.wheel[two_way.wheel])
+    scale = component.by_rail(component.table.scale[component.cells])
+    value, covariance = solution.reference_wheel(design)
+    return _Publisher(
+        component,
+        solution,
+        wheel,
+        parameters,
+        component.shared,
+        scale,
+        _scale_of_reference(component, scale),
+        value,
+        covariance,
+        np.maximum(lowest - design, design - highest),
+    )
+
+
+def _scale_of_reference(component: Component, scale: FloatArray) -> float:
+    """Return the scale of the mean of what is the reference; what wheels hold has none."""
+    two_way = component.two_way
+    if two_way.known_rail.any():
+        scale = scale[two_way.known_rail]
+    elif two_way.anchored:
+        return 0.0
+    return float(np.sqrt((scale**2).sum()) / len(scale))
+
+
+def _is_steep(component: Component, curve: FloatArray, parameters: RailsParameters) -> bool:
+    """Whether the conicity (k,) of the wheel as designed, on rails as on file, changes steeply about the amplitude."""
+    return bool(next_to_jump(curve, component.table.amplitude, parameters.steepest)[component.k])
+
+
+def _exactly(value: float, windows: float) -> Estimate:
+    return Estimate(value, 0.0, value, value, float(windows), Status.ESTIMATED)
