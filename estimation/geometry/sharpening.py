@@ -2,7 +2,7 @@
 
 The error of y - d, and a gauge that moves contact jumps, blur a curve R(x) over some tenths of a millimetre; the
 quadratics of the bins blur it further. What is behind is found by least squares with bounds (Lawson and Hanson, Solving
-Least Squares Problems, 1974, ch. 23): R is the integral of slopes in cells of a fifth of a bin. Blurred by a normal
+Least Squares Problems, 1974, ch. 23): R is the integral of slopes in cells of an eighth of a bin. Blurred by a normal
 error and reduced to the quadratics of the bins, it has to give the nodes that were observed. A slope is not negative,
 or no more than twice what was observed; this is what brings a jump back into one place.
 
@@ -22,9 +22,10 @@ from scipy.special import ndtr
 
 from estimation.values.arrays import FloatArray
 
-CELLS = 5  # in a bin
+CELLS = 8  # in a bin
 LEAST_STD = 5e-6  # m of a node: blurs are not quite normal
-ROUGHNESS = 0.5  # std that a change of the slope by 1 from cell to cell counts for; a contact jump has 2 to 8
+LEAST_ROUGHNESS = 0.25  # std that a change of the slope by 1 from cell to cell counts for; a contact jump has 2 to 10
+ROUGHNESS = 2.5e3  # 1/m, the same per blur: the longer it is, the less of the slopes is known
 MOST_MISFIT = 1.0  # rms, in std of the nodes
 BLURS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # of the longest that is to be expected
 SAMPLES = 8  # in a bin, for its quadratic
@@ -125,7 +126,7 @@ def _sharpen(
     response = _response(len(low), width, blur)
     cells = response.shape[1]
     base = least * response.sum(axis=1)
-    rough = ROUGHNESS * np.diff(np.eye(cells), axis=0)
+    rough = max(LEAST_ROUGHNESS, ROUGHNESS * blur) * np.diff(np.eye(cells), axis=0)
     system = np.vstack(
         [
             np.column_stack([weight, weight[:, None] * response]),

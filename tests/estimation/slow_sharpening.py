@@ -11,7 +11,8 @@ from scipy.optimize import lsq_linear
 from estimation.values.arrays import FloatArray
 
 WIDTH = 0.25e-3  # m of a bin
-CELL = WIDTH / 5.0
+CELLS = 8
+CELL = WIDTH / CELLS
 SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)
 MOST_MISFIT = 1.0
 
@@ -59,7 +60,7 @@ def mean_ramp(distance: FloatArray, blur: float) -> FloatArray:
 def slow_response(bins: int, beyond: int, blur: float) -> FloatArray:
     """Return what an offset of 1 and a slope of 1 in each cell make of the nodes: (2 bins + 1, 1 + cells)."""
     low = WIDTH * np.arange(bins)
-    edges = CELL * np.arange(-beyond, 5 * bins + beyond + 1)
+    edges = CELL * np.arange(-beyond, CELLS * bins + beyond + 1)
     ramps = mean_ramp(sample_places(low, 8)[..., None] - edges, blur)
     columns = [node_values(low, ramps[..., k] - ramps[..., k + 1]) for k in range(len(edges) - 1)]
     return np.stack([np.ones(2 * bins + 1), *columns], axis=1)
@@ -67,12 +68,14 @@ def slow_response(bins: int, beyond: int, blur: float) -> FloatArray:
 
 def slow_with_blur(low: FloatArray, nodes: FloatArray, std: FloatArray, blur: float) -> SlowSharpening:
     """Return the curve whose slopes, blurred, come nearest to the nodes."""
-    beyond = max(5, int(np.ceil(3.0 * blur / CELL)))
-    edges = low[0] + CELL * np.arange(-beyond, 5 * len(low) + beyond + 1)
+    beyond = max(CELLS, int(np.ceil(3.0 * blur / CELL)))
+    edges = low[0] + CELL * np.arange(-beyond, CELLS * len(low) + beyond + 1)
     response = slow_response(len(low), beyond, blur)
     weight = 1.0 / np.sqrt(std**2 + 5e-6**2)
     changes = np.diff(np.eye(len(edges) - 1), axis=0)
-    system = np.vstack([weight[:, None] * response, np.column_stack([np.zeros(len(changes)), 0.5 * changes])])
+    system = np.vstack(
+        [weight[:, None] * response, np.column_stack([np.zeros(len(changes)), max(0.25, blur / 0.4e-3) * changes])]
+    )
     wanted = np.append(weight * nodes, np.zeros(len(changes)))
     centre_slope = np.diff(nodes[1::2]) / WIDTH
     least = min(0.0, 2.0 * float(centre_slope.min()))

@@ -60,7 +60,7 @@ def test_the_longest_blur_of_eleven_is_taken_that_the_nodes_allow(blur: float, s
     np.testing.assert_allclose(found.curve(nodes), slow.curve, atol=8e-9)
 
 
-@pytest.mark.parametrize(("blur", "misfit", "taken"), [(0.324e-3, 1.011, False), (0.326e-3, 0.974, True)])
+@pytest.mark.parametrize(("blur", "misfit", "taken"), [(0.326e-3, 1.024, False), (0.328e-3, 0.987, True)])
 def test_a_blur_is_allowed_up_to_a_misfit_of_one_std(blur: float, misfit: float, *, taken: bool) -> None:
     nodes = stepped(blur)
     assert slow_with_blur(LOW, nodes, EXACT, LONGEST).misfit == pytest.approx(misfit, abs=0.002)
@@ -76,7 +76,7 @@ def test_noise_and_falls_give_what_a_general_solver_gives(seed: int, std: float)
     assert slow is not None
     found = sharpen(LOW, HIGH, noisy(seed), stds, 0.25e-3)
     assert found.blur == slow.blur
-    assert len(found.displacement) == 5 * len(LOW) + 1
+    assert len(found.displacement) == 8 * len(LOW) + 1
     np.testing.assert_allclose(found.curve(noisy(seed)), slow.curve, atol=8e-9)
 
 

@@ -17,7 +17,7 @@ EDGES = (np.arange(-11, 13) - 0.5) * WIDTH
 LOW, HIGH = EDGES[:-1], EDGES[1:]
 AT = sample_places(LOW, 400)
 NODES = edges_and_centres(LOW, HIGH)
-CELL = WIDTH / 5.0
+CELL = WIDTH / 8.0
 STEP = 0.4e-3
 
 
@@ -32,9 +32,9 @@ def blurred_step(place: float, blur: float, height: float = STEP) -> FloatArray:
 
 @pytest.mark.parametrize("longest", [0.0, 0.1e-3, 0.25e-3])
 def test_a_straight_line_comes_back(longest: float) -> None:
-    """Slopes end three std beyond the bins, where 0.0004 of a blur is left."""
+    """Slopes end three std beyond the bins, where 0.0005 of a blur is left."""
     found = sharp(0.2 * NODES, longest)
-    np.testing.assert_allclose(found.curve(0.2 * NODES), 0.2 * found.displacement, atol=0.2 * 0.0004 * longest + 1e-12)
+    np.testing.assert_allclose(found.curve(0.2 * NODES), 0.2 * found.displacement, atol=0.2 * 0.0005 * longest + 1e-12)
     assert (found.blur, found.left) == (longest, 0.0)
 
 
@@ -51,16 +51,16 @@ def test_a_quadratic_comes_back_without_what_the_blur_adds(bend: float) -> None:
     np.testing.assert_allclose(away[inner], 0.0, atol=furthest)
 
 
-@pytest.mark.parametrize(("blur", "cells"), [(0.12e-3, 3), (0.25e-3, 6)])
+@pytest.mark.parametrize(("blur", "cells"), [(0.12e-3, 4), (0.25e-3, 8)])
 @pytest.mark.parametrize("place", [0.63e-3, -1.21e-3])
 def test_a_blurred_step_comes_back_to_its_cell(blur: float, cells: int, place: float) -> None:
-    """Half its rise is in its cell; what it rises over, 2.6 std blurred, is at most half of that."""
+    """Half its rise is in its cell; what it rises over, 2.6 std blurred, is less than 0.43 of that."""
     nodes = node_values(LOW, blurred_step(place, blur))
     found = sharp(nodes, blur)
     assert found.blur == blur
     step = found.curve(nodes) - 0.2 * found.displacement
     rise = [float(found.displacement[np.argmax(step > share * STEP)]) for share in (0.1, 0.9)]
-    assert rise[1] - rise[0] <= (cells + 0.1) * CELL < 1.31 * blur
+    assert rise[1] - rise[0] <= (cells + 0.1) * CELL < 1.07 * blur
     middle = np.interp(0.5 * STEP, step, found.displacement)
     assert middle == pytest.approx(place, abs=0.5 * CELL)
     integral = np.trapezoid(step, found.displacement)
@@ -95,7 +95,7 @@ def test_a_falling_part_stays() -> None:
     found = sharp(nodes, blur)
     x = found.displacement
     true = 0.2 * x - 0.3 * np.maximum(x + 0.5e-3, 0.0) + 0.3 * np.maximum(x - 1e-3, 0.0)
-    np.testing.assert_allclose(found.curve(nodes), true, atol=3e-6)
+    np.testing.assert_allclose(found.curve(nodes), true, atol=6e-6)
     slopes = np.diff(found.curve(nodes)) / CELL
     assert slopes[(x[:-1] > -0.2e-3) & (x[1:] < 0.7e-3)] == pytest.approx(-0.1, abs=0.02)
 
