@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.compiled import compiled
+from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
 from estimation.estimators.cell_means import CellMeans
 from estimation.estimators.coverage import REACH, usable
@@ -22,6 +23,7 @@ from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.paper_equations import REGRESSORS, yaw_output
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
+from estimation.geometry.sharpening import jumps_displaced
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
@@ -139,7 +141,8 @@ class PaperAlgorithm:
         left_out = state.cells.left_out(x)
         if len(left_out) < FEWEST_GROUPS:
             return nothing(too_few_blocks(len(left_out)), state.parameters, samples, state.stretches)
-        shifted = R + state.cells.shifted(x, R, state.parameters.uncertainty)
+        uncertain = R + state.cells.shifted(x, R, state.parameters.uncertainty)
+        shifted = np.vstack([uncertain, jumps_elsewhere(x, R, self.width / np.sqrt(12.0))])
         curve = Replicates(x, R, R + left_out, shifted, samples, state.stretches, np.diag(std))
         return curve_estimate(curve, state.parameters)
 
@@ -166,6 +169,25 @@ def _start(waiting: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     inverse = np.linalg.inv(triangle) / size[:, None]
     theta = inverse @ (root.T @ z)
     return theta, inverse @ inverse.T, float(((z - X @ theta) ** 2).sum())
+
+
+def jumps_elsewhere(x: FloatArray, curve: FloatArray, std: float) -> FloatArray:
+    """Return a curve with its contact jumps further out and nearer by one std, each with half of the variance (2, n).
+
+    A bin has one value: where in it a jump is remains unknown.
+
+    Parameters
+    ----------
+    x, curve
+        (n,) m, increasing displacement, and its rolling radius difference.
+    std
+        m.
+    """
+    middle = zero_crossing(x, curve)
+    if not np.isfinite(middle):
+        return np.stack([curve, curve])
+    moved = np.stack([jumps_displaced(x, curve, middle, by) for by in (std, -std)])
+    return np.asarray(curve + (moved - curve) / np.sqrt(2.0))
 
 
 @compiled(nogil=True)

@@ -7,6 +7,7 @@ from oracles import recursive_least_squares
 from smooth_wheelset import SmoothTable, ideal, run
 
 from estimation.estimators import paper_equations
+from estimation.estimators.paper_algorithm import jumps_elsewhere
 
 
 def test_the_compiled_recursion_is_the_plain_one() -> None:
@@ -36,3 +37,23 @@ def test_radius_difference_and_angle_difference_converge_and_the_angle_sum_does_
     assert np.abs(found.rolling_radius_difference[good] - R).max() < 0.02e-3
     assert np.abs(found.contact_angle_difference[good] - D).max() < 2e-3
     assert np.median(np.abs(found.contact_angle_sum[good] - A)) > 5 * A.max()
+
+
+def test_where_in_a_bin_a_jump_is_remains_unknown() -> None:
+    """Each way by one std, with half of the variance; a curve without jumps stays as it is."""
+    x = np.linspace(-3e-3, 3e-3, 1201)
+    line, step = 0.2 * x, 0.4e-3
+    ramp = step * np.clip((np.abs(x) - 1.2e-3) / 5e-6, 0.0, 1.0) * np.sign(x)
+    np.testing.assert_array_equal(jumps_elsewhere(x, line, 0.1e-3), [line, line])
+    further, nearer = (jumps_elsewhere(x, line + ramp, 0.1e-3) - line - ramp) * np.sqrt(2.0)
+    between = {sign: (sign * x > 1.21e-3) & (sign * x < 1.29e-3) for sign in (-1, 1)}
+    inside = {sign: (sign * x > 1.11e-3) & (sign * x < 1.19e-3) for sign in (-1, 1)}
+    for sign in (-1, 1):
+        np.testing.assert_allclose(further[between[sign]], -sign * step, rtol=0.01)
+        np.testing.assert_allclose(nearer[inside[sign]], sign * step, rtol=0.01)
+        np.testing.assert_allclose(further[inside[sign]], 0.0, atol=1e-12)
+
+
+def test_no_jumps_are_moved_where_the_curve_has_no_zero() -> None:
+    x = np.linspace(1e-3, 3e-3, 21)
+    np.testing.assert_array_equal(jumps_elsewhere(x, x, 0.1e-3), [x, x])
