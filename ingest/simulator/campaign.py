@@ -10,6 +10,7 @@ from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.motion import STEP, WheelsetMotion, travelled
 from ingest.simulator.random_streams import Stream, generator, seed_of
+from ingest.simulator.running import CONTACT_STEP
 from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, VehiclePlan, WheelsetPlan
 from ingest.simulator.sensor_errors import NodeErrors, draw_node_errors
 from ingest.simulator.sensors import SensorRecord, draw_offsets, measure
@@ -173,7 +174,9 @@ def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: Whee
     order = scenario.vehicles.index(run.vehicle)
     offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))
     rng = generator(scenario.seed, Stream.SENSOR, order, axle, run.campaign)
-    return measure(motion, scenario.sensors, rng, offsets, _node_errors(scenario, order, axle, run.campaign))
+    errors = _node_errors(scenario, order, axle, run.campaign)
+    narrow = scenario.running.contact_step < CONTACT_STEP
+    return measure(motion, scenario.sensors, rng, offsets, errors, short_pulses=narrow)
 
 
 def _node_errors(scenario: Scenario, order: int, axle: int, campaign: int) -> NodeErrors | None:

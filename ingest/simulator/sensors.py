@@ -1,10 +1,10 @@
 """What a sensor node makes of the true motion: noise, offset, drift, clipping, anti-alias filter, sampling.
 
 The node samples at 1 kHz, clips at its range, filters with a linear-phase low-pass whose delay it takes out of its
-time stamps (so sample k belongs to the instant of its SYNC), and decimates. Where a wheelset passes a contact jump it
-accelerates for less time than passes between two samples of the motion: a node that filters gets slopes of the true
-velocities, whose integral holds such pulses. A node with gyroscopes sends the slope of the rates that they measure.
-Quantisation to int16 happens in the codec, by the scale of the signal catalogue.
+time stamps (so sample k belongs to the instant of its SYNC), and decimates. Where contact jumps are narrow a wheelset
+that passes one accelerates for less time than passes between two samples of the motion: a node that filters then gets
+slopes of the true velocities, whose integral holds such pulses. A node with gyroscopes sends the slope of the rates that
+they measure. Quantisation to int16 happens in the codec, by the scale of the signal catalogue.
 """
 
 from __future__ import annotations
@@ -104,6 +104,8 @@ def measure(
     rng: np.random.Generator,
     offsets: FloatArray,
     errors: NodeErrors | None = None,
+    *,
+    short_pulses: bool = False,
 ) -> SensorRecord:
     """Return the record of a sensor node: noise, offset, drift, limits and the filter before decimation applied.
 
@@ -120,10 +122,12 @@ def measure(
         ``ACCELERATIONS``.
     errors
         How this node differs from its data sheet; None: not at all.
+    short_pulses
+        Whether the motion accelerates for less time than passes between two of its samples.
     """
     n, stride = len(motion), node.stride
     size = -(-n // stride)
-    signals = _true_signals(motion, node, errors)
+    signals = _true_signals(motion, node, errors, short_pulses=short_pulses and node.anti_alias)
     if errors is not None:
         signals = list(_with_errors(signals, errors, rng))
     values, clipped = np.empty((size, 4)), np.zeros((size, 4), dtype=np.bool_)
@@ -144,9 +148,11 @@ def measure(
     return SensorRecord(STEP * stride * np.arange(size, dtype=np.float64), values, clipped)
 
 
-def _true_signals(motion: WheelsetMotion, node: SensorNode, errors: NodeErrors | None) -> list[FloatArray]:
+def _true_signals(
+    motion: WheelsetMotion, node: SensorNode, errors: NodeErrors | None, *, short_pulses: bool
+) -> list[FloatArray]:
     """Return what the transducers are exposed to, four signals (n,) in the order of ``ACCELERATIONS``."""
-    if node.anti_alias:
+    if short_pulses:
         signals = [time_derivative(getattr(motion, name), STEP) for name in VELOCITIES]
     else:
         signals = [np.asarray(getattr(motion, name)) for name in ACCELERATIONS]
