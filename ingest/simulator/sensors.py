@@ -3,8 +3,8 @@
 The node samples at 1 kHz, clips at its range, filters with a linear-phase low-pass whose delay it takes out of its
 time stamps (so sample k belongs to the instant of its SYNC), and decimates. Where contact jumps are narrow a wheelset
 that passes one accelerates for less time than passes between two samples of the motion: a node that filters then gets
-slopes of the true velocities, whose integral holds such pulses. A node with gyroscopes sends the slope of the rates that
-they measure. Quantisation to int16 happens in the codec, by the scale of the signal catalogue.
+slopes of the true velocities, whose integral holds such pulses. A node with gyroscopes sends the slope of the rates
+that they measure. Quantisation to int16 happens in the codec, by the scale of the signal catalogue.
 """
 
 from __future__ import annotations
