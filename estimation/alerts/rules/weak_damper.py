@@ -98,7 +98,7 @@ def weak_damper_finding(rule: WeakDamperRule, wheelset: str, found: GearDamper) 
 def _below(found: GearDamper, limit: float) -> float | None:
     """Return the probability that less than a share is left; None where the share is not known.
 
-    The upper end of the interval tells its std: the lower one ends at 0.
+    The std follows from the upper end of the interval, because the lower end is cut off at 0.
     """
     value, high = found.share.value, found.share.high
     if value is None or high is None or not high > value:
