@@ -1,10 +1,10 @@
 """A rolling radius difference without the blur of its displacement.
 
 The error of y - d, and a gauge that moves contact jumps, blur a curve R(x) over some tenths of a millimetre; the
-quadratics of the bins blur it further. What is behind is found by least squares with bounds (Lawson and Hanson, Solving
-Least Squares Problems, 1974, ch. 23): R is the integral of slopes in cells of an eighth of a bin. Blurred by a normal
-error and reduced to the quadratics of the bins, it has to give the nodes that were observed. A slope is not negative,
-or no more than twice what was observed; this is what brings a jump back into one place.
+quadratics of the bins blur it further. What is behind is found by least squares with bounds (``non_negative``): R is
+the integral of slopes in cells of an eighth of a bin. Blurred by a normal error and reduced to the quadratics of the
+bins, it has to give the nodes that were observed. A slope is not negative, or no more than twice what was observed;
+this is what brings a jump back into one place.
 
 How far the blur reaches is known roughly. The longest that the nodes allow is taken: one that is too long leaves a
 misfit, because no curve within the bounds becomes as sharp as what was observed.
@@ -16,10 +16,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import solve_triangular
-from scipy.optimize import nnls
 from scipy.special import ndtr
 
+from estimation.geometry.non_negative import non_negative
 from estimation.values.arrays import FloatArray
 
 CELLS = 8  # in a bin
@@ -30,7 +29,7 @@ MOST_MISFIT = 1.0  # rms, in std of the nodes
 BLURS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0)  # of the longest that is to be expected
 SAMPLES = 8  # in a bin, for its quadratic
 REACH = 3.0  # std of the blur that the cells go beyond the bins
-STEPS = 30  # of the search for slopes, per cell; most end after one
+STEPS = 200  # of the search for slopes; most end after ten
 _KEPT = 64  # operators: the bins and blurs of wheelsets are much alike
 
 
@@ -106,7 +105,7 @@ def sharpen(
     longest
         m, std of the blur that is to be expected at most.
     steps
-        Of the search for slopes, per cell; a blur for which they do not suffice counts as one that does not fit.
+        Of the search for slopes; a blur for which they do not suffice counts as one that does not fit.
     """
     weight = 1.0 / np.hypot(std, LEAST_STD)
     least = min(0.0, 2.0 * float(np.min(np.diff(nodes[1::2]) / np.diff(low)))) if len(low) > 1 else 0.0
@@ -126,23 +125,14 @@ def _sharpen(
     response = _response(len(low), width, blur)
     cells = response.shape[1]
     base = least * response.sum(axis=1)
-    rough = max(LEAST_ROUGHNESS, ROUGHNESS * blur) * np.diff(np.eye(cells), axis=0)
-    system = np.vstack(
-        [
-            np.column_stack([weight, weight[:, None] * response]),
-            np.column_stack([np.zeros(cells - 1), rough]),
-        ]
-    )
-    wanted = np.append(weight * (nodes - base), np.zeros(cells - 1))
-    theta = _non_negative(system, wanted, steps * cells)
-    if theta is None:
+    rows = weight[:, None] * np.column_stack([np.ones(len(nodes)), response])
+    wanted = weight * (nodes - base)
+    gram = rows.T @ rows
+    gram[1:, 1:] += max(LEAST_ROUGHNESS, ROUGHNESS * blur) ** 2 * _changes(cells)
+    found = non_negative(gram, rows.T @ wanted, steps)
+    if found is None or np.sqrt(np.mean((rows @ found.value - wanted) ** 2)) > MOST_MISFIT:
         return None
-    misfit = system[: len(nodes)] @ theta - wanted[: len(nodes)]
-    if np.sqrt(np.mean(misfit**2)) > MOST_MISFIT:
-        return None
-    free = np.append(True, theta[1:] > 0.0)
-    solved = np.zeros((cells + 1, len(nodes)))
-    solved[free] = _inverse(system[:, free])[:, : len(nodes)] * weight
+    solved = found.linear(rows.T * weight)
     inside = slice(beyond, cells + 1 - beyond)
     integral = np.concatenate([np.zeros((1, len(nodes))), np.cumsum(step * solved[1:], axis=0)]) + solved[0]
     slope = least * step * np.arange(cells + 1)
@@ -155,25 +145,13 @@ def _sharpen(
     )
 
 
-def _inverse(system: FloatArray) -> FloatArray:
-    """Return the pseudo-inverse (c, r) of a system (r, c); a tenth of the work where all of its columns count."""
-    q, r = np.linalg.qr(system)
-    size = np.abs(np.diag(r))
-    if not size.min(initial=np.inf) > LEAST_DIRECTION * size.max(initial=0.0):
-        return np.asarray(np.linalg.pinv(system))
-    return np.asarray(solve_triangular(r, q.T))
-
-
-LEAST_DIRECTION = 1e-9  # of the largest column: below, one is nearly in those before it
-
-
-def _non_negative(system: FloatArray, wanted: FloatArray, steps: int) -> FloatArray | None:
-    """Return the offset, of any sign, and slopes that are not negative; None where the search takes more steps."""
-    try:
-        found, _ = nnls(np.column_stack([system, -system[:, 0]]), wanted, maxiter=steps)
-    except RuntimeError:  # more than maxiter
-        return None
-    return np.append(found[0] - found[-1], found[1:-1])
+@lru_cache(maxsize=_KEPT)
+def _changes(cells: int) -> FloatArray:
+    """Return the normal matrix (cells, cells) of changes of the slope from cell to cell."""
+    matrix = 2.0 * np.eye(cells) - np.eye(cells, k=1) - np.eye(cells, k=-1)
+    matrix[[0, -1], [0, -1]] = 1.0
+    matrix.flags.writeable = False
+    return matrix
 
 
 def _beyond(width: float, blur: float) -> int:

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from slow_sharpening import WIDTH, node_values, sample_places
 
-from estimation.geometry import sharpening
 from estimation.geometry.sharpening import LEAST_STD, Sharpening, edges_and_centres, jumps_displaced, sharpen
 from estimation.values.arrays import FloatArray
 
@@ -146,12 +145,3 @@ def test_a_curve_without_jumps_has_none_displaced() -> None:
     x = np.linspace(-3e-3, 3e-3, 601)
     smooth = 0.2 * x + 3e3 * x**3 - 0.1e-3 * ndtr((x - 1e-3) / 0.1e-3)  # up to 0.28 steep, and a fall
     np.testing.assert_array_equal(jumps_displaced(x, smooth, 0.0, 0.2e-3), smooth)
-
-
-@pytest.mark.parametrize(("direction", "counts"), [(1.0, True), (1e-7, True), (1e-11, False), (0.0, False)])
-def test_an_inverse_leaves_out_a_direction_that_hardly_counts(direction: float, *, counts: bool) -> None:
-    system = np.random.default_rng(4).standard_normal((12, 5))
-    system[:, 4] = system[:, 0] - system[:, 2] + direction * system[:, 4]
-    found, plain = sharpening._inverse(system), np.linalg.pinv(system)
-    assert np.array_equal(found, plain) is not counts
-    np.testing.assert_allclose(found, plain, rtol=1e-6, atol=1e-6 * np.abs(plain).max())
