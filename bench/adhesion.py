@@ -1,16 +1,16 @@
 """Creep forces and friction: ``python -m bench adhesion [--seeds 0-2] [--rows low,...] [--out FILE] [--write-docs]``.
 
 Every row is a scenario file in ``bench/adhesion_scenarios``; every seed of it is simulated and estimated by the pure
-functions that the jobs use (``adhesion_case``). Results are appended to ``--out`` after every case, a line of JSON
-each, and what is there is not run again. The passes of each case stay in ``--sums``: ``--again`` pools them, which
-judges a change of pooling or decision in seconds.
+functions that the jobs use (``adhesion_case``). ``wrong_file`` stands for the rows of ``adhesion_wrong``. Results are
+appended to ``--out`` after every case, a line of JSON each, and what is there is not run again. The passes of each case
+stay in ``--sums``: ``--again`` pools them, which judges a change of pooling or decision in seconds.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench.adhesion_stored import path_of, read_passes
+from bench.adhesion_stored import path_of, read_passes, write_passes
 from bench.adhesion_table import CHOICE_COLUMNS, FRICTION_COLUMNS, choice_rows, friction_rows, summary
+from bench.adhesion_wrong import OF, ONE, WRONG, as_on_file, of_one_vehicle
 from bench.report import BenchRow
 from bench.results_page import markdown_table, write_page
 from bench.world import seed_range
@@ -27,7 +28,9 @@ from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).parent / "adhesion_scenarios"
-ROWS = tuple(sorted(path.stem for path in SCENARIOS.glob("*.toml")))
+FILES = tuple(sorted(path.stem for path in SCENARIOS.glob("*.toml")))
+ROWS = (*FILES, *WRONG, *ONE)  # a row of one vehicle comes behind those that it is put together from
+GROUPS = {"wrong_file": (*WRONG, *ONE)}
 TITLE = "Creep forces and friction"
 COLUMNS = ("what", "measured", "reach", "met")
 
@@ -73,21 +76,43 @@ def _run(options: argparse.Namespace, cases: list[dict[str, Any]], console: Cons
     have = {(case["row"], case["seed"]) for case in cases}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     for seed in options.seeds:
-        for row in options.rows:
-            if (row, seed) in have:
-                continue
-            case = json.loads(json.dumps(_case(row, seed, options.sums)))
+        for made in _cases([row for row in options.rows if (row, seed) not in have], seed, options.sums, cases):
+            case = json.loads(json.dumps(made))
             cases.append(case)
             with options.out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(case) + "\n")
             found = f"{sum(case['found'])} of {len(case['found'])} stretches, {len(case['alarms'])} alarms"
-            console.print(f"{row} seed {seed}: {found}", highlight=False)
+            console.print(f"{case['row']} seed {seed}: {found}", highlight=False)
 
 
-def _case(row: str, seed: int, sums: Path) -> dict[str, object]:
+def _cases(rows: Sequence[str], seed: int, sums: Path, cases: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the cases of rows for a seed; a scenario that rows share is simulated once."""
     from bench.adhesion_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
+    from bench.adhesion_fleet import simulate  # noqa: PLC0415 - as above
 
-    return score(with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed), sums).as_json()
+    for file in FILES:
+        own = [row for row in rows if row == file or (file == OF and row in WRONG)]
+        fleet = simulate(with_seed(load_scenario(SCENARIOS / f"{file}.toml"), seed)) if own else None
+        for row in own if fleet is not None else ():
+            seen = fleet if row == file else as_on_file(fleet, WRONG[row])
+            yield score(seen, row, sums, left_out_too=row == file).as_json()
+    for row in (row for row in rows if row in ONE):
+        yield _of_one(row, seed, sums, cases)
+
+
+def _of_one(row: str, seed: int, sums: Path, cases: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the case of a row whose first vehicle alone is wrong, from the passes of two others that were kept."""
+    from bench.adhesion_friction import judge  # noqa: PLC0415 - as above
+
+    right = next((case for case in cases if (case["row"], case["seed"]) == (OF, seed)), None)
+    paths = path_of(sums, OF, seed), path_of(sums, ONE[row], seed)
+    if right is None or not all(path.exists() for path in paths):
+        raise SystemExit(f"row {row} needs rows {OF} and {ONE[row]} of seed {seed}")
+    stored = of_one_vehicle(*(read_passes(path) for path in paths))
+    write_passes(path_of(sums, row, seed), stored)
+    unknown = {"error": 0.0, "force": 0.0}
+    empty = {"row": row, "lateral": unknown, "moment": unknown, "conicity_all": [], "conicity_left_out": []}
+    return right | empty | asdict(judge(stored))
 
 
 def _again(cases: Sequence[dict[str, Any]], sums: Path) -> list[dict[str, Any]]:
@@ -114,8 +139,8 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _rows(text: str) -> list[str]:
-    names = text.split(",")
+    names = [name for word in text.split(",") for name in GROUPS.get(word, (word,))]
     unknown = [name for name in names if name not in ROWS]
     if unknown:
-        raise argparse.ArgumentTypeError(f"no row {', '.join(unknown)}; there are {', '.join(ROWS)}")
+        raise argparse.ArgumentTypeError(f"no row {', '.join(unknown)}; there are {', '.join((*ROWS, *GROUPS))}")
     return names

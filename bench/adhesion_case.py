@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.adhesion_fleet import Fleet, SensedWindow, simulate
+from bench.adhesion_fleet import Fleet, SensedWindow
 from bench.adhesion_friction import STEP, compare
 from bench.adhesion_stored import StoredPasses, path_of, write_passes
 from estimation.adhesion.creep_forces import ContactForces, ForceParameters, contact_forces
@@ -79,10 +79,13 @@ class AdhesionScore:
         return asdict(self)
 
 
-def score(scenario: Scenario, folder: Path) -> AdhesionScore:
-    """Simulate a scenario and compare what is estimated with the truth; keep its passes in a folder."""
-    fleet = simulate(scenario)
-    done = AdhesionScore(scenario.name, scenario.seed)
+def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) -> AdhesionScore:
+    """Compare what is estimated of a fleet with the truth; keep its passes in a folder.
+
+    ``left_out_too`` says that the geometry without the samples on low friction is estimated beside.
+    """
+    scenario = fleet.scenario
+    done = AdhesionScore(row, scenario.seed)
     parameters = _parameters(fleet)
     motions = [window_motion(one.window, fleet.alignment, parameters[one.window.wheelset]) for one in fleet.windows]
     geometries = _geometries(fleet.windows, motions, parameters)
@@ -92,13 +95,15 @@ def score(scenario: Scenario, folder: Path) -> AdhesionScore:
         return done
     s = np.arange(fleet.track.s[0], fleet.track.s[-1], STEP)
     stored = StoredPasses(scenario.section.code, tuple(passes), s, fleet.friction(0, s), _length(fleet))
-    write_passes(path_of(folder, scenario.name, scenario.seed), stored)
+    write_passes(path_of(folder, row, scenario.seed), stored)
     found = section_adhesion(scenario.section.code, passes, FrictionParameters(), stored.length)
     if found is None:
         return done
     friction = compare(found, stored)
     done.cells, done.stretches = friction.cells, friction.stretches
     done.found, done.alarms = friction.found, friction.alarms
+    if not left_out_too:
+        return done
     left_out = [away_from_low_adhesion(one.window, found.low_stretches) for one in fleet.windows]
     again = [
         one if isinstance(one, Reason) else window_motion(one, fleet.alignment, parameters[one.wheelset])

@@ -155,7 +155,7 @@ def _errors(cases: Iterable[dict[str, Any]], name: str) -> np.ndarray:
 
 
 def _percent(share: float | np.floating[Any]) -> str:
-    return f"{100.0 * share:.1f} %"
+    return f"{100.0 * share:.1f} %" if np.isfinite(share) else ""
 
 
 def _error(errors: np.ndarray) -> str:

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from estimation.adhesion.along_track import Along, AlongParameters, along_track
+from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.pass_sums import PassSums, pass_sums
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, SectionAdhesion, WindowAdhesion
 from estimation.values.arrays import FloatArray
@@ -43,7 +44,7 @@ class FrictionParameters:
     usual_std: float = 3.0  # of it
     most_usual: float = 5.0  # 1/mu of places that show b: where creep is far from linear its law matters more
     law_std: float = 0.1  # of 1/mu, relative: creep laws differ
-    class_std: float = 0.15  # of 1/mu, relative: errors of creep coefficient, yaw spring and load on file scale it
+    file: FileErrors = field(default_factory=FileErrors)  # what file and sensors leave open of all vehicles alike
     track_std: float = 0.45  # of 1/mu of a place: the error of the alignment is the same in all passes
     smoothed_std: float = 1.0  # the same of what forces have lost with the vibration of axle boxes
     change_std: float = 0.2  # of the logarithm of 1/mu from a place to the next
@@ -94,7 +95,7 @@ def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParam
     left = _left_std(sums, found, parameters)
     scatter = _scatter(sums, found, parameters)
     along = _along(sums, found, left, scatter, parameters)
-    by_creep = found.creep_std * _slope(sums, along.mean)
+    by_creep = _added_std(_slope(sums, along.mean), along.mean, found.creep_std, parameters)
     smoothed = sums.by_place(sums.smoothed) > 0.0
     places = zip(sums.cells, sums.counts, left, strict=True)
     found_here = (
@@ -218,6 +219,16 @@ def _slope(sums: PassSums, inverse: FloatArray) -> FloatArray:
     return np.asarray(inverse * gq / np.maximum(gg, TINY))
 
 
+def _added_std(slope: FloatArray, inverse: FloatArray, creep_std: float, parameters: FrictionParameters) -> FloatArray:
+    """Return the std of 1/mu (c,) that does not grow with it: of the common b, and of the scales of the sensors.
+
+    What a scale adds is the same at every friction: that of usual places, where creep is nearly linear.
+    """
+    usual = slope[inverse < parameters.most_usual]
+    everywhere = np.maximum(slope, np.median(usual)) if len(usual) else slope
+    return np.asarray(np.hypot(creep_std * slope, parameters.file.creep_std * everywhere))
+
+
 def _cell(
     cell: int, n: int, left: float, inverse: float, sampled: float, by_creep: float, parameters: FrictionParameters
 ) -> CellFriction:
@@ -228,7 +239,7 @@ def _cell(
     if left > LEARNT * parameters.usual_std:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"creep is so small in {n} passes that it shows no friction")
         return CellFriction(cell, Estimate.unknown(small, float(n)), 0.0, 0.0, n)
-    relative = float(np.hypot(parameters.law_std, parameters.class_std))
+    relative = float(np.hypot(parameters.law_std, parameters.file.factor_std))
     systematic = float(np.hypot(relative * inverse, by_creep))
     half = float(np.hypot(stdtrit(n - 1, 0.975) * sampled, NORMAL_95 * systematic))
     std = float(np.hypot(sampled, systematic))

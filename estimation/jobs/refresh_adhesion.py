@@ -100,8 +100,8 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
         last = unit.adhesion.section(section)
         passes = unit.adhesion.of_section(section, to_ns - pooled_ns(rule), to_ns)
         fleets = sorted({unit.registry.vehicle(code).fleet for code in {one.vehicle for one in passes}})
-        length = section_length(unit, section)
-    found = section_adhesion(section, passes, friction_parameters(rule), length)
+        length, parameters = section_length(unit, section), friction_parameters(rule, unit, passes)
+    found = section_adhesion(section, passes, parameters, length)
     if found is None:
         return {}
     pooled = _Pooled(found, passes, fleets)

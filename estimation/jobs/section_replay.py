@@ -40,7 +40,7 @@ def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple
     closed: list[Alert] = []
     for to_ns in pool_ends(unit.adhesion.starts_with_sums(section, *span), pooled):
         passes = unit.adhesion.of_section(section, to_ns - pooled, to_ns)
-        found = section_adhesion(section, passes, friction_parameters(rule), length)
+        found = section_adhesion(section, passes, friction_parameters(rule, unit, passes), length)
         if found is not None:
             fleets = {unit.registry.vehicle(code).fleet for code in {one.vehicle for one in passes}}
             _evaluate(found, book, sorted({*fleets, *standing}), standing, closed)

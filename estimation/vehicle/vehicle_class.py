@@ -59,6 +59,11 @@ class SensorChannel:
     scale_std: float = 0.0  # relative std of its scale
     limit: float = math.inf  # u, largest magnitude that it measures
 
+    @property
+    def usual_scale_std(self) -> float:
+        """Relative std of its scale; where none is on file, that of a sensor that nobody calibrated."""
+        return self.scale_std or UNSTATED_SCALE_STD
+
 
 @dataclass(frozen=True, slots=True)
 class SensorLayout:
@@ -135,6 +140,8 @@ class VehicleClass:
 
 
 CREEP_STD, STIFFNESS_STD, DAMPING_STD, MASS_STD, LENGTH_STD = 0.10, 0.05, 0.10, 0.025, 0.002
+LOAD_STD = 0.15  # an axle carries 11 t empty and 17 t full: passengers are on no file
+UNSTATED_SCALE_STD = 0.03  # of a sensor whose scale has no std on file
 
 
 def default_relative_std(name: str) -> float:
@@ -151,6 +158,6 @@ def default_relative_std(name: str) -> float:
         "_damping": DAMPING_STD,
         "_mass": MASS_STD,
         "_inertia": MASS_STD,
-        "load": MASS_STD,
+        "load": LOAD_STD,
     }
     return next((std for end, std in ends.items() if name.endswith(end)), LENGTH_STD)

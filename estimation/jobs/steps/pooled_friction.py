@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.friction import FrictionParameters
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.storage import UnitOfWork
+from estimation.values.adhesion import WindowAdhesion
 
 HOUR_NS = 3_600_000_000_000
 
@@ -22,15 +24,24 @@ def pooled_ns(rule: LowAdhesionRule) -> int:
     return round(rule.pooled_hours * HOUR_NS)
 
 
-def friction_parameters(rule: LowAdhesionRule) -> FrictionParameters:
-    """Return the limits of a rule as the friction of a section is found with them.
+def friction_parameters(
+    rule: LowAdhesionRule, unit: UnitOfWork, passes: Sequence[WindowAdhesion]
+) -> FrictionParameters:
+    """Return the limits of a rule as the friction of a section is found with them, and what the file leaves open.
 
     Parameters
     ----------
     rule
         In force.
+    unit
+        A transaction that reads.
+    passes
+        That are pooled; a vehicle whose class is not on file counts as one without stds of its own.
     """
-    return FrictionParameters(low=rule.raise_friction, likely=rule.raise_probability)
+    codes = {unit.registry.vehicle(code).vehicle_class for code in {one.vehicle for one in passes}}
+    found = [unit.registry.vehicle_class(code) for code in sorted(codes)]
+    file = FileErrors.of([one.vehicle_class for one in found if one is not None])
+    return FrictionParameters(low=rule.raise_friction, likely=rule.raise_probability, file=file)
 
 
 def section_length(unit: UnitOfWork, section: str) -> float:

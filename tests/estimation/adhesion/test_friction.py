@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from oracles.creep_excess import creep_excess
 
+from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.friction import LEARNT, FrictionParameters, low_stretches, section_adhesion, section_friction
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 
 KNOWN = FrictionParameters()
+NO_ERRORS = FileErrors(0.0, 0.0, 0.0, 0.0, 0.0)
 NONE = Estimate.unknown(Reason(ReasonCode.OTHER, ""))
 SAMPLES, NOISE = 600, 3e-5  # of a place and pass; m
 
@@ -143,7 +145,7 @@ def test_what_is_measured_beyond_the_ends_of_a_section_is_no_place_of_it() -> No
 def test_passes_that_scatter_by_more_than_the_noise_say_less() -> None:
     def std_of(frictions: Sequence[float]) -> float:
         passes = [a_pass(number, [0.1] * 5 + [one] + [0.1] * 6) for number, one in enumerate(frictions)]
-        found = section_friction(passes, replace(KNOWN, law_std=0.0, class_std=0.0, fresh=1.0))[5].friction
+        found = section_friction(passes, replace(KNOWN, law_std=0.0, file=NO_ERRORS, fresh=1.0))[5].friction
         assert found.std is not None
         assert found.value is not None
         return found.std / found.value**2
@@ -155,7 +157,7 @@ def test_what_decides_on_low_adhesion_is_pinned() -> None:
     assert (KNOWN.low, KNOWN.likely, KNOWN.at_ends) == (0.15, 0.6, 0.3)
     assert (KNOWN.fewest_passes, KNOWN.least_upper, LEARNT) == (3, 0.6, 0.7)
     assert (KNOWN.usual, KNOWN.usual_std, KNOWN.most_usual, KNOWN.creep_error_std) == (3.3, 3.0, 5.0, 0.1)
-    assert (KNOWN.law_std, KNOWN.class_std, KNOWN.track_std, KNOWN.smoothed_std) == (0.1, 0.15, 0.45, 1.0)
+    assert (KNOWN.law_std, KNOWN.track_std, KNOWN.smoothed_std) == (0.1, 0.45, 1.0)
     assert (KNOWN.change_std, KNOWN.fresh) == (0.2, 0.05)
     assert CELL_LENGTH == 50.0
 

@@ -1,0 +1,78 @@
+"""What file and sensors leave open of the friction: from the classes, in the intervals, and in the stds of forces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_friction import KNOWN, NO_ERRORS, TRUE, a_pass
+
+from estimation.adhesion.file_errors import LATERAL_AS_CREEP, YAW_AS_CREEP, FileErrors, lateral_scale_std
+from estimation.adhesion.friction import section_friction
+from estimation.values.adhesion import CellFriction
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import (
+    LOAD_STD,
+    UNSTATED_SCALE_STD,
+    Arrangement,
+    SensorChannel,
+    SensorLayout,
+    VehicleClass,
+    default_relative_std,
+)
+
+CLASS = VehicleClass("A", "A", "test", Arrangement.SINGLE_WHEELSET, VehicleParameters())
+WELL_KNOWN = replace(
+    CLASS,
+    sensors=SensorLayout(*(SensorChannel(scale_std=std) for std in (0.01, 0.004, 0.5, 0.02))),
+    relative_std={"load": 0.02, "yaw_stiffness": 0.2, "longitudinal_creep_coefficient": 0.05},
+)
+
+
+def test_what_no_file_states_is_that_of_passengers_and_of_sensors_that_nobody_calibrated() -> None:
+    assert (LOAD_STD, UNSTATED_SCALE_STD, YAW_AS_CREEP, LATERAL_AS_CREEP) == (0.15, 0.03, 0.55, 0.35)
+    assert default_relative_std("load") == LOAD_STD
+    assert FileErrors.of([]) == FileErrors.of([CLASS]) == FileErrors() == FileErrors(0.1, 0.05, 0.15, 0.03, 0.03)
+    assert FileErrors().factor_std == pytest.approx(np.sqrt(0.1**2 + 0.05**2 + 0.15**2))
+    assert FileErrors().creep_std == pytest.approx(0.03 * np.sqrt(0.55**2 + 0.35**2))
+
+
+def test_classes_state_their_own_and_the_largest_of_several_counts() -> None:
+    assert FileErrors.of([WELL_KNOWN]) == FileErrors(0.05, 0.2, 0.02, 0.004, 0.02)
+    assert FileErrors.of([WELL_KNOWN, CLASS]) == FileErrors(0.1, 0.2, 0.15, 0.03, 0.03)
+    assert lateral_scale_std(SensorLayout(lateral=SensorChannel(scale_std=0.05))) == 0.05
+
+
+def inverse_ends(cell: CellFriction) -> tuple[float, float, float]:
+    """Return 1/mu of a place, and of both ends of its interval."""
+    found = cell.friction
+    assert found.value is not None
+    assert found.low is not None
+    assert found.high is not None
+    return 1.0 / found.value, 1.0 / found.low, 1.0 / found.high
+
+
+def test_the_load_scales_the_interval_and_the_sensors_add_to_it_at_every_friction() -> None:
+    passes = [a_pass(number, TRUE) for number in range(8)]
+
+    def halves(file: FileErrors) -> list[tuple[float, float]]:
+        cells = section_friction(passes, replace(KNOWN, law_std=0.0, file=file, least_upper=1e9))
+        ends = [inverse_ends(cell) for cell in cells]
+        return [(inverse, 0.5 * (low - high)) for inverse, low, high in ends]
+
+    none, load, scale = (halves(one) for one in (NO_ERRORS, FileErrors(0, 0, 0.2, 0, 0), FileErrors(0, 0, 0, 0.05, 0)))
+    added = []
+    for (inverse, own), (_, loaded), (_, scaled) in zip(none, load, scale, strict=True):
+        if own < 0.9 * inverse and loaded < 0.9 * inverse:
+            assert np.sqrt(loaded**2 - own**2) == pytest.approx(1.96 * 0.2 * inverse, rel=0.02)
+        added.append(np.sqrt(scaled**2 - own**2))
+    assert min(added) > 0.4
+    assert max(added) < 1.2 * min(added)  # while 1/mu is four times as large
+
+
+def test_a_lower_bound_holds_what_scales_of_sensors_do() -> None:
+    passes = [a_pass(number, [0.35] * 8) for number in range(8)]
+    sharp = section_friction(passes, replace(KNOWN, file=NO_ERRORS))
+    for one, other in zip(section_friction(passes, KNOWN), sharp, strict=True):
+        assert 0.05 < one.at_least < other.at_least
