@@ -20,7 +20,7 @@ from rich.table import Table
 
 from bench.adhesion_stored import path_of, read_passes, write_passes
 from bench.adhesion_table import CHOICE_COLUMNS, FRICTION_COLUMNS, choice_rows, friction_rows, summary
-from bench.adhesion_wrong import OF, ONE, WRONG, as_on_file, of_one_vehicle
+from bench.adhesion_wrong import OF, ONE, WRONG, as_on_file, first_vehicle, with_others
 from bench.report import BenchRow
 from bench.results_page import markdown_table, write_page
 from bench.world import seed_range
@@ -76,7 +76,7 @@ def _run(options: argparse.Namespace, cases: list[dict[str, Any]], console: Cons
     have = {(case["row"], case["seed"]) for case in cases}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     for seed in options.seeds:
-        for made in _cases([row for row in options.rows if (row, seed) not in have], seed, options.sums, cases):
+        for made in _cases([row for row in options.rows if (row, seed) not in have], seed, options.sums):
             case = json.loads(json.dumps(made))
             cases.append(case)
             with options.out.open("a", encoding="utf-8") as file:
@@ -85,34 +85,33 @@ def _run(options: argparse.Namespace, cases: list[dict[str, Any]], console: Cons
             console.print(f"{case['row']} seed {seed}: {found}", highlight=False)
 
 
-def _cases(rows: Sequence[str], seed: int, sums: Path, cases: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+def _cases(rows: Sequence[str], seed: int, sums: Path) -> Iterator[dict[str, Any]]:
     """Yield the cases of rows for a seed; a scenario that rows share is simulated once."""
-    from bench.adhesion_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
+    from bench.adhesion_case import score, vehicle_km  # noqa: PLC0415 - compiled code is loaded where it runs
     from bench.adhesion_fleet import simulate  # noqa: PLC0415 - as above
 
     for file in FILES:
-        own = [row for row in rows if row == file or (file == OF and row in WRONG)]
+        own = [row for row in rows if row == file or (file == OF and row in WRONG | ONE)]
         fleet = simulate(with_seed(load_scenario(SCENARIOS / f"{file}.toml"), seed)) if own else None
         for row in own if fleet is not None else ():
-            seen = fleet if row == file else as_on_file(fleet, WRONG[row])
-            yield score(seen, row, sums, left_out_too=row == file).as_json()
-    for row in (row for row in rows if row in ONE):
-        yield _of_one(row, seed, sums, cases)
+            if row in ONE:
+                case = score(as_on_file(first_vehicle(fleet), ONE[row]), row, sums, left_out_too=False).as_json()
+                yield case | _with_others(row, seed, sums) | {"vehicle_km": vehicle_km(fleet)}
+            else:
+                seen = as_on_file(fleet, WRONG[row]) if row in WRONG else fleet
+                yield score(seen, row, sums, left_out_too=row == file).as_json()
 
 
-def _of_one(row: str, seed: int, sums: Path, cases: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return the case of a row whose first vehicle alone is wrong, from the passes of two others that were kept."""
+def _with_others(row: str, seed: int, sums: Path) -> dict[str, Any]:
+    """Return the friction of a fleet whose first vehicle alone is wrong; keep its passes in place of that vehicle's."""
     from bench.adhesion_friction import judge  # noqa: PLC0415 - as above
 
-    right = next((case for case in cases if (case["row"], case["seed"]) == (OF, seed)), None)
-    paths = path_of(sums, OF, seed), path_of(sums, ONE[row], seed)
-    if right is None or not all(path.exists() for path in paths):
-        raise SystemExit(f"row {row} needs rows {OF} and {ONE[row]} of seed {seed}")
-    stored = of_one_vehicle(*(read_passes(path) for path in paths))
-    write_passes(path_of(sums, row, seed), stored)
-    unknown = {"error": 0.0, "force": 0.0}
-    empty = {"row": row, "lateral": unknown, "moment": unknown, "conicity_all": [], "conicity_left_out": []}
-    return right | empty | asdict(judge(stored))
+    own, right = path_of(sums, row, seed), path_of(sums, OF, seed)
+    if not right.exists():
+        raise SystemExit(f"row {row} needs row {OF} of seed {seed}")
+    stored = with_others(read_passes(own), read_passes(right))
+    write_passes(own, stored)
+    return asdict(judge(stored))
 
 
 def _again(cases: Sequence[dict[str, Any]], sums: Path) -> list[dict[str, Any]]:

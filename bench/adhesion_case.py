@@ -68,6 +68,7 @@ class AdhesionScore:
     stretches: list[tuple[float, float]] = field(default_factory=list)  # true ones that were passed
     found: list[bool] = field(default_factory=list)
     alarms: list[tuple[float, float, float]] = field(default_factory=list)  # begin, end, least friction in it
+    left_out: list[str] = field(default_factory=list)  # vehicles and wheelsets that contradict the others
     vehicle_km: float = 0.0
     conicity_all: list[float] = field(default_factory=list)  # errors, with every sample
     conicity_left_out: list[float] = field(default_factory=list)  # without samples on low friction
@@ -85,7 +86,7 @@ def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) ->
     ``left_out_too`` says that the geometry without the samples on low friction is estimated beside.
     """
     scenario = fleet.scenario
-    done = AdhesionScore(row, scenario.seed)
+    done = AdhesionScore(row, scenario.seed, vehicle_km=vehicle_km(fleet))
     parameters = _parameters(fleet)
     motions = [window_motion(one.window, fleet.alignment, parameters[one.window.wheelset]) for one in fleet.windows]
     geometries = _geometries(fleet.windows, motions, parameters)
@@ -101,7 +102,7 @@ def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) ->
         return done
     friction = compare(found, stored)
     done.cells, done.stretches = friction.cells, friction.stretches
-    done.found, done.alarms = friction.found, friction.alarms
+    done.found, done.alarms, done.left_out = friction.found, friction.alarms, friction.left_out
     if not left_out_too:
         return done
     left_out = [away_from_low_adhesion(one.window, found.low_stretches) for one in fleet.windows]
@@ -168,7 +169,6 @@ def _passes(
     found = []
     for gear in _gears(fleet.windows):
         windows = [fleet.windows[i].window for i in gear]
-        done.vehicle_km += _length_km(windows[0].speed, windows[0].sample_interval_s) if windows[0].axle == 1 else 0.0
         first = parameters[windows[0].wheelset]
         began = time.process_time()
         forces = contact_forces(windows, fleet.vehicle_class, first.signals, ForceParameters())
@@ -197,8 +197,10 @@ def _gears(windows: Sequence[SensedWindow]) -> list[list[int]]:
     return list(gears.values())
 
 
-def _length_km(speed: FloatArray, dt: float) -> float:
-    return float(1e-3 * dt * speed.sum())
+def vehicle_km(fleet: Fleet) -> float:
+    """Return how far the vehicles of a fleet have run in its windows."""
+    first = [one.window for one in fleet.windows if one.window.axle == 1]
+    return float(sum(1e-3 * one.sample_interval_s * one.speed.sum() for one in first))
 
 
 def _score_forces(

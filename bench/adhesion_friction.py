@@ -24,6 +24,7 @@ class FrictionScore:
     stretches: list[tuple[float, float]] = field(default_factory=list)  # true ones that were passed
     found: list[bool] = field(default_factory=list)
     alarms: list[tuple[float, float, float]] = field(default_factory=list)  # begin, end, least friction in it
+    left_out: list[str] = field(default_factory=list)  # vehicles and wheelsets that contradict the others
 
 
 def judge(stored: StoredPasses, parameters: FrictionParameters | None = None) -> FrictionScore:
@@ -34,7 +35,7 @@ def judge(stored: StoredPasses, parameters: FrictionParameters | None = None) ->
 
 def compare(found: SectionAdhesion, stored: StoredPasses) -> FrictionScore:
     """Return the friction that was found beside the true one."""
-    done = FrictionScore()
+    done = FrictionScore(left_out=[one.wheelset or one.vehicle for one in found.left_out])
     for cell in found.cells:
         along = _along(stored, cell.from_m, cell.to_m)
         done.cells.append(

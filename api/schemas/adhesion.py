@@ -40,8 +40,19 @@ class PlaceFriction(Representation):
     to_m: float = Field(description="Where it ends, along the section.")
     friction_1: Uncertain = Field(description="Coefficient of friction; null where creep shows a lower bound alone.")
     at_least_1: float | None = Field(description="Lower end of the 95 % interval; null where nothing is known.")
-    low_probability_1: float = Field(description="Probability of a friction below the limit of `low_adhesion`.")
+    low_probability_1: float = Field(
+        description="Probability of a friction below the limit of `low_adhesion`, load and sensors being as on file."
+    )
     passes: int = Field(description="Passes of wheelsets behind it.")
+
+
+class LeftOutFriction(Representation):
+    """A vehicle, or one wheelset of it, that shows another friction than the others at the same places."""
+
+    vehicle: str
+    wheelset: str | None = Field(description="Null where all passes of the vehicle are left out.")
+    reason: str | None
+    reason_code: ReasonCode | None
 
 
 class SectionAdhesion(Representation):
@@ -51,6 +62,7 @@ class SectionAdhesion(Representation):
     measured_from: Timestamp = Field(description="Start of the first window.")
     measured_to: Timestamp = Field(description="Start of the last window.")
     windows: int = Field(description="Windows that are pooled along the section.")
+    left_out: list[LeftOutFriction] = Field(description="Vehicles and wheelsets that contradict the others.")
     low_stretches: list[Stretch] = Field(description="Where friction is below the limit.")
     places: list[PlaceFriction] = Field(description="Places that were passed, in order of distance.")
     links: Links
@@ -82,6 +94,15 @@ def section_adhesion(found: SectionAdhesionValue) -> SectionAdhesion:
         measured_from=to_rfc3339(found.from_ns),
         measured_to=to_rfc3339(found.to_ns),
         windows=found.windows,
+        left_out=[
+            LeftOutFriction(
+                vehicle=one.vehicle,
+                wheelset=one.wheelset,
+                reason=text_of(one.reason),
+                reason_code=code_of(one.reason),
+            )
+            for one in found.left_out
+        ],
         low_stretches=[Stretch(from_m=begin, to_m=end) for begin, end in found.low_stretches],
         places=[
             PlaceFriction(

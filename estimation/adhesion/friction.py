@@ -20,7 +20,8 @@ from scipy.special import stdtr, stdtrit
 from estimation.adhesion.along_track import Along, AlongParameters, along_track
 from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.pass_sums import PassSums, pass_sums
-from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, SectionAdhesion, WindowAdhesion
+from estimation.adhesion.scales import Agreed, contradicting
+from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate, Status
@@ -70,12 +71,15 @@ def section_adhesion(
         Of the section, m; what was measured before its begin and behind its end belongs to no place of it.
     """
     known = [one for one in passes if one.sums is not None and len(one.sums.cells)]
-    cells = tuple(cell for cell in section_friction(known, parameters) if 0.0 <= cell.from_m < length)
+    found, left_out = pooled_friction(known, parameters)
+    cells = tuple(cell for cell in found if 0.0 <= cell.from_m < length)
     if not cells:
         return None
     starts = [one.start_ns for one in known]
     stretches = low_stretches(cells, parameters)
-    return SectionAdhesion(track_section, min(starts), max(starts), len(known), cells, stretches)
+    return SectionAdhesion(
+        track_section, min(starts), max(starts), len(_staying(known, left_out)), cells, stretches, left_out
+    )
 
 
 def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParameters) -> tuple[CellFriction, ...]:
@@ -88,18 +92,55 @@ def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParam
     parameters
         Limits and what is known beforehand.
     """
-    sums = pass_sums(passes)
+    return pooled_friction(passes, parameters)[0]
+
+
+def pooled_friction(
+    passes: Sequence[WindowAdhesion], parameters: FrictionParameters
+) -> tuple[tuple[CellFriction, ...], tuple[LeftOut, ...]]:
+    """Return the friction of every place that passes have met, in order of distance, and whose passes are left out.
+
+    Parameters
+    ----------
+    passes
+        Of one section over the time that is pooled, in any order; those without sums say nothing.
+    parameters
+        Limits and what is known beforehand.
+    """
+    every = pass_sums(passes)
+    if every is None:
+        return (), ()
+    first = _solved(every, parameters)
+    agreed = Agreed(first.inverse, first.slope, first.noise, parameters.creep_error_std)
+    left_out = contradicting(every, agreed, parameters.file)
+    sums = pass_sums(_staying(passes, left_out)) if left_out else every
     if sums is None:
-        return ()
-    found = _solved(sums, parameters)
+        return (), left_out
+    return _places(sums, _solved(sums, parameters) if left_out else first, parameters), left_out
+
+
+def _staying(passes: Sequence[WindowAdhesion], left_out: Sequence[LeftOut]) -> Sequence[WindowAdhesion]:
+    vehicles = {one.vehicle for one in left_out if one.wheelset is None}
+    wheelsets = {one.wheelset for one in left_out}
+    return [one for one in passes if one.vehicle not in vehicles and one.wheelset not in wheelsets]
+
+
+def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) -> tuple[CellFriction, ...]:
     left = _left_std(sums, found, parameters)
     scatter = _scatter(sums, found, parameters)
     along = _along(sums, found, left, scatter, parameters)
-    by_creep = _added_std(_slope(sums, along.mean), along.mean, found.creep_std, parameters)
+    slope = _slope(sums, along.mean)
+    by_creep, by_scale = found.creep_std * slope, parameters.file.creep_std * _everywhere(slope, along.mean, parameters)
     smoothed = sums.by_place(sums.smoothed) > 0.0
     places = zip(sums.cells, sums.counts, left, strict=True)
     found_here = (
-        _cell(int(cell), int(n), own, float(along.mean[c]), float(along.std[c]), float(by_creep[c]), parameters)
+        _cell(
+            int(cell),
+            int(n),
+            own,
+            _Inverse(float(along.mean[c]), float(along.std[c]), float(by_creep[c]), float(by_scale[c])),
+            parameters,
+        )
         for c, (cell, n, own) in enumerate(places)
     )
     return tuple(_two_sided(one) if smoothed[c] else one for c, one in enumerate(found_here))
@@ -219,19 +260,28 @@ def _slope(sums: PassSums, inverse: FloatArray) -> FloatArray:
     return np.asarray(inverse * gq / np.maximum(gg, TINY))
 
 
-def _added_std(slope: FloatArray, inverse: FloatArray, creep_std: float, parameters: FrictionParameters) -> FloatArray:
-    """Return the std of 1/mu (c,) that does not grow with it: of the common b, and of the scales of the sensors.
-
-    What a scale adds is the same at every friction: that of usual places, where creep is nearly linear.
-    """
+def _everywhere(slope: FloatArray, inverse: FloatArray, parameters: FrictionParameters) -> FloatArray:
+    """Return by how much 1/mu (c,) falls as the scale of a sensor makes a b: at every friction as at usual places."""
     usual = slope[inverse < parameters.most_usual]
-    everywhere = np.maximum(slope, np.median(usual)) if len(usual) else slope
-    return np.asarray(np.hypot(creep_std * slope, parameters.file.creep_std * everywhere))
+    return np.maximum(slope, np.median(usual)) if len(usual) else slope
 
 
-def _cell(
-    cell: int, n: int, left: float, inverse: float, sampled: float, by_creep: float, parameters: FrictionParameters
-) -> CellFriction:
+@dataclass(frozen=True, slots=True)
+class _Inverse:
+    """1/mu of a place and its stds."""
+
+    mean: float
+    sampled: float  # by what the passes say
+    by_creep: float  # by the b that all vehicles share
+    by_scale: float  # by the scales of sensors
+
+    def systematic(self, parameters: FrictionParameters) -> float:
+        """Return the std of what more passes do not show, with sensors as on file: it decides where friction is low."""
+        relative = math.hypot(parameters.law_std, parameters.file.factor_std)
+        return math.hypot(relative * self.mean, self.by_creep)
+
+
+def _cell(cell: int, n: int, left: float, found: _Inverse, parameters: FrictionParameters) -> CellFriction:
     """Return the friction of a place of n passes."""
     if n < parameters.fewest_passes:
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
@@ -239,11 +289,11 @@ def _cell(
     if left > LEARNT * parameters.usual_std:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"creep is so small in {n} passes that it shows no friction")
         return CellFriction(cell, Estimate.unknown(small, float(n)), 0.0, 0.0, n)
-    relative = float(np.hypot(parameters.law_std, parameters.file.factor_std))
-    systematic = float(np.hypot(relative * inverse, by_creep))
-    half = float(np.hypot(stdtrit(n - 1, 0.975) * sampled, NORMAL_95 * systematic))
-    std = float(np.hypot(sampled, systematic))
-    probability = float(stdtr(n - 1, (inverse - 1.0 / parameters.low) / std))
+    inverse, decided = found.mean, found.systematic(parameters)
+    systematic = math.hypot(decided, found.by_scale)
+    half = math.hypot(float(stdtrit(n - 1, 0.975)) * found.sampled, NORMAL_95 * systematic)
+    std = math.hypot(found.sampled, systematic)
+    probability = float(stdtr(n - 1, (inverse - 1.0 / parameters.low) / math.hypot(found.sampled, decided)))
     low, high = 1.0 / (inverse + half), 1.0 / max(inverse - half, 1e-9)
     if high > parameters.least_upper:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"the friction is at least {low:.2f}; creep shows no upper bound")

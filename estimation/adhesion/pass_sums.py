@@ -22,6 +22,8 @@ class PassSums:
     wheelset: IntArray  # (n,) index
     smoothed: FloatArray  # (n,) 1 where vibration was taken out of the forces, else 0
     cells: IntArray  # (c,) numbers of the places
+    vehicles: tuple[str, ...]  # (v,) codes
+    wheelsets: tuple[str, ...]  # (w,) serials
 
     def __post_init__(self) -> None:
         n = len(self.place)
@@ -56,12 +58,22 @@ class PassSums:
         inverse
             (c,) 1/mu.
         """
-        high = np.clip(np.searchsorted(INVERSE, inverse), 1, len(INVERSE) - 1)
-        part = (inverse - INVERSE[high - 1]) / (INVERSE[high] - INVERSE[high - 1])
+        return self.at_each(inverse[self.place])
+
+    def at_each(self, inverse: FloatArray) -> FloatArray:
+        """Return the saturated sums (4, n), each at its own 1/mu; beyond those that are kept the last ones.
+
+        Parameters
+        ----------
+        inverse
+            (n,) 1/mu.
+        """
+        bounded = np.clip(inverse, INVERSE[0], INVERSE[-1])
+        high = np.clip(np.searchsorted(INVERSE, bounded), 1, len(INVERSE) - 1)
+        part = (bounded - INVERSE[high - 1]) / (INVERSE[high] - INVERSE[high - 1])
         entries = np.arange(len(self.place))
-        low_values = self.saturated[entries, :, high[self.place] - 1]
-        high_values = self.saturated[entries, :, high[self.place]]
-        return np.asarray((low_values + part[self.place, None] * (high_values - low_values)).T)
+        low_values, high_values = self.saturated[entries, :, high - 1], self.saturated[entries, :, high]
+        return np.asarray((low_values + part[:, None] * (high_values - low_values)).T)
 
 
 def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
@@ -79,16 +91,16 @@ def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
     lengths = [len(sums.cells) for _, sums in known]
     cells, place = np.unique(np.concatenate([sums.cells for _, sums in known]), return_inverse=True)
     order = np.argsort(place, kind="stable")
-    vehicle, wheelset = (
-        np.repeat(np.unique(names, return_inverse=True)[1], lengths)
-        for names in ([one.vehicle for one, _ in known], [one.wheelset for one, _ in known])
-    )
+    vehicles, vehicle = np.unique([one.vehicle for one, _ in known], return_inverse=True)
+    wheelsets, wheelset = np.unique([one.wheelset for one, _ in known], return_inverse=True)
     return PassSums(
         np.concatenate([sums.squares for _, sums in known])[order],
         np.concatenate([sums.saturated for _, sums in known])[order],
         place[order],
-        vehicle[order],
-        wheelset[order],
+        np.repeat(vehicle, lengths)[order],
+        np.repeat(wheelset, lengths)[order],
         np.repeat([float(one.smoothed) for one, _ in known], lengths)[order],
         cells,
+        tuple(str(name) for name in vehicles),
+        tuple(str(name) for name in wheelsets),
     )

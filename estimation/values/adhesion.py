@@ -105,6 +105,15 @@ class CellFriction:
 
 
 @dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A vehicle, or one wheelset of it, whose passes contradict those of the others."""
+
+    vehicle: str
+    wheelset: str | None  # None: all of the vehicle
+    reason: Reason
+
+
+@dataclass(frozen=True, slots=True)
 class SectionAdhesion:
     """The friction along a section over some hours, pooled over the fleet."""
 
@@ -114,3 +123,4 @@ class SectionAdhesion:
     windows: int  # behind it
     cells: tuple[CellFriction, ...]  # places that were passed, in order of distance
     low_stretches: tuple[tuple[float, float], ...]  # m, begin and end of where friction is low
+    left_out: tuple[LeftOut, ...] = ()  # whose passes contradict those of the others: nothing here rests on them

@@ -128,6 +128,10 @@ class ReasonCode(StrEnum):
         "profiles_unknown",
         "The profiles on file do not have the rolling radius difference that was measured. Check wheel and rail.",
     )
+    FRICTION_DIFFERS = (
+        "friction_differs",
+        "It shows another friction than the others at the same places. Check load, yaw spring and sensors.",
+    )
     NO_CREEP_CURVE = "no_creep_curve", "The rolling radius difference of the wheelset is not known well enough yet."
     # dampers
     DAMPER_NOT_ON_FILE = (
