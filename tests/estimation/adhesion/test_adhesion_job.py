@@ -17,6 +17,7 @@ from api.factory import create_app
 from api.settings import Settings
 from api.times import to_rfc3339
 from bench.adhesion_fleet import true_friction
+from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.friction import FrictionParameters
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
@@ -24,7 +25,7 @@ from estimation.jobs import evaluate_alerts, refresh_adhesion
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.section_replay import section_replayed
-from estimation.jobs.steps.pooled_friction import pool_ends
+from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends
 from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import AlertEventKind, AlertScope
 from estimation.values.quantities import Status
@@ -236,3 +237,14 @@ def test_creep_forces_of_a_wheelset_are_listed_window_by_window(deployed: Deploy
         assert item["contact_force_n"]["value"] == one.contact_force.value
         assert item["yaw_creep_moment_n_m"]["value"] == one.yaw_creep.value
         assert 0.0 < item["used_adhesion_1"]["value"] < 0.6
+
+
+def test_the_stds_of_the_class_on_file_are_those_of_the_friction(deployed: Deployed) -> None:
+    with deployed.storage.read() as unit:
+        passes = unit.adhesion.of_section(deployed.scenario.section.code, 0, 2**62)
+        rule = replace(LowAdhesionRule(), raise_friction=0.2, raise_probability=0.7)
+        found = friction_parameters(rule, unit, passes)
+        on_file = unit.registry.vehicle_class(unit.registry.vehicle(passes[0].vehicle).vehicle_class)
+    assert on_file is not None
+    assert found.file == FileErrors.of([on_file.vehicle_class])
+    assert (found.low, found.likely) == (0.2, 0.7)

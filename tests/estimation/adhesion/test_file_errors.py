@@ -76,3 +76,15 @@ def test_a_lower_bound_holds_what_scales_of_sensors_do() -> None:
     sharp = section_friction(passes, replace(KNOWN, file=NO_ERRORS))
     for one, other in zip(section_friction(passes, KNOWN), sharp, strict=True):
         assert 0.05 < one.at_least < other.at_least
+
+
+def test_where_friction_is_low_is_decided_without_the_scales_of_sensors() -> None:
+    passes = [a_pass(number, TRUE) for number in range(8)]
+    coarse = replace(KNOWN, file=replace(KNOWN.file, yaw_scale=0.2, lateral_scale=0.2))
+    overloaded = replace(KNOWN, file=replace(KNOWN.file, load=0.4))
+    loads = []
+    for one, other, load in zip(*(section_friction(passes, p) for p in (KNOWN, coarse, overloaded)), strict=True):
+        assert one.low_probability == other.low_probability
+        assert other.at_least < one.at_least
+        loads.append(abs(load.low_probability - one.low_probability))
+    assert max(loads) > 0.05
