@@ -22,7 +22,7 @@ class WrongFile:
     """What is on file or measured over what is true."""
 
     masses: float = 1.0  # masses, inertias and load on file
-    spring: float = 1.0  # yaw spring on file
+    load: float = 1.0  # load and the mass of the body on file, beside
     yaw: float = 1.0  # scale of the yaw sensors
     lateral: float = 1.0  # scale of the lateral sensors, on axle boxes and frame
 
@@ -37,7 +37,7 @@ WRONG = {
     "lateral_small": WrongFile(lateral=0.95),
 }
 ONE = {f"one_{name}": WRONG[name] for name in ("masses_large", "masses_small", "yaw_large", "yaw_small")} | {
-    "one_spring_small": WrongFile(spring=0.5)
+    "one_load_small": WrongFile(load=0.4)  # a full wagon with the load of an empty one on file
 }
 
 
@@ -71,23 +71,22 @@ def _scaled(one: SensedWindow, wrong: WrongFile) -> Window:
 
 
 def _on_file(vehicle_class: VehicleClass, wrong: WrongFile) -> VehicleClass:
-    p, bogie, factor = vehicle_class.parameters, vehicle_class.bogie, wrong.masses
+    p, bogie, body = vehicle_class.parameters, vehicle_class.bogie, wrong.masses * wrong.load
     parameters = replace(
         p,
-        wheelset_mass=factor * p.wheelset_mass,
-        suspended_mass=factor * p.suspended_mass,
-        yaw_inertia=factor * p.yaw_inertia,
-        pitch_inertia=factor * p.pitch_inertia,
-        load=factor * p.load,
-        yaw_stiffness=wrong.spring * p.yaw_stiffness,
+        wheelset_mass=wrong.masses * p.wheelset_mass,
+        suspended_mass=body * p.suspended_mass,
+        yaw_inertia=wrong.masses * p.yaw_inertia,
+        pitch_inertia=wrong.masses * p.pitch_inertia,
+        load=body * p.load,
     )
-    return replace(vehicle_class, parameters=parameters, bogie=None if bogie is None else _heavier_bogie(bogie, factor))
+    return replace(vehicle_class, parameters=parameters, bogie=None if bogie is None else _bogie_on_file(bogie, wrong))
 
 
-def _heavier_bogie(bogie: BogieParameters, factor: float) -> BogieParameters:
+def _bogie_on_file(bogie: BogieParameters, wrong: WrongFile) -> BogieParameters:
     return replace(
         bogie,
-        frame_mass=factor * bogie.frame_mass,
-        frame_yaw_inertia=factor * bogie.frame_yaw_inertia,
-        body_mass=factor * bogie.body_mass,
+        frame_mass=wrong.masses * bogie.frame_mass,
+        frame_yaw_inertia=wrong.masses * bogie.frame_yaw_inertia,
+        body_mass=wrong.masses * wrong.load * bogie.body_mass,
     )

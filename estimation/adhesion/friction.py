@@ -107,16 +107,15 @@ def pooled_friction(
     parameters
         Limits and what is known beforehand.
     """
-    every = pass_sums(passes)
-    if every is None:
-        return (), ()
-    first = _solved(every, parameters)
-    agreed = Agreed(first.inverse, first.slope, first.noise, parameters.creep_error_std)
-    left_out = contradicting(every, agreed, parameters.file)
-    sums = pass_sums(_staying(passes, left_out)) if left_out else every
-    if sums is None:
-        return (), left_out
-    return _places(sums, _solved(sums, parameters) if left_out else first, parameters), left_out
+    left_out: list[LeftOut] = []
+    while (sums := pass_sums(_staying(passes, left_out))) is not None:
+        found = _solved(sums, parameters)
+        agreed = Agreed(found.inverse, found.slope, found.noise, parameters.creep_error_std)
+        other = contradicting(sums, agreed, parameters.file)
+        if other is None:
+            return _places(sums, found, parameters), tuple(left_out)
+        left_out.append(other)
+    return (), tuple(left_out)
 
 
 def _staying(passes: Sequence[WindowAdhesion], left_out: Sequence[LeftOut]) -> Sequence[WindowAdhesion]:

@@ -108,13 +108,15 @@ def _least(misfits: FloatArray) -> FloatArray:
     return np.asarray(np.where(inside, GRID[at] + moved * step, GRID[least]))
 
 
-def contradicting(sums: PassSums, agreed: Agreed, file: FileErrors) -> tuple[LeftOut, ...]:
-    """Return which vehicles differ from the others, and which wheelsets from their vehicle, by more than is stated.
+def contradicting(sums: PassSums, agreed: Agreed, file: FileErrors) -> LeftOut | None:
+    """Return the vehicle that differs most from the others by more than is stated; if none, such a wheelset; else None.
+
+    One at a time: what all passes agree on has part of its error, until it is left out.
 
     Parameters
     ----------
     sums
-        Of all passes.
+        Of all passes that are left.
     agreed
         What they gave together.
     file
@@ -123,26 +125,30 @@ def contradicting(sums: PassSums, agreed: Agreed, file: FileErrors) -> tuple[Lef
     by_vehicle, by_wheelset = (scales(sums, group, agreed) for group in (sums.vehicle, sums.wheelset))
     vehicle_of = np.zeros(len(by_wheelset.logarithm), np.int64)
     vehicle_of[sums.wheelset] = sums.vehicle
-    known, wheelset_known = by_vehicle.known, by_wheelset.known
+    known = by_vehicle.known
     if known.sum() < FEWEST_VEHICLES:
-        return ()
+        return None
     usual = np.full(len(known), np.median(by_vehicle.logarithm[known]))
-    deviation = by_vehicle.logarithm - usual
+    own = by_vehicle.logarithm[vehicle_of]
     scatter = WHEELSET_SCATTER / np.sqrt(np.bincount(vehicle_of))
     stated = np.hypot(np.hypot(file.spring, file.load), scatter)
-    out = known & (np.abs(deviation) > MOST_DEVIATION * np.hypot(by_vehicle.std_from(usual), stated))
-    own = by_wheelset.logarithm - by_vehicle.logarithm[vehicle_of]
-    own_std = np.hypot(by_wheelset.std_from(by_vehicle.logarithm[vehicle_of]), np.hypot(WHEELSET_SCATTER, file.spring))
-    wheelset_out = wheelset_known & known[vehicle_of] & ~out[vehicle_of] & (np.abs(own) > MOST_DEVIATION * own_std)
-    found = [
-        _left_out(sums.vehicles[v], None, float(np.exp(deviation[v])), "the other vehicles")
-        for v in np.flatnonzero(out)
-    ]
-    found += [
-        _left_out(sums.vehicles[vehicle_of[w]], sums.wheelsets[w], float(np.exp(own[w])), "the rest of its vehicle")
-        for w in np.flatnonzero(wheelset_out)
-    ]
-    return tuple(found)
+    vehicle = _most_deviating(by_vehicle, usual, stated, known)
+    if vehicle is not None:
+        factor = float(np.exp(by_vehicle.logarithm[vehicle] - usual[vehicle]))
+        return _left_out(sums.vehicles[vehicle], None, factor, "the other vehicles")
+    of_wheelset = np.full(len(own), np.hypot(WHEELSET_SCATTER, file.spring))
+    wheelset = _most_deviating(by_wheelset, own, of_wheelset, by_wheelset.known & known[vehicle_of])
+    if wheelset is None:
+        return None
+    factor = float(np.exp(by_wheelset.logarithm[wheelset] - own[wheelset]))
+    return _left_out(sums.vehicles[vehicle_of[wheelset]], sums.wheelsets[wheelset], factor, "the rest of its vehicle")
+
+
+def _most_deviating(found: Scales, usual: FloatArray, stated: FloatArray, known: BoolArray) -> int | None:
+    """Return the known group that deviates most from ``usual``, in stds of noise and ``stated``; None for no such."""
+    deviation = np.where(known, np.abs(found.logarithm - usual) / np.hypot(found.std_from(usual), stated), 0.0)
+    worst = int(np.argmax(deviation))
+    return worst if deviation[worst] > MOST_DEVIATION else None
 
 
 def _left_out(vehicle: str, wheelset: str | None, factor: float, others: str) -> LeftOut:

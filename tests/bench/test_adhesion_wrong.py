@@ -62,7 +62,7 @@ def test_rows_are_known_by_name_and_as_a_group() -> None:
 
 
 def test_sensors_and_class_are_changed_and_the_truth_is_not(fleet: Fleet) -> None:
-    seen = as_on_file(fleet, WrongFile(masses=0.8, spring=0.5, yaw=1.05, lateral=0.95))
+    seen = as_on_file(fleet, WrongFile(masses=0.8, load=0.5, yaw=1.05, lateral=0.95))
     window, p, on_file = seen.windows[0].window, fleet.vehicle_class.parameters, seen.vehicle_class.parameters
     assert (window.yaw_acceleration == 1.05).all()
     for values in (window.lateral_acceleration, window.mass_lateral_acceleration, window.frame_yaw_acceleration):
@@ -70,13 +70,13 @@ def test_sensors_and_class_are_changed_and_the_truth_is_not(fleet: Fleet) -> Non
         assert (values == 0.95).all()
     assert (window.roll_acceleration == 1.0).all()
     assert seen.windows[0].truth is fleet.windows[0].truth
-    assert (on_file.load, on_file.wheelset_mass) == (0.8 * p.load, 0.8 * p.wheelset_mass)
-    assert on_file.yaw_stiffness == 0.5 * p.yaw_stiffness
+    assert (on_file.load, on_file.wheelset_mass) == (0.4 * p.load, 0.8 * p.wheelset_mass)
+    assert on_file.yaw_stiffness == p.yaw_stiffness
     assert on_file.longitudinal_creep_coefficient == p.longitudinal_creep_coefficient
     bogie, on_file_bogie = fleet.vehicle_class.bogie, seen.vehicle_class.bogie
     assert bogie is not None
     assert on_file_bogie is not None
-    assert on_file_bogie.body_mass == 0.8 * bogie.body_mass
+    assert on_file_bogie.body_mass == 0.4 * bogie.body_mass
     assert as_on_file(fleet, WrongFile()).vehicle_class == fleet.vehicle_class
 
 

@@ -86,6 +86,13 @@ def test_one_wheelset_that_contradicts_its_vehicle_is_left_out_alone() -> None:
     assert not pooled_friction(passes_of(4, 1, 1.2), KNOWN)[1]
 
 
+def test_wheelsets_are_compared_when_wrong_vehicles_are_gone() -> None:
+    passes = passes_of(5, 4, 0.3)
+    passes[-1] = with_factor(passes[-1], 2.2)
+    found = pooled_friction(passes, KNOWN)[1]
+    assert [(one.vehicle, one.wheelset) for one in found] == [("V0", None), ("V4", "W19")]
+
+
 def test_of_two_vehicles_that_contradict_each_other_none_is_left_out() -> None:
     assert pooled_friction(passes_of(2, 4, 2.5), KNOWN)[1] == ()
 
@@ -104,4 +111,4 @@ def test_passes_that_show_no_friction_contradict_nobody() -> None:
     sums = pass_sums(passes)
     assert sums is not None
     agreed = Agreed(np.full(8, 2.5), np.zeros(12), 9e-9, KNOWN.creep_error_std)
-    assert contradicting(sums, agreed, WEIGHED.file) == ()
+    assert contradicting(sums, agreed, WEIGHED.file) is None
