@@ -8,7 +8,7 @@ import api_fleet
 import measured_fleet
 
 from estimation.storage import Storage
-from estimation.values.adhesion import CellFriction, SectionAdhesion
+from estimation.values.adhesion import CellFriction, LeftOut, SectionAdhesion
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
@@ -40,7 +40,9 @@ def populate(storage: Storage) -> None:
 
 
 def adhesion() -> SectionAdhesion:
-    """Return low friction at one place of S-1, and a lower bound at the next."""
+    """Return low friction at one place of S-1, and a lower bound at the next; a vehicle contradicts the others."""
     bound = Estimate.unknown(Reason(ReasonCode.CREEP_TOO_SMALL, "at least 0.23"), 8.0)
     low, more = CellFriction(3, api_fleet.estimate(0.0625), 0.05, 0.99, 8), CellFriction(4, bound, 0.23, 0.01, 8)
-    return SectionAdhesion("S-1", api_fleet.START, api_fleet.START + api_fleet.DAY, 24, (low, more), ((150.0, 200.0),))
+    left_out = LeftOut("C-9", None, Reason(ReasonCode.FRICTION_DIFFERS, "vehicle C-9 shows 0.44 times the 1/friction"))
+    to_ns = api_fleet.START + api_fleet.DAY
+    return SectionAdhesion("S-1", api_fleet.START, to_ns, 24, (low, more), ((150.0, 200.0),), (left_out,))

@@ -44,6 +44,7 @@ def test_a_section_shows_its_friction_and_its_rails(
     shown = panel(page, page_service, "tracks/S-1", "Friction")
     assert f"{friction['windows']} windows" in shown
     assert "low adhesion at 150 to 200 m" in shown
+    assert "left out vehicle C-9 shows 0.44 times the 1/friction" in shown
     rails = client.get("/v1/track-sections/S-1/rails").json()
     shown = panel(page, page_service, "tracks/S-1", "Rails")
     assert f"{rails['periods'][-1]['n_wheelsets']} wheelsets" in shown

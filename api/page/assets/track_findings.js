@@ -19,6 +19,7 @@ export function frictionPanel(adhesion) {
     "section", { class: "panel" }, el("h2", {}, "Friction"),
     el("p", {}, low ? [el("span", { class: "badge warning" }, "low adhesion"), ` at ${low}`] : "No stretch of low adhesion."),
     chart({ label: "Coefficient of friction along the section; 95 % interval", height: 180, sync: "track", x: { label: "position, m", unit: "m" }, y: { label: "friction" }, series, shades: adhesion.low_stretches.map((one) => ({ from: one.from_m, to: one.to_m })) }),
+    adhesion.left_out.map((one) => el("p", {}, el("span", { class: "badge warning" }, "left out"), ` ${one.reason}`)),
     el("p", { class: "quiet" }, `${adhesion.windows} windows from ${moment(adhesion.measured_from)} to ${moment(adhesion.measured_to)}.`),
   );
 }
