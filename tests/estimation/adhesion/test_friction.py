@@ -28,8 +28,12 @@ def a_pass(
     creep_error: float = 0.0,
     slope_error: float = 0.0,
     first: int = 0,
+    factor: float = 1.0,
 ) -> WindowAdhesion:
-    """Return a pass over places of given friction: e by the law, with noise, and errors of class and curve."""
+    """Return a pass over places of given friction: e by the law, with noise, and errors of class and curve.
+
+    ``factor`` is by how much the load on file is too large: the pass shows that many times the 1/mu.
+    """
     rng = np.random.default_rng([number, 17])
     squares, saturated = np.zeros((len(frictions), 6)), np.zeros((len(frictions), 4, len(INVERSE)))
     for place, friction in enumerate(frictions):
@@ -39,7 +43,7 @@ def a_pass(
         e = q * creep_excess(adhesion / friction) + creep_error * q + slope_error * x + coloured
         squares[place] = [values.sum() for values in (e * e, e * q, q * q, e * x, q * x, x * x)]
         for k, inverse in enumerate(INVERSE):
-            g = q * creep_excess(adhesion * inverse)
+            g = q * creep_excess(adhesion * inverse / factor)
             saturated[place, :, k] = [values.sum() for values in (g * e, g * g, g * q, g * x)]
     cells = first + np.arange(len(frictions))
     sums = FrictionSums(cells, np.full(len(frictions), float(SAMPLES)), squares, saturated)
