@@ -141,7 +141,7 @@ class VehicleClass:
 
 CREEP_STD, STIFFNESS_STD, DAMPING_STD, MASS_STD, LENGTH_STD = 0.10, 0.05, 0.10, 0.025, 0.002
 LOAD_STD = 0.12  # an axle carries 11 t empty and 17 t full, with the passengers that no file has: anything between
-UNSTATED_SCALE_STD = 0.025  # of a sensor whose scale has no std on file
+UNSTATED_SCALE_STD = 0.03  # of a sensor whose scale has no std on file
 
 
 def default_relative_std(name: str) -> float:

@@ -31,16 +31,16 @@ WELL_KNOWN = replace(
 
 
 def test_what_no_file_states_is_that_of_passengers_and_of_sensors_that_nobody_calibrated() -> None:
-    assert (LOAD_STD, UNSTATED_SCALE_STD, YAW_AS_CREEP, LATERAL_AS_CREEP) == (0.12, 0.025, 0.55, 0.35)
+    assert (LOAD_STD, UNSTATED_SCALE_STD, YAW_AS_CREEP, LATERAL_AS_CREEP) == (0.12, 0.03, 0.55, 0.35)
     assert default_relative_std("load") == LOAD_STD
-    assert FileErrors.of([]) == FileErrors.of([CLASS]) == FileErrors() == FileErrors(0.1, 0.05, 0.12, 0.025, 0.025)
+    assert FileErrors.of([]) == FileErrors.of([CLASS]) == FileErrors() == FileErrors(0.1, 0.05, 0.12, 0.03, 0.03)
     assert FileErrors().factor_std == pytest.approx(np.sqrt(0.1**2 + 0.05**2 + 0.12**2))
-    assert FileErrors().creep_std == pytest.approx(0.025 * np.sqrt(0.55**2 + 0.35**2))
+    assert FileErrors().creep_std == pytest.approx(0.03 * np.sqrt(0.55**2 + 0.35**2))
 
 
 def test_classes_state_their_own_and_the_largest_of_several_counts() -> None:
     assert FileErrors.of([WELL_KNOWN]) == FileErrors(0.05, 0.2, 0.02, 0.004, 0.02)
-    assert FileErrors.of([WELL_KNOWN, CLASS]) == FileErrors(0.1, 0.2, 0.12, 0.025, 0.025)
+    assert FileErrors.of([WELL_KNOWN, CLASS]) == FileErrors(0.1, 0.2, 0.12, 0.03, 0.03)
     assert lateral_scale_std(SensorLayout(lateral=SensorChannel(scale_std=0.05))) == 0.05
 
 
