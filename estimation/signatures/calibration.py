@@ -83,7 +83,7 @@ class Calibration:
         def beyond(reach: float) -> float:
             return float(np.sum(self.weights * (2.0 * ndtr(reach / each) - 1.0))) - COVERAGE
 
-        return float(brentq(beyond, NORMAL * each.min(), NORMAL * each.max())) / NORMAL
+        return float(brentq(beyond, 0.9 * NORMAL * each.min(), 1.1 * NORMAL * each.max())) / NORMAL
 
     def novelty(self, found: Likelihood) -> float:
         """Return how far a signature is, over the largest distance that is answered: of all features, or of roll.

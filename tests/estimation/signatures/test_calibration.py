@@ -100,6 +100,14 @@ def test_an_interval_is_that_of_the_mixture_over_shares_and_factors() -> None:
     assert np.mean(np.abs(errors) <= NORMAL * std) == pytest.approx(0.95, abs=0.002)
 
 
+@pytest.mark.parametrize("at", [0, -1])
+def test_a_factor_that_is_certain_is_the_least_or_the_largest_that_is_tried(at: int) -> None:
+    weights = np.zeros((len(SHARES), len(calibration.FACTORS)))
+    weights[at, at] = 1.0
+    found = of_weights(weights).std(0.004, np.zeros(len(SHARES)))
+    assert found == pytest.approx(0.004 * calibration.FACTORS[at])
+
+
 def test_errors_that_a_share_explains_do_not_raise_the_factor() -> None:
     errors = 0.010 * np.random.default_rng(6).standard_normal(200)
     found = [replace(one, claimed=0.01**2) for one in answers(errors)]
