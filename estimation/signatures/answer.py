@@ -92,7 +92,7 @@ def _answer(
         refusal = _other_track(level_of(library.model, _rows(signatures), found.mean), library, len(signatures))
     if refusal is not None:
         return _unknown(wheelset, refusal, library, novelty)
-    std = float(np.hypot(calibration.factor * found.std, library.shared_std(found.mean)))
+    std = calibration.std(found.std, library.on_file.shared_std(found.mean))
     half = NORMAL * std
     return SignatureAnswer(
         wheelset=wheelset,

@@ -2,12 +2,13 @@
 
 Every wheelset of the library is judged by the others, section by section. What differs from the conicity on file is
 the error of the answer, whose standard deviation is that of the posterior times a factor, and the error of what is on
-file. The factor is near 1 beforehand, and how near the errors show: its posterior is on a grid, each wheelset counts
-once, and the interval is that of the mixture over it (A. Gelman and others, "Bayesian Data Analysis", 2013, chapter 3).
+file, as far as it is the wheelset's own. The factor is near 1 beforehand, and how near the errors show: its posterior
+is on a grid, each wheelset counts once, and the interval is that of the mixture over it (A. Gelman and others,
+"Bayesian Data Analysis", 2013, chapter 3). Answers that a library would refuse do not count: outside its conicities, or
+about sections rougher or smoother than its tracks.
 
-What is on file of different wheelsets may have errors in common, such as that of a class's creep coefficients in all
-geometries. These do not show in the differences, and all answers have them (``library.Library.shared_std``). Of the
-variances of measured profiles no more is taken to be of each wheelset alone than the differences show.
+Errors of geometries have a part in common, such as that of a class's creep coefficients. It does not show in the
+differences, and all answers have it. How large it is ``on_file`` says, and the mixture is over that as well.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from functools import partial
 import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from estimation.signatures.families import FOLDS, families
-from estimation.signatures.mixed_model import Likelihood, Rows, fitted, likelihood
+from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
+from estimation.signatures.on_file import SHARES, Differences, OnFile
 from estimation.signatures.parameters import SignatureParameters
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis
 
@@ -56,11 +59,31 @@ class Reach:
 class Calibration:
     """What the answers of a library need to cover, and how far from it those were."""
 
-    factor: float  # on the std of the posterior: half a 95 % interval over that of a normal error
+    weights: FloatArray  # (k, m) probabilities of shares and factors
     whole: Reach  # of all features
     roll: Reach  # of roll at short wavelengths
     wheelsets: int
     answers: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weights", frozen_array(self.weights, (None, len(FACTORS)), name="weights"))
+
+    def std(self, posterior: float, shared: FloatArray) -> float:
+        """Return half a 95 % interval over that of a normal error.
+
+        Parameters
+        ----------
+        posterior
+            Standard deviation of the posterior of an answer.
+        shared
+            (k,) std of what the conicities on file may be off by in common, by share.
+        """
+        each = np.hypot(FACTORS * posterior, shared[:, None])
+
+        def beyond(reach: float) -> float:
+            return float(np.sum(self.weights * (2.0 * ndtr(reach / each) - 1.0))) - COVERAGE
+
+        return float(brentq(beyond, 0.9 * NORMAL * each.min(), 1.1 * NORMAL * each.max())) / NORMAL
 
     def novelty(self, found: Likelihood) -> float:
         """Return how far a signature is, over the largest distance that is answered: of all features, or of roll.
@@ -81,13 +104,15 @@ class _Judged:
     wheelset: int
     error: float  # less what is on file
     std: float  # of the posterior
-    on_file_std: float
+    own: float  # variance of what is on file, whatever the share
+    claimed: float  # variance of which a share is the wheelset's own
     whole: float
     roll: float
+    like: bool  # whether the track is one that those who teach ran on, or like one
 
 
 def calibrated(
-    rows: Rows, std: FloatArray, groups: Sequence[frozenset[str]], parameters: SignatureParameters
+    rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], parameters: SignatureParameters
 ) -> Mapping[Basis, Calibration | Reason]:
     """Return the calibration of a library by basis of its answers, or why it has none.
 
@@ -95,16 +120,17 @@ def calibrated(
     ----------
     rows
         Entries.
-    std
-        (n,) of the known conicities, as far as it is of each wheelset alone.
+    known
+        What the conicities on file may be off by.
     groups
         Of every entry the wheelsets whose data are in it: what shares one is left out together.
     parameters
         What a library must hold.
     """
     apart = _folds(rows, groups)
-    judged = partial(_judged, rows, std, apart, margin=parameters.margin)
-    found: dict[Basis, Calibration | Reason] = {Basis.SAME_PLACES: _of(judged(basis=Basis.SAME_PLACES))}
+    judged = partial(_judged, rows, known, apart, margin=parameters.margin)
+    shares = known.shares
+    found: dict[Basis, Calibration | Reason] = {Basis.SAME_PLACES: _of(judged(basis=Basis.SAME_PLACES), shares)}
     sections = len(np.unique(rows.section))
     if sections < parameters.least_sections:
         found[Basis.OTHER_PLACES] = Reason(
@@ -113,33 +139,32 @@ def calibrated(
             f" how sections differ; {parameters.least_sections} are needed",
         )
     else:
-        found[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES))
+        found[Basis.OTHER_PLACES] = _of(judged(basis=Basis.OTHER_PLACES), shares)
     return found
 
 
-def share_apart(rows: Rows, std: FloatArray, groups: Sequence[frozenset[str]], margin: float) -> float:
-    """Return the share of variances that is of each wheelset alone, by what the differences show, 0 to 1.
+def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], margin: float) -> Differences:
+    """Return how far wheelsets are judged by the others from what is on file of them, on places that these have.
 
     Parameters
     ----------
     rows
         Entries, whose conicities are those on file.
-    std
-        (n,) of the known conicities; zero where nothing of it may be.
+    known
+        What these may be off by.
     groups
         As in :func:`calibrated`.
     margin
         As in :func:`outside`.
     """
-    if not std.any():
-        return 1.0
-    judged = _judged(rows, std, _folds(rows, groups), Basis.SAME_PLACES, margin)
-    found = [one for one in judged if one.on_file_std > 0.0]
-    if not found:
-        return 0.0
-    claimed = float(np.mean(_by_wheelset(found, [one.on_file_std**2 for one in found])))
-    seen = _by_wheelset(found, [one.error for one in found]) ** 2
-    return min(1.0, float(np.mean(seen)) / claimed)
+    found = list(_judged(rows, known, _folds(rows, groups), Basis.SAME_PLACES, margin))
+    answers = np.unique([one.wheelset for one in found], return_counts=True)[1].astype(np.float64)
+    return Differences(
+        difference=_by_wheelset(found, [one.error for one in found]),
+        answers=answers,
+        own=_by_wheelset(found, [one.own for one in found]),
+        claimed=_by_wheelset(found, [one.claimed for one in found]),
+    )
 
 
 def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
@@ -184,7 +209,7 @@ def outside(found: Likelihood, known: tuple[float, float], margin: float) -> boo
     return float(found.posterior[beyond].sum()) > RARE
 
 
-def _judged(rows: Rows, std: FloatArray, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
+def _judged(rows: Rows, on_file: OnFile, apart: Sequence[BoolArray], basis: Basis, margin: float) -> Iterator[_Judged]:
     """Yield how well wheelsets are judged, section by section, by those that share nothing with them.
 
     Those of which nothing would be said are left out.
@@ -202,8 +227,19 @@ def _judged(rows: Rows, std: FloatArray, apart: Sequence[BoolArray], basis: Basi
             mine = rows.chosen(which)
             at = np.searchsorted(known, mine.place) if basis is Basis.SAME_PLACES else None
             found = likelihood(model, mine, at, grid)
-            if not outside(found, ends, margin):
-                yield _score(found, mine, float(np.mean(std[which])), wheelset)
+            if outside(found, ends, margin):
+                continue
+            like = at is not None or not _of_other_track(model, rows, taught, mine, found)
+            error = found.mean - float(np.mean(mine.on_file))
+            own, claimed = float(np.mean(on_file.own[which])) ** 2, float(np.mean(on_file.claimed[which])) ** 2
+            yield _Judged(wheelset, error, found.std, own, claimed, found.whole, found.roll, like)
+
+
+def _of_other_track(model: MixedModel, rows: Rows, taught: BoolArray, mine: Rows, found: Likelihood) -> bool:
+    """Return whether the track is rougher or smoother than any that those who teach ran on."""
+    section = rows.section[taught][np.unique(rows.place[taught], return_index=True)[1]]
+    low, high = levels_between(model, section, len(np.unique(mine.place)))
+    return not low <= level_of(model, mine, found.mean) <= high
 
 
 def _spread(rows: Rows, asked: BoolArray, most: int) -> Iterator[tuple[int, IntArray]]:
@@ -226,18 +262,13 @@ def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[Bool
         yield ~left_out & ~here, left_out & here
 
 
-def _score(found: Likelihood, rows: Rows, std: float, wheelset: int) -> _Judged:
-    error = found.mean - float(np.mean(rows.on_file))
-    return _Judged(wheelset, error, found.std, std, found.whole, found.roll)
-
-
-def _of(judged: Iterator[_Judged]) -> Calibration | Reason:
+def _of(judged: Iterator[_Judged], shares: FloatArray) -> Calibration | Reason:
     found = list(judged)
     wheelsets = len({one.wheelset for one in found})
     if wheelsets < 3:  # noqa: PLR2004 - a spread needs some
         return Reason(ReasonCode.LIBRARY_TOO_SMALL, "too few wheelsets of the library can be judged by the others")
     return Calibration(
-        factor=_factor(found),
+        weights=_weights([one for one in found if one.like] or found, shares),
         whole=_reach([one.whole for one in found], wheelsets),
         roll=_reach([one.roll for one in found], wheelsets),
         wheelsets=wheelsets,
@@ -250,21 +281,20 @@ def _reach(distances: Sequence[float], wheelsets: int) -> Reach:
     return Reach(float(logarithms.mean()), float(logarithms.std(ddof=1)), wheelsets)
 
 
-def _factor(found: Sequence[_Judged]) -> float:
-    """Return the factor on standard deviations that covers 95 %, over that of a normal error."""
+def _weights(found: Sequence[_Judged], shares: FloatArray) -> FloatArray:
+    """Return the probabilities (k, m) of shares and of factors on standard deviations, by those of the shares (k,)."""
     wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
     weight = 1.0 / np.bincount(wheelset)[wheelset]
-    variance = np.array([one.std**2 for one in found])[:, None] * FACTORS**2
-    variance = variance + np.array([one.on_file_std**2 for one in found])[:, None]
-    squared = np.array([one.error**2 for one in found])[:, None] / variance
-    weighed = -0.5 * weight @ (squared + np.log(variance)) - 0.5 * (np.log(FACTORS) / FACTOR_STD) ** 2
-    posterior = np.exp(weighed - weighed.max())
-    posterior /= posterior.sum()
-
-    def beyond(reach: float) -> float:
-        return float(posterior @ (2.0 * stats.norm.cdf(reach / FACTORS) - 1.0)) - COVERAGE
-
-    return float(brentq(beyond, NORMAL * FACTORS[0], NORMAL * FACTORS[-1])) / NORMAL
+    std, error, own, claimed = (
+        np.array([getattr(one, name) for one in found]) for name in ("std", "error", "own", "claimed")
+    )
+    weights = np.zeros((len(shares), len(FACTORS)))
+    for number in np.flatnonzero(shares):
+        variance = (FACTORS[:, None] * std) ** 2 + own + SHARES[number] * claimed
+        weighed = -0.5 * (error**2 / variance + np.log(variance)) @ weight - 0.5 * (np.log(FACTORS) / FACTOR_STD) ** 2
+        posterior = np.exp(weighed - weighed.max())
+        weights[number] = shares[number] * posterior / posterior.sum()
+    return weights
 
 
 def _by_wheelset(found: Sequence[_Judged], values: Sequence[float]) -> FloatArray:

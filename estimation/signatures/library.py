@@ -7,16 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.signatures.calibration import Calibration, calibrated, share_apart
+from estimation.signatures.calibration import Calibration, calibrated, differences
 from estimation.signatures.families import sharers
-from estimation.signatures.mixed_model import MixedModel, Rows, fitted
+from estimation.signatures.mixed_model import MixedModel, Rows, fitted, levels_between
+from estimation.signatures.on_file import OnFile, judged_by, unjudged
 from estimation.signatures.parameters import SignatureParameters
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import AxlePosition, Basis, ConicitySource, LibraryEntry, Place
-
-LEVEL_MARGIN = 0.2  # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
-NEAR = 0.03  # of conicity, within which what is on file counts for an answer
+from estimation.values.signatures import AxlePosition, Basis, LibraryEntry, Place
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +30,7 @@ class Library:
     conicity: tuple[float, float]  # least and largest
     speed: tuple[float, float]  # m/s
     calibration: Mapping[Basis, Calibration | Reason]
-    shared: FloatArray  # (n,) std of what the conicities on file may be off by in common
+    on_file: OnFile
 
     @property
     def wheelsets(self) -> int:
@@ -50,27 +48,7 @@ class Library:
             How many.
         """
         section = np.array([self.sections[place.section] for place in sorted(self.places, key=self.places.__getitem__)])
-        mean = np.bincount(section, self.model.levels) / np.bincount(section)
-        within = float(np.std(self.model.levels - mean[section]))
-        ordered = np.sort(mean)
-        gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], LEVEL_MARGIN))
-        reach = gap + 2.0 * within / np.sqrt(places)
-        return float(ordered[0]) - reach, float(ordered[-1]) + reach
-
-    def shared_std(self, conicity: float) -> float:
-        """Return the std of what the conicities on file may be off by in common, about a conicity.
-
-        Errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
-        those near by, whichever is larger.
-
-        Parameters
-        ----------
-        conicity
-            Of an answer.
-        """
-        apart = np.array([entry.conicity for entry in self.entries]) - conicity
-        near = np.exp(-0.5 * (apart / NEAR) ** 2) + np.finfo(np.float64).tiny
-        return max(float(self.shared.mean()), float(near @ self.shared / near.sum()))
+        return levels_between(self.model, section, places)
 
 
 def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> Library | Reason:
@@ -98,9 +76,9 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
             f" {parameters.least_spread:g} is needed",
         )
     groups = [sharers(entry) for entry in ordered]
-    std, own = np.array([entry.std for entry in ordered]), _own_std(ordered)
-    own = np.sqrt(share_apart(rows_of(ordered, 0.0 * own), own, groups, parameters.margin)) * own
-    rows = rows_of(ordered, own)
+    before = unjudged(ordered)
+    on_file = judged_by(before, differences(rows_of(ordered, 0.0 * before.own), before, groups, parameters.margin))
+    rows = rows_of(ordered, on_file.alone)
     places = {place: number for number, place in enumerate(sorted({_place(entry) for entry in ordered}))}
     sections = {code: number for number, code in enumerate(sorted({place.section for place in places}))}
     speeds = [entry.signature.speed for entry in ordered]
@@ -114,17 +92,9 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
         model=fitted(rows),
         conicity=(min(known), max(known)),
         speed=(min(speeds), max(speeds)),
-        calibration=calibrated(rows, own, groups, parameters),
-        shared=frozen_array(np.sqrt(np.maximum(std**2 - own**2, 0.0)), (None,), name="shared"),
+        calibration=calibrated(rows, on_file, groups, parameters),
+        on_file=on_file,
     )
-
-
-def _own_std(entries: Sequence[LibraryEntry]) -> FloatArray:
-    """Return the std (n,) of the errors on file that are of each wheelset alone.
-
-    Those of measured profiles are. Those of geometries rest on one class, one survey and one set of filters.
-    """
-    return np.array([entry.std if entry.source is ConicitySource.MEASURED_PROFILES else 0.0 for entry in entries])
 
 
 def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:

@@ -28,6 +28,7 @@ LARGEST_SHARE = 0.9  # of the variance along the response that may be taken out
 SHRINKING = 0.05  # of covariances towards their diagonals
 RIDGE = 1e-4  # variance of a log feature that nothing is better known than
 LEVEL = 0  # number of the feature
+LEVEL_MARGIN = 0.2  # of the logarithm of a power, by which a track may always be rougher or smoother than known ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,12 +170,20 @@ def fitted(rows: Rows) -> MixedModel:
         places=effects,
         passes=np.bincount(place).astype(np.float64),
         rest=of_rest,
-        of_wheelset=_less(of_own, float(rows.variance.mean()) * np.outer(response[0], response[0])),
+        of_wheelset=_less(of_own, _of_errors(rows, response, level[place])),
         of_fit=of_own,
         leverage=_leverage(rows.conicity, wheelset),
         of_place=_less(of_place, of_rest * _of_means(place)),
         of_section=_less(of_section, of_place * _of_means(section)),
     )
+
+
+def _of_errors(rows: Rows, response: FloatArray, level: FloatArray) -> FloatArray:
+    """Return the covariance (f, f) that errors of the known conicities give the features, by the slopes at each."""
+    c, v = np.log(rows.conicity / CONICITY), np.log(rows.speed / SPEED)
+    none = np.zeros_like(c)
+    slopes = np.stack([none + 1.0, 2.0 * c, none, none, v, level], axis=1) @ response
+    return np.asarray((slopes * rows.variance[:, None]).T @ slopes / len(slopes))
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,6 +284,29 @@ def level_of(model: MixedModel, rows: Rows, conicity: float) -> float:
     """
     response = terms(np.array(conicity), rows.speed).mean(axis=0) @ model.response[:TERMS, LEVEL]
     return float(features_of(rows.powers)[:, LEVEL].mean() - response - model.mean[LEVEL])
+
+
+def levels_between(model: MixedModel, section: IntArray, places: int) -> tuple[float, float]:
+    """Return between which levels the mean of some places is where their section is like those of a library.
+
+    It may be as far outside as the outermost section is from the next.
+
+    Parameters
+    ----------
+    model
+        Of the library.
+    section
+        (p,) numbers of the sections of its places.
+    places
+        How many.
+    """
+    section = np.unique(section, return_inverse=True)[1]
+    mean = np.bincount(section, model.levels) / np.bincount(section)
+    within = float(np.std(model.levels - mean[section]))
+    ordered = np.sort(mean)
+    gap = float(max(ordered[1] - ordered[0], ordered[-1] - ordered[-2], LEVEL_MARGIN))
+    reach = gap + 2.0 * within / np.sqrt(places)
+    return float(ordered[0]) - reach, float(ordered[-1]) + reach
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,18 +11,35 @@ from signature_draws import PARAMETERS, Draw
 
 from estimation.signatures import calibration
 from estimation.signatures.answer import judged
-from estimation.signatures.calibration import NORMAL, share_apart
+from estimation.signatures.calibration import NORMAL, Calibration, differences
 from estimation.signatures.families import sharers
-from estimation.signatures.library import NEAR, Library, library, rows_of
+from estimation.signatures.library import Library, library, rows_of
 from estimation.signatures.mixed_model import CONICITY, LARGEST_SHARE, Likelihood, _less, fitted
+from estimation.signatures.on_file import SHARES, judged_by, unjudged
 from estimation.values.arrays import FloatArray
-from estimation.values.signatures import ConicitySource, LibraryEntry
+from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 
 CONICITIES = np.linspace(0.16, 0.36, 21)
 
 
 def answers(errors: FloatArray, std: float = 0.004, on_file: float = 0.0) -> list[calibration._Judged]:
-    return [calibration._Judged(number, float(error), std, on_file, 1.0, 1.0) for number, error in enumerate(errors)]
+    return [
+        calibration._Judged(number, float(error), std, on_file**2, 0.0, 1.0, 1.0, like=True)
+        for number, error in enumerate(errors)
+    ]
+
+
+NOTHING = np.eye(len(SHARES))[0]
+REACH = calibration.Reach(0.0, 0.5, 14)
+
+
+def of_weights(weights: FloatArray) -> Calibration:
+    return Calibration(weights, REACH, replace(REACH, mean=1.0), 14, 30)
+
+
+def factor(found: list[calibration._Judged]) -> float:
+    """Return the factor on the std of an answer where nothing on file is off in common."""
+    return of_weights(calibration._weights(found, NOTHING)).std(1.0, np.zeros(len(SHARES)))
 
 
 def test_the_factor_covers_where_stds_are_off_by_as_much_as_it_expects() -> None:
@@ -31,8 +48,8 @@ def test_the_factor_covers_where_stds_are_off_by_as_much_as_it_expects() -> None
     for _ in range(1500):
         scale = 0.004 * np.exp(calibration.FACTOR_STD * rng.standard_normal())
         errors = np.hypot(scale, 0.003) * rng.standard_normal(14)
-        factor = calibration._factor(answers(errors, on_file=0.003))
-        held.append(abs(scale * rng.standard_normal()) <= NORMAL * factor * 0.004)
+        half = NORMAL * factor(answers(errors, on_file=0.003)) * 0.004
+        held.append(abs(scale * rng.standard_normal()) <= half)
     assert np.mean(held) == pytest.approx(0.95, abs=0.015)
     assert calibration.FACTOR_STD == 0.3
 
@@ -40,13 +57,67 @@ def test_the_factor_covers_where_stds_are_off_by_as_much_as_it_expects() -> None
 @pytest.mark.parametrize("true", [0.5, 1.0, 2.0])
 def test_many_wheelsets_show_the_factor(true: float) -> None:
     errors = true * 0.004 * np.random.default_rng(1).standard_normal(4000)
-    assert calibration._factor(answers(errors)) == pytest.approx(true, rel=0.03)
+    assert factor(answers(errors)) == pytest.approx(true, rel=0.03)
 
 
 def test_answers_about_one_wheelset_count_as_one() -> None:
     errors = 0.006 * np.random.default_rng(2).standard_normal(10)
     often = [one for one in answers(errors) for _ in range(7)]
-    assert calibration._factor(often) == pytest.approx(calibration._factor(answers(errors)))
+    assert factor(often) == pytest.approx(factor(answers(errors)))
+
+
+def test_answers_about_tracks_that_are_refused_do_not_count_for_the_factor() -> None:
+    good = answers(0.004 * np.random.default_rng(3).standard_normal(20))
+    refused = [replace(one, error=0.05, like=False) for one in good[:5]]
+    found = calibration._of(iter([*good, *refused]), NOTHING)
+    assert isinstance(found, Calibration)
+    assert found.std(1.0, np.zeros(len(SHARES))) == pytest.approx(factor(good))
+    alone = calibration._of(iter(replace(one, like=False) for one in good), NOTHING)
+    assert isinstance(alone, Calibration), "where all are refused they are better than nothing"
+
+
+def test_sections_rougher_than_all_others_are_left_out_of_the_factor(draw: Draw) -> None:
+    smooth = draw(0, CONICITIES, 4, std=1e-6)
+    rough = draw(1, CONICITIES, 1, first_section=9, std=1e-6, rougher=3.0)
+    entries = sorted([*smooth, *rough], key=lambda one: (one.wheelset, one.signature.start_ns))
+    rows, before = rows_of(entries, np.zeros(len(entries))), unjudged(entries)
+    apart = calibration._folds(rows, [sharers(one) for one in entries])
+    judged_rows = list(calibration._judged(rows, before, apart, Basis.OTHER_PLACES, PARAMETERS.margin))
+    assert any(one.like for one in judged_rows)
+    assert any(not one.like for one in judged_rows)
+    same = calibration._judged(rows, before, apart, Basis.SAME_PLACES, PARAMETERS.margin)
+    assert all(one.like for one in same), "places that the library has are like themselves"
+
+
+def test_an_interval_is_that_of_the_mixture_over_shares_and_factors() -> None:
+    rng = np.random.default_rng(5)
+    weights = rng.dirichlet(np.ones(len(SHARES) * len(calibration.FACTORS))).reshape(len(SHARES), -1)
+    shared = 0.01 * np.sqrt(1.0 - SHARES)
+    std = of_weights(weights).std(0.004, shared)
+    drawn = rng.choice(weights.size, 200_000, p=weights.ravel())
+    share_at, factor_at = np.unravel_index(drawn, weights.shape)
+    errors = np.hypot(0.004 * calibration.FACTORS[factor_at], shared[share_at]) * rng.standard_normal(len(drawn))
+    assert np.mean(np.abs(errors) <= NORMAL * std) == pytest.approx(0.95, abs=0.002)
+
+
+@pytest.mark.parametrize("at", [0, -1])
+def test_a_factor_that_is_certain_is_the_least_or_the_largest_that_is_tried(at: int) -> None:
+    weights = np.zeros((len(SHARES), len(calibration.FACTORS)))
+    weights[at, at] = 1.0
+    found = of_weights(weights).std(0.004, np.zeros(len(SHARES)))
+    assert found == pytest.approx(0.004 * calibration.FACTORS[at])
+
+
+def test_errors_that_a_share_explains_do_not_raise_the_factor() -> None:
+    errors = 0.010 * np.random.default_rng(6).standard_normal(200)
+    found = [replace(one, claimed=0.01**2) for one in answers(errors)]
+    certain = np.zeros((2, len(SHARES)))
+    certain[0, 0] = certain[1, -1] = 1.0
+    weights = [calibration._weights(found, shares) for shares in certain]
+    np.testing.assert_allclose([one.sum() for one in weights], 1.0)
+    none, whole = (float(np.sum(one @ calibration.FACTORS)) for one in weights)
+    assert none > 2.0
+    assert whole < 1.0
 
 
 def test_of_one_more_wheelset_of_the_same_kind_one_in_a_hundred_is_novel() -> None:
@@ -61,19 +132,20 @@ def test_of_one_more_wheelset_of_the_same_kind_one_in_a_hundred_is_novel() -> No
 
 
 def test_novelty_is_that_of_all_features_or_that_of_roll() -> None:
-    reach = calibration.Reach(0.0, 0.5, 14)
-    of = calibration.Calibration(1.0, reach, replace(reach, mean=1.0), 14, 30)
+    of = of_weights(np.ones((1, len(calibration.FACTORS))))
     grid = np.array([0.2, 0.3])
-    far = Likelihood(grid, grid, whole=2.0 * reach.largest, roll=0.0)
-    rolling = Likelihood(grid, grid, whole=0.0, roll=2.0 * reach.largest)
+    far = Likelihood(grid, grid, whole=2.0 * REACH.largest, roll=0.0)
+    rolling = Likelihood(grid, grid, whole=0.0, roll=2.0 * REACH.largest)
     assert of.novelty(far) == pytest.approx(2.0)
     assert of.novelty(rolling) == pytest.approx(2.0 / np.e)
 
 
-def shares(entries: Sequence[LibraryEntry]) -> float:
-    std = np.array([one.std for one in entries])
+def share(entries: Sequence[LibraryEntry]) -> float:
+    """Return the share of the variances that is taken to be each wheelset's own."""
+    before, groups = unjudged(entries), [sharers(one) for one in entries]
     rows = rows_of(entries, np.zeros(len(entries)))
-    return share_apart(rows, std, [sharers(one) for one in entries], PARAMETERS.margin)
+    of = judged_by(before, differences(rows, before, groups, PARAMETERS.margin))
+    return float(np.mean(of.alone**2) / np.mean([one.std**2 for one in entries]))
 
 
 def shifted(
@@ -83,24 +155,21 @@ def shifted(
 
 
 def test_errors_of_each_wheelset_alone_are_seen_to_be_that_and_errors_in_common_are_not(draw: Draw) -> None:
-    own = [shares(draw(seed, CONICITIES, 2, std=0.01)) for seed in range(4)]
+    own = [share(draw(seed, CONICITIES, 2, std=0.01)) for seed in range(4)]
     assert np.mean(own) > 0.8
-    common = [shares(shifted(draw(seed, CONICITIES, 2, std=1e-6), 0.01, 0.01)) for seed in range(4)]
+    common = [share(shifted(draw(seed, CONICITIES, 2, std=1e-6), 0.01, 0.01)) for seed in range(4)]
     assert max(common) < 0.3
-    assert shares(shifted(draw(0, CONICITIES, 2, std=1e-6), 0.0, 0.0)) == 1.0, "nothing is claimed"
 
 
-def test_errors_of_geometries_are_all_taken_to_be_shared_and_those_of_measured_profiles_as_far_as_they_must(
-    draw: Draw,
-) -> None:
-    exact = draw(0, CONICITIES, 2, std=0.006)
-    found = {}
-    for source in ConicitySource:
-        of = library([replace(one, source=source) for one in exact], PARAMETERS)
-        assert isinstance(of, Library)
-        found[source] = of.shared_std(0.25)
-    assert found[ConicitySource.GEOMETRY] == pytest.approx(0.006)
-    assert found[ConicitySource.MEASURED_PROFILES] < 0.004
+@pytest.mark.parametrize("own", [0.0, 0.5])
+def test_of_geometries_as_much_is_own_as_the_differences_need(draw: Draw, own: float) -> None:
+    """Claimed is 0.012; where all of it is in common the differences are those of the answers."""
+    found = []
+    for seed in range(4):
+        entries = draw(seed, CONICITIES, 2, std=max(0.012 * np.sqrt(own), 1e-6))
+        found.append(share(shifted(entries, 0.012 * np.sqrt(1.0 - own), 0.012, ConicitySource.GEOMETRY)))
+    assert np.mean(found) == pytest.approx(0.8 * own, abs=0.1)
+    assert np.ptp(found) < 0.4
 
 
 @pytest.mark.parametrize("source", ConicitySource)
@@ -129,17 +198,6 @@ def test_conicities_with_errors_that_do_not_show_do_not_draw_answers_to_the_mean
         assert isinstance(of, Library)
         found.append([judged("X0", [one.signature for one in ask], of, PARAMETERS).conicity.value for ask in asked])
     np.testing.assert_allclose(np.array(found[0], float), np.array(found[1], float), atol=0.002)
-
-
-def test_what_is_shared_adds_up_as_it_is_and_counts_near_by(draw: Draw) -> None:
-    known = draw(0, CONICITIES, 2, std=1e-6)
-    entries = [replace(one, std=0.02 if one.conicity < 0.2 else 0.002, source=ConicitySource.GEOMETRY) for one in known]
-    of = library(entries, PARAMETERS)
-    assert isinstance(of, Library)
-    mean = np.mean([one.std for one in entries])
-    assert of.shared_std(0.34) == pytest.approx(mean, rel=1e-6)
-    assert of.shared_std(0.16) > 1.5 * of.shared_std(0.34)
-    assert NEAR == 0.03
 
 
 def test_the_ends_of_a_library_are_less_certain_than_its_middle(draw: Draw) -> None:
