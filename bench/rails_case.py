@@ -36,8 +36,17 @@ from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan
 from ingest.simulator.wear import truth_of, wear_at, worn_contact
 
 AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm, as in the accuracy table
-ANCHORS: Mapping[str, tuple[str, ...]] = {"known rails": (KNOWN,), "measured wheels": (), "none": ()}
-MEASURED = 2  # wheelsets whose profiles are on file, where these hold the level
+ANCHORS: Mapping[str, tuple[str, ...]] = {
+    "known rails": (KNOWN,),
+    "none": (),
+    "two measured wheels": (),
+    "three measured wheels": (),
+}
+MEASURED: Mapping[int, tuple[str, ...]] = {  # wheelsets whose profiles are on file, and what may then hold the level
+    0: ("known rails", "none"),
+    2: ("two measured wheels",),
+    3: ("three measured wheels",),
+}
 Scored = dict[str, Any]
 
 
@@ -59,9 +68,9 @@ def score(seed: int, cache: Path, *, surveyed: bool = True, drawn: bool = False)
     found: list[Scored] = []
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
         settings = copied(received(sections, cache), Path(folder))
-        for measured, anchors in ((0, ("known rails", "none")), (MEASURED, ("measured wheels",))):
+        for measured, anchors in MEASURED.items():
             if measured:
-                register(whole_fleet(sections, measured), settings, Path(folder) / "measured")
+                register(whole_fleet(sections, measured), settings, Path(folder) / f"measured-{measured}")
             with opened(settings) as (storage, context):
                 run_jobs(context, ESTIMATION)
                 found += [_scored(seed, sections, anchor, storage, context) for anchor in anchors]

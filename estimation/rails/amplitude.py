@@ -14,11 +14,16 @@ from estimation.rails.measured_wheels import Check, checks
 from estimation.rails.parameters import Anchors, RailsParameters
 from estimation.rails.published import RailAt, WheelAt, parted
 from estimation.rails.trend_line import TrendAt
+from estimation.rails.uneven_rails import uneven
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.rails import RailKey, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 
 NOT_COVERED = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "no wheelset has moved as far as this amplitude there")
+UNEVEN = Reason(
+    ReasonCode.RAILS_INTERACT,
+    "conicities rise with those of the wheels otherwise than on most sections, as next to a contact jump",
+)
 UNCONFIRMED = "it was measured, but nothing else that holds the level confirms it: two measured wheelsets are needed"
 
 
@@ -46,14 +51,16 @@ def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
     parameters
         Of the model.
     """
-    level, confirmed = _Level.of(table, k, anchors).confirmed(parameters)
+    level, left_out = _Level.of(table, k, anchors).even(parameters)
+    level, confirmed = level.confirmed(parameters)
     level = level.widened(confirmed)
     groups = connected(level.runs, parameters.least_wheelsets)
+    refused, covered = groups.refused | dict.fromkeys(left_out, UNEVEN), table.given(k)
     found = AtAmplitude()
     for place, key in enumerate(table.rails):
-        found.rails[key] = RailAt.unknown(groups.refused.get(place, NOT_COVERED))
-    for row in (~level.given).nonzero()[0].tolist() + level.cells.tolist():  # what is known there comes last
-        why = groups.refused.get(int(table.rail[row]), NOT_COVERED) if level.given[row] else NOT_COVERED
+        found.rails[key] = RailAt.unknown(refused.get(place, NOT_COVERED))
+    for row in (~covered).nonzero()[0].tolist() + covered.nonzero()[0].tolist():  # what is known there comes last
+        why = refused.get(int(table.rail[row]), NOT_COVERED) if covered[row] else NOT_COVERED
         found.wheels[table.wheels[table.wheel[row]]] = WheelAt.unknown(why)
     most = 0
     for one in level.components(groups.group):
@@ -76,7 +83,7 @@ def wheel_checks(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
     table, k, anchors, parameters
         As for :func:`at_amplitude`.
     """
-    return _Level.of(table, k, anchors).confirmed(parameters)[1]
+    return _Level.of(table, k, anchors).even(parameters)[0].confirmed(parameters)[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +127,18 @@ class _Level:
             if len(some) and group[self.table.rail[some[0]]] >= 0:
                 known_rails, level_open = self.anchors.known_rails, self.anchors.level_open
                 yield component(self.table, some, self.k, self.known, known_rails, level_open)
+
+    def even(self, parameters: RailsParameters) -> tuple[_Level, list[int]]:
+        """Return the level without the cells of uneven rails, and the numbers of these."""
+        level, found = self, list[int]()
+        while np.isfinite(level.known[0]).any():
+            apart = replace(level.runs, known_wheel=np.zeros(len(level.table.wheels), np.bool_))
+            some = [place for one in level.components(islands(apart)) for place in uneven(one, parameters)]
+            if not some:
+                break
+            found += some
+            level = replace(level, given=level.given & ~np.isin(level.table.rail, found))
+        return level, found
 
     def checks(self, parameters: RailsParameters) -> dict[str, Check]:
         """Return by serial how far measured wheelsets are from what the others say."""
