@@ -40,7 +40,8 @@ def uneven(component: Component, parameters: RailsParameters) -> list[int]:
         return []
     rise = np.log1p(alone.slope)
     alike = np.abs(rise[:, None] - rise[None, :]) <= np.log1p(parameters.uneven_slope)
-    return component.rail[alike.mean(axis=1) <= MOST].tolist()
+    found: list[int] = component.rail[alike.mean(axis=1) <= MOST].tolist()
+    return found
 
 
 def _spread_open(component: Component, alone: Parted, parameters: RailsParameters) -> bool:

@@ -10,6 +10,7 @@ from drawn_cells import AMPLITUDE, anchors, cell, wheel
 
 from estimation.rails.apart import init, result, update
 from estimation.rails.parameters import Anchors, RailsParameters
+from estimation.values.arrays import FloatArray
 from estimation.values.rails import KnownWheel, RailsApart, RailsReference, SectionConicity
 from estimation.values.reasons import ReasonCode
 
@@ -47,7 +48,7 @@ def left_out(found: RailsApart) -> set[str]:
     return {name for name, why in reasons.items() if why is not None and why.code is ReasonCode.RAILS_INTERACT}
 
 
-def errors(found: RailsApart) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def errors(found: RailsApart) -> FloatArray:
     values = [one.conicity[0].value for one in found.wheels]
     return np.abs(np.array([np.nan if value is None else value for value in values]) - THETA)
 
