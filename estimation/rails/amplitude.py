@@ -131,7 +131,7 @@ class _Level:
     def even(self, parameters: RailsParameters) -> tuple[_Level, list[int]]:
         """Return the level without the cells of uneven rails, and the numbers of these."""
         level, found = self, list[int]()
-        while np.isfinite(level.known[0]).any():
+        while self.anchors.known_rails or np.isfinite(self.known[0]).any():
             apart = replace(level.runs, known_wheel=np.zeros(len(level.table.wheels), np.bool_))
             some = [place for one in level.components(islands(apart)) for place in uneven(one, parameters)]
             if not some:

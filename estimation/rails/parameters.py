@@ -42,8 +42,7 @@ class RailsParameters:
         By how much conicities may rise more with those of the wheels on one section than on most others, relative;
         twice ``slope_std``.
     spread_open
-        Standard deviation of the mean slope, of what it is known to beforehand, above which known rails say little of
-        how far the conicities of wheels are spread.
+        Relative standard deviation above which known rails say little of how far the conicities of wheels are spread.
     most_interaction
         Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is published.
     least_wheelsets
@@ -68,7 +67,7 @@ class RailsParameters:
     known_apart: float = 1.7
     confirmed_within: float = 0.02
     uneven_slope: float = 0.6
-    spread_open: float = 0.5
+    spread_open: float = 0.1
     most_interaction: float = 0.01
     least_wheelsets: int = 2
     period_days: float = 180.0

@@ -108,7 +108,21 @@ def test_known_rails_on_which_wheels_are_alike_do_not(on_first: tuple[int, ...],
     assert left_out(found) == names
 
 
-def test_without_measured_wheels_differences_of_all_sections_are_published() -> None:
+@pytest.mark.parametrize("held", [anchors("A"), measured("A")])
+def test_known_rails_on_which_wheels_are_alike_leave_the_spread_to_the_others(held: Anchors) -> None:
+    cells = runs(JUMP, on_first=ALIKE)
+    assert errors(apart(cells, held, uneven_slope=1e3)).max() > 0.012
+    assert errors(apart(cells, held)).max() < 0.006
+
+
+def test_known_rails_are_not_uneven() -> None:
+    """Where all others say otherwise the known section stays."""
+    found = apart(runs({"A": 0.0, "B": 1.4, "C": 1.4, "D": 1.4}, on_first=(2, 6)), anchors("A"))
+    assert not left_out(found)
+    assert found.rails[0].reference is RailsReference.KNOWN_RAILS
+
+
+def test_without_an_anchor_differences_of_all_sections_are_published() -> None:
     found = apart(runs(JUMP), anchors())
     assert not left_out(found)
     assert {one.reference for one in found.rails} == {RailsReference.MEAN}
