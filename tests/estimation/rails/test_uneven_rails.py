@@ -117,7 +117,7 @@ def test_known_rails_on_which_wheels_are_alike_leave_the_spread_to_the_others(he
 
 def test_known_rails_are_not_uneven() -> None:
     """Where all others say otherwise the known section stays."""
-    found = apart(runs({"A": 0.0, "B": 1.4, "C": 1.4, "D": 1.4}, on_first=(2, 6)), anchors("A"))
+    found = apart(runs({"A": 0.0, "B": 1.4, "C": 1.4, "D": 1.4}, on_first=(1, 7)), anchors("A"))
     assert not left_out(found)
     assert found.rails[0].reference is RailsReference.KNOWN_RAILS
 
