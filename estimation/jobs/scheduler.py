@@ -102,9 +102,9 @@ def _serve_while_owned(
         _log.warning("%d runs of a process that is gone were marked as abandoned", abandoned)
     over = Event()
     scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs, every_s or _default_interval)
+    looked_ns = context.clock.now_ns()  # before the first job: the clock may be set while it runs
     scheduler.start()
     _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
-    looked_ns = context.clock.now_ns()
     try:
         while not stop_event.wait(CHECK_S):
             before_ns, looked_ns = looked_ns, context.clock.now_ns()

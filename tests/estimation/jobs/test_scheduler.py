@@ -171,6 +171,8 @@ def test_jobs_are_due_again_when_the_clock_of_the_server_is_set(sqlite_storage: 
     clock, worked = SetClock(1_700_000_000_000_000_000), Semaphore(0)
     with serving(sqlite_storage, [job("hourly", worked.release)], clock=clock):
         assert worked.acquire(timeout=PATIENCE_S)
+        while [run.outcome for run in runs_of(sqlite_storage, "hourly")] in ([], ["running"]):  # that waits
+            Event().wait(0.05)
         clock.at_ns += round(ahead_s * 1e9)
         assert worked.acquire(timeout=PATIENCE_S)
 
