@@ -17,8 +17,17 @@ from estimation.estimators.catalogue import SHIPPED
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
 
-_PALETTE = ("#1f5fa8", "#c2571a", "#3a8a4d", "#8a4fa3", "#b03060", "#6b6b00")  # in the order of the catalogue
-_SHAPES = ("o", "s", "^", "D", "v", "P")
+_STYLES = (  # colour and marker, in the order of the catalogue
+    ("#1f5fa8", "o"),
+    ("#c2571a", "s"),
+    ("#3a8a4d", "^"),
+    ("#8a4fa3", "D"),
+    ("#b03060", "v"),
+    ("#6b6b00", "P"),
+    ("#12908e", "X"),
+    ("#4d4d4d", "<"),
+)
+_WIDTH = 0.84  # of the estimators of one track, between ticks 1 apart
 _MM = 1e3
 _AMPLITUDES = np.linspace(0.5e-3, 6e-3, 111)
 
@@ -30,7 +39,7 @@ def save_comparison(studies: Sequence[PairStudy], path: Path) -> None:
     grid = figure.subplots(2, len(studies), squeeze=False)
     for column, study in enumerate(studies):
         _conicity(grid[0, column], study)
-        _errors(grid[1, column], study)
+        draw_errors(grid[1, column], study)
     top = max(axes.get_ylim()[1] for axes in grid[0])
     ends = [axes.get_ylim() for axes in grid[1]]
     for above, below in grid.T:
@@ -72,7 +81,7 @@ def _conicity(axes: Axes, study: PairStudy) -> None:
 
 def _style(order: int) -> tuple[str, str]:
     """Return colour and marker of the estimator at a place of the catalogue."""
-    return _PALETTE[order % len(_PALETTE)], _SHAPES[order % len(_SHAPES)]
+    return _STYLES[order % len(_STYLES)]
 
 
 def _arrays(found: WheelsetGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -83,21 +92,33 @@ def _arrays(found: WheelsetGeometry) -> tuple[FloatArray, FloatArray, FloatArray
     return value, low, high
 
 
-def _errors(axes: Axes, study: PairStudy) -> None:
-    """Every wheelset's error as a dot, the median as a bar, by information on the track; on a logarithmic scale."""
+def draw_errors(axes: Axes, study: PairStudy) -> None:
+    """Draw every wheelset's error as a dot, the median as a bar, by information on the track; on a logarithmic scale.
+
+    Parameters
+    ----------
+    axes
+        Where to; empty.
+    study
+        The scores of every estimator on every track.
+    """
     tracks = [track for track in TrackInformation if track not in study.unestimated]
     names = list(titles())
-    rng = np.random.default_rng(0)
+    rng, step = np.random.default_rng(0), _WIDTH / len(names)
     for place, track in enumerate(tracks):
         for order, name in enumerate(names):
             score = next(item for item in study.scores if item.track is track and item.estimator == name)
             colour, marker = _style(order)
-            x = place + 0.2 * (order - 0.5 * (len(names) - 1))
-            beside = x + rng.uniform(-0.05, 0.05, len(score.errors))
+            x = place + step * (order - 0.5 * (len(names) - 1))
+            beside = x + rng.uniform(-0.25, 0.25, len(score.errors)) * step
             axes.plot(beside, score.errors, marker, color=colour, markersize=3.5, alpha=0.55)
             if score.errors:
-                axes.hlines(score.median, x - 0.09, x + 0.09, color=colour, linewidth=2.5)
-    axes.set_xticks(range(len(tracks)), [f"track {TRACKS[track]}" for track in tracks])
+                axes.hlines(score.median, x - 0.4 * step, x + 0.4 * step, color=colour, linewidth=2.5)
+        if not any(item.errors for item in study.scores if item.track is track):
+            at = axes.get_xaxis_transform()
+            axes.text(place, 0.5, "nothing estimated", transform=at, ha="center", color="dimgrey", fontsize=9)
+    axes.set_xlim(-0.5, len(tracks) - 0.5)
+    axes.set_xticks(range(len(tracks)), [f"track\n{TRACKS[track]}" for track in tracks])
     axes.set_yscale("log")
     ticks = [1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.5]
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])

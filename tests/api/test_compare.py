@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from in_process_command import Run
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 from api.cli import build
@@ -16,6 +17,7 @@ from api.comparison.report import as_json, nearest, sentences_of
 from api.comparison.study import Example, PairStudy, Score
 from api.comparison.study import TrackInformation as Track
 from api.comparison.truth import AMPLITUDES, TrueWheelset, conicity_errors
+from api.plots.compare import draw_errors
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import SHIPPED, estimators
 from estimation.estimators.interface import EstimatorParameters
@@ -83,6 +85,25 @@ def truth() -> TrueWheelset:
 
 def paired(scores: tuple[Score, ...], unestimated: dict[Track, str] | None = None) -> PairStudy:
     return PairStudy("P8/113A", 0, scores, unestimated or {}, 1.0, Example(truth(), {}))
+
+
+def test_every_estimator_has_a_colour_and_a_marker_of_its_own_and_every_track_a_place() -> None:
+    figure = Figure()
+    scores = tuple(score(name, track, (0.01, 0.02)) for track in Track for name in NAMES)
+    draw_errors(figure.subplots(), paired(scores))
+    dots = figure.axes[0].get_lines()
+    assert len({(line.get_color(), line.get_marker()) for line in dots}) == len(NAMES)
+    assert len({line.get_color() for line in dots}) == len({line.get_marker() for line in dots}) == len(NAMES)
+    ticks = np.repeat(np.arange(len(Track)), len(NAMES))
+    for line, tick in zip(dots, ticks, strict=True):
+        assert np.abs(np.asarray(line.get_xdata()) - tick).max() < 0.5
+
+
+def test_a_track_on_which_nothing_is_estimated_says_so() -> None:
+    scores = tuple(score(name, track, () if track is Track.NONE else (0.01,)) for track in Track for name in NAMES)
+    axes = Figure().subplots()
+    draw_errors(axes, paired(scores))
+    assert [(one.get_text(), one.get_position()[0]) for one in axes.texts] == [("nothing estimated", 2)]
 
 
 def test_a_baseline_that_wins_is_named() -> None:
