@@ -66,6 +66,31 @@ class FileErrors:
         return math.hypot(YAW_AS_CREEP * self.yaw_scale, LATERAL_AS_CREEP * self.lateral_scale)
 
 
+@dataclass(frozen=True, slots=True)
+class ForceErrors:
+    """Relative stds that file and sensors leave to the forces of a window."""
+
+    lateral: float  # of forces across the track: masses, springs and lateral sensors
+    moment: float  # of the moment in yaw: yaw spring and yaw sensor
+    load: float  # of what gravity is, and what is over the normal force
+
+    @classmethod
+    def of(cls, vehicle_class: VehicleClass) -> Self:
+        """Return what is not known of the vehicles of a class.
+
+        Parameters
+        ----------
+        vehicle_class
+            With the stds of its parameters and sensors.
+        """
+        std_of, sensors = vehicle_class.std_of, vehicle_class.sensors
+        return cls(
+            math.hypot(std_of("wheelset_mass"), std_of("lateral_stiffness"), lateral_scale_std(sensors)),
+            math.hypot(std_of("yaw_stiffness"), sensors.yaw.usual_scale_std),
+            std_of("load"),
+        )
+
+
 def lateral_scale_std(sensors: SensorLayout) -> float:
     """Return the relative std of the scale of the lateral sensors: the larger one of axle boxes and what is above.
 

@@ -82,19 +82,6 @@ def section_adhesion(
     )
 
 
-def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParameters) -> tuple[CellFriction, ...]:
-    """Return the friction of every place that passes have met, in order of distance.
-
-    Parameters
-    ----------
-    passes
-        Of one section over the time that is pooled, in any order; those without sums say nothing.
-    parameters
-        Limits and what is known beforehand.
-    """
-    return pooled_friction(passes, parameters)[0]
-
-
 def pooled_friction(
     passes: Sequence[WindowAdhesion], parameters: FrictionParameters
 ) -> tuple[tuple[CellFriction, ...], tuple[LeftOut, ...]]:

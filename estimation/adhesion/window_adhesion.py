@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.adhesion.creep_forces import ContactForces
-from estimation.adhesion.file_errors import lateral_scale_std
+from estimation.adhesion.file_errors import ForceErrors
 from estimation.adhesion.friction_sums import CreepSignals, creep_signals, friction_sums
 from estimation.adhesion.gravity import ContactAngles, contact_angles
 from estimation.motion.parameters import WindowParameters
@@ -115,26 +115,22 @@ def _forces(
     force_error: float,
 ) -> _Forces:
     """Return the rms of forces, and the adhesion that was used."""
-    sensors = vehicle_class.sensors
-    turning = float(np.hypot(vehicle_class.std_of("yaw_stiffness"), sensors.yaw.usual_scale_std))
-    pushing = math.hypot(
-        vehicle_class.std_of("wheelset_mass"), vehicle_class.std_of("lateral_stiffness"), lateral_scale_std(sensors)
-    )
+    file = ForceErrors.of(vehicle_class)
     contact, moment = (_rms(values[found.valid]) for values in (found.contact, found.moment))
-    contact_force = with_interval(contact, contact * float(np.hypot(force_error, pushing)))
-    yaw_creep = with_interval(moment, moment * float(np.hypot(force_error, turning)))
+    contact_force = with_interval(contact, contact * math.hypot(force_error, file.lateral))
+    yaw_creep = with_interval(moment, moment * math.hypot(force_error, file.moment))
     if isinstance(angles, Reason):
         unknown = Estimate.unknown(angles, 1.0)
         return _Forces(contact_force, unknown, yaw_creep, unknown)
     lateral = _rms(found.lateral[found.valid])
     larger = found.resultants(half_contact_distance)[:, found.valid].max(axis=0)
     used = float(np.quantile(larger, USED_QUANTILE)) / (0.5 * vehicle_class.parameters.load)
-    error = math.hypot(LATERAL_ERROR, pushing, vehicle_class.std_of("load"))
+    error = math.hypot(LATERAL_ERROR, file.lateral, file.load)
     return _Forces(
         contact_force,
         with_interval(lateral, lateral * error),
         yaw_creep,
-        with_interval(used, used * float(np.hypot(error, turning))),
+        with_interval(used, used * math.hypot(error, file.moment)),
     )
 
 

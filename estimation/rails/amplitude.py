@@ -72,6 +72,8 @@ def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
                 found.trends[section] = trend
         if len(one.cells) > most:
             most, found.interaction = len(one.cells), answer.interaction
+    for place, why in sorted(refused.items()):
+        found.trends.setdefault(table.rails[place].section, TrendAt.unknown(why))
     return found
 
 

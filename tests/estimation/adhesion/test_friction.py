@@ -10,7 +10,7 @@ import pytest
 from oracles.creep_excess import creep_excess
 
 from estimation.adhesion.file_errors import FileErrors
-from estimation.adhesion.friction import LEARNT, FrictionParameters, low_stretches, section_adhesion, section_friction
+from estimation.adhesion.friction import LEARNT, FrictionParameters, low_stretches, pooled_friction, section_adhesion
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -19,6 +19,10 @@ KNOWN = FrictionParameters()
 NO_ERRORS = FileErrors(0.0, 0.0, 0.0, 0.0, 0.0)
 NONE = Estimate.unknown(Reason(ReasonCode.OTHER, ""))
 SAMPLES, NOISE = 600, 3e-5  # of a place and pass; m
+
+
+def section_friction(passes: Sequence[WindowAdhesion], parameters: FrictionParameters) -> tuple[CellFriction, ...]:
+    return pooled_friction(passes, parameters)[0]
 
 
 def a_pass(

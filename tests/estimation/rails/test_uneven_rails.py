@@ -61,6 +61,7 @@ def test_a_section_next_to_a_jump_does_not_spread_the_wheels(seed: int) -> None:
     cells = runs(JUMP, seed=seed)
     found, before = apart(cells, measured()), apart(cells, measured(), uneven_slope=1e3)
     assert left_out(found) == {"B"}
+    assert found.no_trends["B"].code is ReasonCode.RAILS_INTERACT
     assert errors(before).max() > 0.012
     assert errors(found).max() < 0.006
     assert all(
