@@ -69,6 +69,7 @@ class WheelsetPlan:
     diameter_difference: float  # m, left minus right, at the lathe
     fault: Fault | None
     wheel_files: SideFiles = (None, None)  # measured wheels, before the wear above
+    reprofilings_registered: bool = True  # False: the lathe turned it, and nobody told the registry
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,6 +81,7 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
             _reprofiling(scenario, item, odometer)
             for plan in scenario.vehicles
             for item in plan.wheelsets
+            if item.reprofilings_registered
             for odometer in item.reprofilings
         ],
         "track_sections": [_section(section, length, track_file)],

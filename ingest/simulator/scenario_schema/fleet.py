@@ -68,6 +68,7 @@ class WheelsetTable(InputTable):
     initial_wear_right_mm: float | None = Field(default=None, ge=0.0, le=5.0)
     initial_mileage_km: NotNegative = 0.0
     reprofiled_at_odometer_km: IncreasingNumbers = Field(default_factory=list)
+    reprofilings_registered: bool = True
     diameter_difference_mm: float = Field(default=0.0, ge=-5.0, le=5.0)
     wheel_file: Text | None = None
     wheel_left_file: Text | None = None
@@ -131,6 +132,7 @@ class WheelsetTable(InputTable):
             diameter_difference=MM * self.diameter_difference_mm,
             fault=None if self.fault is None else self.fault.plan(),
             wheel_files=self._files(folder),
+            reprofilings_registered=self.reprofilings_registered,
         )
 
 

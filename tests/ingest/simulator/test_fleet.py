@@ -178,6 +178,16 @@ def test_the_truth_file_follows_wear_and_the_lathe(report: FleetReport) -> None:
     assert len(new["lateral_displacement_mm"]) == len(new["rolling_radius_difference_mm"])
 
 
+def test_the_registry_has_a_reprofiling_where_somebody_has_entered_it(
+    scenario: Scenario, report: FleetReport, tmp_path: Path
+) -> None:
+    vehicle = scenario.vehicles[0]
+    silent = tuple(replace(plan, reprofilings_registered=False) for plan in vehicle.wheelsets)
+    unregistered = replace(scenario, vehicles=(replace(vehicle, wheelsets=silent), *scenario.vehicles[1:]))
+    assert [entry["wheelset"] for entry in json.loads(report.registry.read_text())["reprofilings"]] == ["A"]
+    assert json.loads(prepare(unregistered, tmp_path).read_text())["reprofilings"] == []
+
+
 def test_a_wheelset_that_would_derail_stops_the_run(scenario: Scenario) -> None:
     assert scenario.section.recipe is not None
     rough = replace(scenario.section, recipe=replace(scenario.section.recipe, alignment_std=0.02))
