@@ -20,7 +20,7 @@ from rich.table import Table
 from bench.report import COLUMNS, BenchRow
 from bench.results_page import markdown_table, write_page
 
-NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend")
+NAMES = ("contact", "estimation", "recursion", "decoding", "simulator", "trend", "en15302")
 WITH_OPTIONS = (
     "section",
     "world",
@@ -64,6 +64,7 @@ TITLES = {
     "decoding": "Decoding against cantools and python-can",
     "simulator": "Speed of the simulator",
     "trend": "Coverage of trend and forecast",
+    "en15302": "Conicity of wheelsets in motion against EN 15302",
     "signals": "Motion signals, by course and cutoff wavelength",
     "curves": "Cost of curves that are not on file",
     "mounting": "Sensors that are turned",

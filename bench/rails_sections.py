@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack
 from estimation.contact.profiles import wheel_profile
-from estimation.contact.radius_difference import refined_curve
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.rail_wear import RailWear
 from estimation.values.arrays import FloatArray
 from ingest.simulator.drawn_fleet import with_seed
@@ -130,6 +130,5 @@ def reference_wheel(scenario: Scenario, amplitude: FloatArray) -> FloatArray:
     wheel = wheel_profile(scenario.vehicles[0].wheelsets[0].wheel_profile)
     gauge = section.nominal_gauge + section.recipe.gauge_offset
     wheelset = WheelsetOnTrack(wheel, wheel, left, right, inclination, gauge)
-    table = contact_table(wheelset, 0.05e-3 * np.arange(-240, 241), outside="hold")
-    curve = refined_curve(wheelset, table, 0)
+    curve = radius_difference_curve(wheelset, 0.05e-3 * np.arange(-240, 241))
     return equivalent_conicity(curve.displacement, curve.difference, amplitude)

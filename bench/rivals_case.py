@@ -22,6 +22,7 @@ from estimation.jobs.steps.membership import membership
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.jobs.steps.rolling import members, rolled
 from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.motion.cross_level import standard_displacement
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import NORMAL_95
@@ -177,7 +178,9 @@ def _as_run(scenario: Scenario) -> Mapping[str, tuple[FloatArray, FloatArray]]:
         for plan in vehicle.wheelsets:
             table = contact_of(scenario, track, plan, odometer).table
             nominal = int(np.argmin(np.abs(table.gauge_deviation)))
-            found[plan.serial] = table.lateral_displacement, table.rolling_radius_difference[:, nominal]
+            roll, radius = table.roll[:, nominal], plan.nominal_radius
+            standard = standard_displacement(table.lateral_displacement, roll, radius, level=False)
+            found[plan.serial] = standard, table.rolling_radius_difference[:, nominal]
     return found
 
 

@@ -11,7 +11,9 @@ import numpy as np
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import WearFamily, wear_course, worn
+from estimation.motion.cross_level import standard_displacement
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment, TrackLayout
@@ -83,10 +85,12 @@ class Run:
     conicity: FloatArray
 
     def truth(self, number: int) -> FloatArray:
-        """Return y - d, psi, psi' and rL - rR (4, n) at the samples of window ``number``."""
+        """Return y - d as EN 15302 means it, psi, psi' and rL - rR (4, n) at the samples of window ``number``."""
         n, m = len(self.windows[number].valid), self.motion
         part = slice(number * n * NODE.stride, (number + 1) * n * NODE.stride, NODE.stride)
-        signals = (m.relative_displacement, m.yaw, m.yaw_rate, m.rolling_radius_left - m.rolling_radius_right)
+        radius = VehicleParameters().nominal_radius
+        standard = standard_displacement(m.relative_displacement, m.roll, radius, level=False)
+        signals = (standard, m.yaw, m.yaw_rate, m.rolling_radius_left - m.rolling_radius_right)
         return np.stack([values[part] for values in signals])
 
 
@@ -107,8 +111,10 @@ def wheelsets() -> tuple[Wheelset, ...]:
 def _worn(name: str, wheel: str, rail: str, inclination: float, family: WearFamily, depth: float) -> Wheelset:
     wheels = [worn(wheel_profile(wheel), wear_course(family, depth * side)) for side in (1.08, 0.92)]
     rails = rail_profile(rail)
-    table = contact_table(WheelsetOnTrack(wheels[0], wheels[1], rails, rails, inclination, 1.435), GRID, outside="hold")
-    return Wheelset(name, table, equivalent_conicity(GRID, table.rolling_radius_difference[:, 0], AMPLITUDES))
+    on_track = WheelsetOnTrack(wheels[0], wheels[1], rails, rails, inclination, 1.435)
+    curve = radius_difference_curve(on_track, GRID)
+    conicity = equivalent_conicity(curve.displacement, curve.difference, AMPLITUDES)
+    return Wheelset(name, contact_table(on_track, GRID, outside="hold"), conicity)
 
 
 def _smooth() -> Wheelset:
@@ -124,7 +130,8 @@ def _smooth() -> Wheelset:
         contact_angle_right=0.06 - 6 * x + 600 * x**2,
         roll=(left - right) / 1.5,
     )
-    return Wheelset("smooth, conicity 0.05", table, equivalent_conicity(GRID, (left - right)[:, 0], AMPLITUDES))
+    standard = standard_displacement(GRID, table.roll[:, 0], VehicleParameters().nominal_radius, level=False)
+    return Wheelset("smooth, conicity 0.05", table, equivalent_conicity(standard, (left - right)[:, 0], AMPLITUDES))
 
 
 def simulate(wheelset: Wheelset, course: str, seed: int) -> Run:

@@ -11,6 +11,7 @@ import numpy as np
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.signatures.parameters import SignatureParameters
@@ -101,7 +102,8 @@ def wheelset(
 def on_a_vehicle(serial: str, condition: int, on_track: WheelsetOnTrack, rng: np.random.Generator) -> Wheelset:
     """Return a wheelset of these profiles on a vehicle that differs from its class."""
     table = contact_table(on_track, GRID, outside="hold")
-    conicity = equivalent_conicity(GRID, table.rolling_radius_difference[:, 0], AMPLITUDE)
+    curve = radius_difference_curve(on_track, GRID)
+    conicity = equivalent_conicity(curve.displacement, curve.difference, AMPLITUDE)
     base = VehicleParameters()
     own = {name: getattr(base, name) * float(np.exp(std * rng.standard_normal())) for name, std in SPREAD.items()}
     return Wheelset(serial, condition, float(conicity[0]), PreparedTable.of(table), replace(base, **own))

@@ -18,7 +18,7 @@ import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
-from estimation.contact.radius_difference import refined_curve
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.table import ContactTable
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
@@ -136,7 +136,7 @@ def _flanging(scenario: Scenario, track: TrackTruth, vehicle: str, axle: int) ->
 def fault(pair: WheelPair, section: SectionPlan) -> str | None:
     """Return why a wheelset cannot run on a section; None where it can.
 
-    Contact is rigid with roll, at nominal gauge. A wheelset is left out whose profiles do not touch on both sides;
+    Contact is rigid, at nominal gauge. A wheelset is left out whose profiles do not touch on both sides;
     whose radii are equal nowhere within 3 mm of the track centre; which within 3 mm of that place climbs a rail or
     has flange contact (30 degrees); whose equivalent conicity at 1 to 3 mm is above 0.4.
 
@@ -157,7 +157,7 @@ def fault(pair: WheelPair, section: SectionPlan) -> str | None:
         table = contact_table(wheelset, DISPLACEMENT, outside="hold")
     except ContactError as error:
         return error.reason
-    curve = refined_curve(wheelset, table, 0)
+    curve = radius_difference_curve(wheelset, DISPLACEMENT)
     zero = zero_crossing(curve.displacement, curve.difference)
     if not abs(zero) <= FURTHEST_ZERO:
         return f"its radii are equal {1e3 * zero:+.1f} mm beside the track centre"

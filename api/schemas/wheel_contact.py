@@ -42,7 +42,7 @@ class ContactCurve(Representation):
 
 
 class ProfileContact(Representation):
-    """What two wheel profiles give on the rails that the wheelset runs on; the wheelset rolls until both touch."""
+    """What two wheel profiles give on the rails that the wheelset runs on; it does not roll, as in EN 15302."""
 
     status: Status
     reason: str | None

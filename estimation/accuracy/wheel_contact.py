@@ -11,7 +11,7 @@ from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.contact.radius_difference import RadiusDifferenceCurve, refined_curve
-from estimation.contact.table import ContactTable
+from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.intervals import NORMAL_95, with_interval
@@ -47,7 +47,7 @@ class WheelPair:
 class WheelContact:
     """What profiles give: NaN, or an unknown conicity, where both wheels have no contact.
 
-    The wheelset rolls until both wheels touch. On rails of several kinds the radii are the means over them, weighted
+    The wheelset does not roll, as in EN 15302. On rails of several kinds the radii are the means over them, weighted
     by the running on each: so is what is estimated from that running.
     """
 
@@ -150,7 +150,7 @@ def _on_rails(wheels: WheelPair, one: RailShare) -> tuple[ContactTable, RadiusDi
         wheels.left, wheels.right, rail, rail, one.inclination, one.gauge, wheels.nominal_radius, wheels.nominal_radius
     )
     x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
-    table = contact_table(wheelset, x, outside="hold")
+    table = contact_table(wheelset, x, method=ContactMethod.EN15302, outside="hold")
     return table, refined_curve(wheelset, table, 0)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
+from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, worn
 from estimation.contact.worn_family import WHEELS
 from estimation.errors import ContactError, ProfileError
@@ -119,7 +120,7 @@ def _family(
         for depth in DEPTHS:
             worn_wheel = worn(wheel_profile(wheel), TreadWear(float(depth), centre, half_width, float(depth)))
             pair = WheelsetOnTrack.symmetric(worn_wheel, on, inclination, gauge, radius=radius)
-            table = contact_table(pair, DISPLACEMENT, outside="hold")
+            table = contact_table(pair, DISPLACEMENT, method=ContactMethod.EN15302, outside="hold")
             left, right = table.contact_angle_left[:, 0], table.contact_angle_right[:, 0]
             found.append((table.rolling_radius_difference[:, 0], left - right, left + right))
     except (ContactError, ProfileError):

@@ -36,7 +36,7 @@ def radius_difference_curve(
     lateral_displacement: npt.ArrayLike,
     gauge_deviation: float = 0.0,
     *,
-    method: ContactMethod = ContactMethod.RIGID,
+    method: ContactMethod = ContactMethod.EN15302,
 ) -> RadiusDifferenceCurve:
     """Return the rolling radius difference, refined between the points of a grid.
 

@@ -37,7 +37,9 @@ LEAST_SCALE_STD = 0.002  # relative, of any sensor: its digits and its drift
 
 MOUNTING_STD = math.radians(2.0)  # of the angle of a yaw sensor about the lateral axis
 
-CONTACT_ROLL_STD = 0.02  # rad/m, of the roll of the contact per displacement, from wheel to wheel
+STANDARD_SCALE_STD = 0.006  # relative, of the displacement of EN 15302: rail heads are no arcs of one radius
+
+HIDDEN_SCALE_STD = 0.008  # the same where the roll of the contact is hidden behind that of the track
 
 
 def quotient_widening(relative: float) -> float:
@@ -84,8 +86,7 @@ class ParameterUncertainty:
         vehicle_class
             The class, with the relative standard deviations of its parameters.
         """
-        level = vehicle_class.sensors.measures_gravity  # then the roll of the contact has been taken off
-        of_roll = CONTACT_ROLL_STD * vehicle_class.parameters.nominal_radius if level else 0.0
+        of_roll = HIDDEN_SCALE_STD if vehicle_class.sensors.measures_gravity else STANDARD_SCALE_STD
         return cls(
             creep=vehicle_class.std_of("longitudinal_creep_coefficient"),
             stiffness=vehicle_class.std_of("yaw_stiffness"),

@@ -1,23 +1,31 @@
-"""What the roll of the track does to the lateral displacement of a wheelset.
+"""Which lateral displacement the rolling radius difference is looked up by: that of EN 15302.
 
-Sensors are at the height of the axle, r0 above the rails. On a track that rolls by phi_t the axle stands r0 phi_t
-beside the middle of the rails, to the low side. The roll sensor measures phi = phi_t + phi_c, of track and contact, so
-that the displacement x relative to the rails follows from that of the axle, y, and the alignment d by
+The wheelset of EN 15302 does not roll. One in motion rolls by phi_c where its contact moves. Turned about the centre of
+curvature of the rail head under its contact, rho below the top of the rail, a wheel keeps its contact; so the contact
+of a wheelset that rolls is that of one that does not, displaced by what it is displaced at *that* height:
 
-    x = y - d + r0 phi_t = y - d + r0 phi - r0 phi_c(x).
+    y_EN = x + (r0 + rho) phi_c        x of the axle relative to the track, r0 above the rails
 
-The contact's roll is nearly in proportion to the displacement, and its part is small.
+Sensors are at the height of the axle. On a track that rolls by phi_t the axle stands r0 phi_t beside the middle of the
+rails, to the low side, and the roll sensor measures phi = phi_t + phi_c, so that
+
+    y_EN = (y - d) + r0 phi + rho phi_c
+
+The first two terms are measured. The last is too where the track does not roll. Where it may, it is hidden behind the
+roll of the track, and taken as a share of the displacement that most profiles have. The equations of motion go on in
+the displacement of the axle.
 """
 
 from __future__ import annotations
 
 from estimation.values.arrays import FloatArray
+from estimation.vehicle.equations_of_motion import RAIL_HEAD_RADIUS
 
-CONTACT_ROLL = 0.105  # rad/m, roll of the contact per displacement: P8 on 56E1 have 0.08 new and 0.13 worn, at 3 mm
+HIDDEN_SHARE = 0.0075  # rho phi_c over y - d + r0 phi: 0.001 for cones at 1:40, 0.006 for P8 on 56E1, 0.02 where worn
 
 
-def relative_displacement(displacement: FloatArray, roll: FloatArray, radius: float) -> FloatArray:
-    """Return x (n,), m, of a wheelset on a track that may roll.
+def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
+    """Return the displacement (n,), m, relative to the track, that EN 15302 means.
 
     Parameters
     ----------
@@ -27,20 +35,22 @@ def relative_displacement(displacement: FloatArray, roll: FloatArray, radius: fl
         (n,) phi as measured, rad.
     radius
         Nominal rolling radius, m.
+    level
+        Whether gravity has been taken out of the lateral signals: the track may roll.
     """
-    return at_rail_level(displacement, roll, radius) / (1.0 + radius * CONTACT_ROLL)
+    seen = observed_displacement(displacement, roll, radius, level=level)
+    return seen * (1.0 + HIDDEN_SHARE) if level else seen
 
 
-def at_rail_level(displacement: FloatArray, roll: FloatArray, radius: float) -> FloatArray:
-    """Return the lateral displacement (n,), m, of the point of the wheelset that is r0 below the axle.
+def observed_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
+    """Return the same (n,), m, as far as it is measured; for a displacement from which no alignment is taken off.
 
     Parameters
     ----------
     displacement
-        (n,) m, at the height of the axle.
-    roll
-        (n,) phi as measured, rad.
-    radius
-        Nominal rolling radius, m.
+        (n,) y or y - d, m, at the height of the axle.
+    roll, radius, level
+        As :func:`standard_displacement` takes them.
     """
-    return displacement + radius * roll
+    height = radius if level else radius + RAIL_HEAD_RADIUS
+    return displacement + height * roll

@@ -19,7 +19,7 @@ import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.bogie_long_waves import BogieYaws, long_waves_in_bogie
-from estimation.motion.cross_level import at_rail_level
+from estimation.motion.cross_level import observed_displacement
 from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedSegment
 from estimation.motion.smooth_sampling import sample_smoothed
@@ -33,7 +33,7 @@ class MotionSignals:
 
     run: FloatArray  # m, increasing
     speed: FloatArray  # V, m/s
-    displacement: FloatArray  # y, m
+    displacement: FloatArray  # y where EN 15302 means it, m; see ``cross_level``
     difference: FloatArray  # R by Eq. 2, m
     stiffness_term: FloatArray  # its part that scales with yaw stiffness over creep coefficient, m
     rolling_yaw: FloatArray  # (y' + r0 phi') / V, rad: psi of a wheelset without lateral creep
@@ -195,7 +195,7 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
     return MotionSignals(
         run=segment.run if run is None else run,
         speed=V,
-        displacement=at_rail_level(y, φ, p.nominal_radius) if segment.level else y,
+        displacement=observed_displacement(y, φ, p.nominal_radius, level=segment.level),
         difference=np.asarray(per_moment * moment),
         stiffness_term=np.asarray(per_moment * stiffness_term),
         rolling_yaw=np.asarray(rolling_velocity / V),

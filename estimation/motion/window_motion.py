@@ -21,7 +21,7 @@ from estimation.motion.checks import (
     position_jumps,
     to_wheelset_axes,
 )
-from estimation.motion.cross_level import relative_displacement
+from estimation.motion.cross_level import standard_displacement
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.track_lookup import alignment_at, gauge_shift
@@ -174,7 +174,7 @@ def _relative_to(d: FloatArray, segment: IntegratedSegment, radius: float) -> Fl
     ddy, ddψ = segment.accelerations[:2]
     along = bridged(d, np.isfinite(d))
     of_frame = [] if segment.frame_yaw is None else [segment.frame_yaw[2], segment.frame_yaw[1], ym]
-    relative = relative_displacement(y - along, φ, radius) if segment.level else y - along
+    relative = standard_displacement(y - along, φ, radius, level=segment.level)
     return np.stack([relative, dy, ddy, ψ, dψ, ddψ, φ, dφ, ym - y, dym - dy, *of_frame])
 
 

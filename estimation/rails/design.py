@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.accuracy.wheel_contact import REACH, STEP, RailShare, WheelPair, conicity_of
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
-from estimation.contact.radius_difference import refined_curve
+from estimation.contact.radius_difference import radius_difference_curve
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
 
@@ -32,7 +32,7 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
             wheels.left, wheels.right, rail, rail, rails.inclination, rails.gauge, radius, radius
         )
         x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
-        curve = refined_curve(wheelset, contact_table(wheelset, x, outside="hold"), 0)
+        curve = radius_difference_curve(wheelset, x)
     except (ContactError, ProfileError, ParameterError):
         return nothing, nothing
     found = conicity_of(curve.displacement, curve.difference, amplitude, wheels.std)

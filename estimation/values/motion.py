@@ -28,7 +28,7 @@ class Motion:
     """
 
     speed: FloatArray  # (n,) V, m/s
-    displacement: FloatArray  # (n,) y - d, m
+    displacement: FloatArray  # (n,) y - d where EN 15302 means it, m: ``motion.cross_level``
     lateral_velocity: FloatArray  # (n,) y', m/s
     lateral_acceleration: FloatArray  # (n,) y'', m/s2
     yaw: FloatArray  # (n,) psi, rad

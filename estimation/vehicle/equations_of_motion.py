@@ -27,6 +27,7 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 
 GRAVITY = 9.81  # m/s2
+RAIL_HEAD_RADIUS = 0.08  # m, of the arc beside the crown of all usual rail heads, where most wheels touch
 _MAY_BE_ZERO = frozenset({"spin_creep_coefficient", "lateral_spin_creep_coefficient", "yaw_damping", "lateral_damping"})
 
 

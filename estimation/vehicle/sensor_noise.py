@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.equations_of_motion import GRAVITY, RAIL_HEAD_RADIUS
 from estimation.vehicle.vehicle_class import VehicleClass
 
 
@@ -65,18 +65,25 @@ USUAL_CUTOFF = 40.0  # m
 def displacement_noise(vehicle_class: VehicleClass) -> float:
     """Return the std of the lateral displacement by the noise of the sensors at a usual speed and cut-off, m.
 
-    Of white noise of an acceleration, integrated twice; where gravity is taken out, also of that of the roll sensor:
-    g times its double integral, integrated twice once more.
+    Of white noise of an acceleration, integrated twice, and of the roll, which is taken off at the height of the axle.
+    Where gravity is taken out, g times the roll is integrated twice once more, which adds to the same error.
 
     Parameters
     ----------
     vehicle_class
-        Sensors; a noise density that is not on file is zero.
+        Sensors and radius; a noise density that is not on file is zero.
     """
-    sensors, slowest = vehicle_class.sensors, USUAL_SPEED / USUAL_CUTOFF
-    variance = sensors.lateral.noise_density**2 / (3.0 * (2.0 * math.pi) ** 4 * slowest**3)
-    if sensors.measures_gravity:
-        of_roll = (GRAVITY * sensors.roll.noise_density) ** 2
-        powers = (6, 5) if sensors.roll_is_gyroscope else (8, 7)
-        variance += of_roll / (powers[1] * (2.0 * math.pi) ** powers[0] * slowest ** powers[1])
-    return math.sqrt(variance)
+    sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius
+    gravity = GRAVITY if sensors.measures_gravity else 0.0
+    if not sensors.measures_gravity:
+        height += RAIL_HEAD_RADIUS
+    of_roll = 1 if sensors.roll_is_gyroscope else 2
+    crossed = 2.0 * gravity * height * _integrated(of_roll + 1)
+    both = height**2 * _integrated(of_roll) + crossed + gravity**2 * _integrated(of_roll + 2)
+    return math.sqrt(sensors.lateral.noise_density**2 * _integrated(2) + sensors.roll.noise_density**2 * both)
+
+
+def _integrated(times: int) -> float:
+    """Return the variance of white noise of density one that is integrated so often, without its slow waves."""
+    order = 2 * times
+    return 1.0 / ((order - 1) * (2.0 * math.pi) ** order * (USUAL_SPEED / USUAL_CUTOFF) ** (order - 1))

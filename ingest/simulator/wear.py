@@ -10,7 +10,7 @@ from estimation.contact.conicity import equivalent_conicity, nonlinearity_parame
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile
 from estimation.contact.radius_difference import refined_curve
-from estimation.contact.table import ContactTable
+from estimation.contact.table import ContactMethod, ContactTable
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.profile_files import rails_of, wheels_of
@@ -102,10 +102,10 @@ def _grid(limit: float, step: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class GeometryTruth:
-    """True contact geometry of a wheelset at nominal gauge.
+    """True contact geometry of a wheelset at nominal gauge as EN 15302 means it: rigid, without roll.
 
-    The curves are those of the contact table; conicity, nonlinearity and zero crossing have every contact jump where it
-    is, and are NaN where they reach beyond the last displacement with contact.
+    The curves are those of such a contact table; conicity, nonlinearity and zero crossing have every contact jump where
+    it is, and are NaN where they reach beyond the last displacement with contact.
     """
 
     lateral_displacement: FloatArray  # (n,) m
@@ -141,25 +141,23 @@ def truth_of(contact: WornContact) -> GeometryTruth:
     Parameters
     ----------
     contact
-        As :func:`worn_contact` returns it; contact is searched again only where its table lacks nominal gauge.
+        As :func:`worn_contact` returns it; contact is searched again, for the wheelset rolls in its table.
 
     Raises
     ------
     ContactError
         The profiles never touch.
     """
-    table = contact.table
-    if 0.0 not in table.gauge_deviation:
-        table = contact_table(contact.wheelset, table.lateral_displacement, (0.0,), outside="hold")
-    nominal = int(np.argmin(np.abs(table.gauge_deviation)))
-    curve = refined_curve(contact.wheelset, table, nominal)
+    grid = contact.table.lateral_displacement
+    table = contact_table(contact.wheelset, grid, method=ContactMethod.EN15302, outside="hold")
+    curve = refined_curve(contact.wheelset, table, 0)
     x, R = curve.displacement, curve.difference
     return GeometryTruth(
         lateral_displacement=table.lateral_displacement,
-        rolling_radius_sum=table.rolling_radius_sum[:, nominal],
-        rolling_radius_difference=table.rolling_radius_difference[:, nominal],
-        contact_angle_sum=table.contact_angle_sum[:, nominal],
-        contact_angle_difference=table.contact_angle_difference[:, nominal],
+        rolling_radius_sum=table.rolling_radius_sum[:, 0],
+        rolling_radius_difference=table.rolling_radius_difference[:, 0],
+        contact_angle_sum=table.contact_angle_sum[:, 0],
+        contact_angle_difference=table.contact_angle_difference[:, 0],
         amplitude=np.array(AMPLITUDES),
         equivalent_conicity=equivalent_conicity(x, R, AMPLITUDES),
         nonlinearity=nonlinearity_parameter(x, R),

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from estimation.motion.cross_level import standard_displacement
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
@@ -56,6 +57,11 @@ class SmoothTable:
     @property
     def roll(self) -> np.ndarray:
         return (self.rolling_radius_left - self.rolling_radius_right) / 1.5
+
+    @property
+    def standard_displacement(self) -> np.ndarray:
+        """(n,) m, of EN 15302, where the axle's is ``lateral_displacement``."""
+        return standard_displacement(self.lateral_displacement, self.roll[:, 0], 0.45, level=False)
 
 
 @cache

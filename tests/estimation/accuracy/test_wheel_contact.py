@@ -15,6 +15,7 @@ from estimation.accuracy.wheel_contact import (
 )
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import profile_from_points, rail_profile, wheel_profile
+from estimation.contact.table import ContactMethod
 from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -72,9 +73,8 @@ def test_on_rails_of_two_kinds_the_radii_are_the_mean_by_the_running_on_each() -
     expected = 0.25 * steep.radius_difference + 0.75 * flat.radius_difference
     np.testing.assert_allclose(both.radius_difference, expected, atol=1e-12)
     rail = rail_profile("60E1")
-    table = contact_table(
-        WheelsetOnTrack(left, right, rail, rail, 1 / 40, 1.435, 0.46, 0.46), flat.displacement, outside="hold"
-    )
+    wheelset = WheelsetOnTrack(left, right, rail, rail, 1 / 40, 1.435, 0.46, 0.46)
+    table = contact_table(wheelset, flat.displacement, method=ContactMethod.EN15302, outside="hold")
     exists = table.exists[:, 0]
     np.testing.assert_allclose(flat.radius_difference[exists], table.rolling_radius_difference[exists, 0])
     assert np.isnan(flat.radius_difference[~exists]).all()

@@ -9,6 +9,7 @@ import numpy as np
 from estimation.adhesion.gravity import DISPLACEMENT, MOST_MISFIT, ContactAngles, contact_angles
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.table import ContactMethod
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackSectionRecord
@@ -17,7 +18,7 @@ SECTION = TrackSectionRecord("S", 1, "S", "56E1", 0.05, 1.435, 1000.0)
 CENTRES = np.arange(-14, 15) * 0.25e-3
 WHEEL = worn(wheel_profile("P8"), wear_course(WearFamily.P8_ON_56E1, 0.55e-3))
 PAIR = WheelsetOnTrack.symmetric(WHEEL, rail_profile("56E1"), 0.05, 1.435, radius=0.46)
-TABLE = contact_table(PAIR, DISPLACEMENT, outside="hold")
+TABLE = contact_table(PAIR, DISPLACEMENT, method=ContactMethod.EN15302, outside="hold")
 R = TABLE.rolling_radius_difference[:, 0]
 
 

@@ -320,7 +320,7 @@ def test_a_refined_curve_of_a_searched_table_is_that_of_a_search_of_its_own() ->
     table = contact_table(wheelset, x, (-2e-3, 0.0), outside="hold")
     assert not table.exists[:, 0].all()
     for column, gauge_deviation in enumerate((-2e-3, 0.0)):
-        expected = radius_difference_curve(wheelset, x, gauge_deviation)
+        expected = radius_difference_curve(wheelset, x, gauge_deviation, method=ContactMethod.RIGID)
         found = refined_curve(wheelset, table, column)
         np.testing.assert_array_equal(found.displacement, expected.displacement)
         np.testing.assert_array_equal(found.difference, expected.difference)

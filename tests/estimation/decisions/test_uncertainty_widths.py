@@ -151,8 +151,8 @@ def test_what_is_not_known_of_the_vehicle_is_the_class_s() -> None:
     assert own.scale == pytest.approx(0.05)
 
 
-@pytest.mark.parametrize(("gravity", "of_roll"), [(True, 0.02 * 0.45), (False, 0.0)])
-def test_the_roll_of_the_contact_is_known_to_two_hundredths_per_metre(*, gravity: bool, of_roll: float) -> None:
+@pytest.mark.parametrize(("gravity", "of_roll"), [(True, 0.008), (False, 0.006)])
+def test_the_displacement_of_the_standard_is_known_to_some_thousandths(*, gravity: bool, of_roll: float) -> None:
     sensors = replace(PAPER_CLASS.sensors, measures_gravity=gravity, lateral=SensorChannel(scale_std=0.004))
     found = ParameterUncertainty.of(replace(PAPER_CLASS, sensors=sensors))
     assert found.displacement == pytest.approx(np.hypot(0.004, of_roll))

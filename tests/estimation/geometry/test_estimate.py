@@ -37,7 +37,9 @@ def from_mems(seed: int, cone: float, seconds: int = 300, density: float = 1e-3)
 def _true_conicity(cone: float) -> np.ndarray:
     table = SmoothTable(cone)
     x = table.lateral_displacement
-    return equivalent_conicity(x, table.left(x) - table.right(x), CurveParameters().amplitudes)
+    return equivalent_conicity(
+        table.standard_displacement, table.left(x) - table.right(x), CurveParameters().amplitudes
+    )
 
 
 def test_conicity_from_real_sensors_is_near_and_its_intervals_cover() -> None:

@@ -1,4 +1,4 @@
-"""A wheelset on a track that rolls: gravity in its sensors, and the axle beside the middle of the rails."""
+"""The displacement of EN 15302: gravity in the sensors, the axle beside the middle of the rails, the contact's roll."""
 
 from __future__ import annotations
 
@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from smooth_wheelset import GOOD
 
-from estimation.motion.cross_level import CONTACT_ROLL, at_rail_level, relative_displacement
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.radius_difference import radius_difference_curve, refined_curve
+from estimation.contact.wear import TreadWear, worn
+from estimation.motion.cross_level import HIDDEN_SHARE, observed_displacement, standard_displacement
 from estimation.motion.integration import integrate, mirrored
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.window_motion import motion
@@ -19,6 +24,7 @@ from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
 
 DT, SPEED, RADIUS, SECONDS = 4e-3, 20.0, 0.45, 60.0
+CONTACT_ROLL = 0.1  # rad/m
 T = np.arange(0.0, SECONDS, DT)
 INNER = slice(2000, -2000)  # away from the ends, where the high-pass sees one side only
 
@@ -29,14 +35,15 @@ def wave(size: float, wavelength: float, *, accelerated: bool = False) -> FloatA
     return np.asarray(size * np.sin(omega * T) * (-(omega**2) if accelerated else 1.0))
 
 
-TRUE = wave(2e-3, 13.0)  # x, m, relative to the rails
+AXLE = wave(2e-3, 13.0)  # x, m, of the axle relative to the rails
+TRUE = AXLE * (1.0 + (RADIUS + 0.08) * CONTACT_ROLL)  # of EN 15302
 ALIGNMENT = wave(1.5e-3, 9.0)  # d, m
 ROLL_OF_TRACK = wave(1e-3, 17.0)  # rad: 1.5 mm of cross level
 
 
 def window(*, gravity: bool = True) -> Window:
     """Return what sensors at the height of the axle measure: y'' + g phi, and phi of track and contact."""
-    roll = ROLL_OF_TRACK + CONTACT_ROLL * TRUE
+    roll = ROLL_OF_TRACK + CONTACT_ROLL * AXLE
     d2_roll = wave(1e-3, 17.0, accelerated=True) + CONTACT_ROLL * wave(2e-3, 13.0, accelerated=True)
     d2_track = wave(1e-3, 17.0, accelerated=True)
     axle = wave(1.5e-3, 9.0, accelerated=True) + wave(2e-3, 13.0, accelerated=True) - RADIUS * d2_track
@@ -83,15 +90,14 @@ def off(found: Motion) -> float:
 
 
 def test_the_displacement_relative_to_the_rails_comes_out() -> None:
-    assert off(moved(window())) < 0.03
+    assert off(moved(window())) < 0.01
     blind = replace(window(), measures_gravity=False)
-    assert off(moved(blind)) > 0.3, "cross level is in it as gravity and as roll"
+    assert off(moved(blind)) > 0.04, "cross level is in it as gravity"
 
 
 def test_a_sensor_without_gravity_in_it_is_left_as_it_is() -> None:
-    """Then the roll is not taken off either: y - d stands, at the height of the axle."""
-    expected = TRUE - RADIUS * ROLL_OF_TRACK
-    error = (moved(window(gravity=False)).displacement - expected)[INNER]
+    """All of the roll is then taken for that of the contact: a track that rolls is 80 mm of its roll off."""
+    error = (moved(window(gravity=False)).displacement - TRUE - 0.08 * ROLL_OF_TRACK)[INNER]
     assert error.std() < 0.02 * TRUE.std()
 
 
@@ -111,8 +117,39 @@ def test_the_mirror_image_of_a_window_has_its_gravity_mirrored_too() -> None:
 
 @pytest.mark.parametrize("seen", [-4e-3, 1e-3])
 def test_the_roll_of_the_contact_is_parted_from_that_of_the_track(seen: float) -> None:
-    """A wheelset displaced by x on a track that rolls: 0.105 rad/m of the roll is its own."""
+    """On a track that rolls what is measured stops at the rails; the rest is a share of it."""
     x, track_roll = np.array([seen]), 2e-3
-    y, roll = x - RADIUS * track_roll, track_roll + 0.105 * x
-    np.testing.assert_allclose(relative_displacement(y, roll, RADIUS), x, rtol=1e-12)
-    np.testing.assert_allclose(at_rail_level(y, roll, RADIUS), x * (1.0 + 0.45 * 0.105), rtol=1e-12)
+    y, roll = x - RADIUS * track_roll, track_roll + CONTACT_ROLL * x
+    at_rails = x * (1.0 + RADIUS * CONTACT_ROLL)
+    np.testing.assert_allclose(observed_displacement(y, roll, RADIUS, level=True), at_rails, rtol=1e-12)
+    np.testing.assert_allclose(standard_displacement(y, roll, RADIUS, level=True), at_rails * (1.0 + HIDDEN_SHARE))
+    expected = x + (RADIUS + 0.08) * CONTACT_ROLL * x
+    np.testing.assert_allclose(standard_displacement(x, CONTACT_ROLL * x, RADIUS, level=False), expected)
+
+
+P8, S1002 = wheel_profile("P8"), wheel_profile("S1002")
+HOLLOW = worn(S1002, TreadWear(0.6e-3, 4e-3, 33e-3, 0.6e-3))
+PAIRS = [(P8, "56E1", 20, 0.005), (P8, "60E1", 40, 0.005), (S1002, "60E1", 40, 0.005), (HOLLOW, "60E1", 40, 0.01)]
+
+
+@pytest.mark.parametrize(("wheel", "rail", "inclination", "share"), PAIRS)
+def test_a_wheelset_that_rolls_has_the_conicity_of_the_standard(
+    wheel: Profile, rail: str, inclination: int, share: float
+) -> None:
+    """Within 0.5 % + 0.0005 by what is measured, 1 % next to the jump of a hollow wheel; the axle has 1-7 % more."""
+    amplitudes, grid = [2e-3, 2.5e-3, 3e-3], 0.05e-3 * np.arange(-160, 161)
+    wheelset = WheelsetOnTrack.symmetric(wheel, rail_profile(rail), 1.0 / inclination, 1.435, radius=RADIUS)
+    table = contact_table(wheelset, grid, outside="hold")
+    ran, standard = refined_curve(wheelset, table, 0), radius_difference_curve(wheelset, grid)
+    roll = np.interp(ran.displacement, grid, table.roll[:, 0])
+    x = standard_displacement(ran.displacement, roll, RADIUS, level=False)
+    rises = np.concatenate([[True], np.diff(np.maximum.accumulate(x)) > 0.0])
+    truth = equivalent_conicity(standard.displacement, standard.difference, amplitudes)
+    found = equivalent_conicity(x[rises], ran.difference[rises], amplitudes)
+    of_axle = equivalent_conicity(ran.displacement, ran.difference, amplitudes)
+    assert (np.abs(found - truth) < 0.0005 + share * truth).all()
+    assert (of_axle / truth > 1.01).all()
+    hidden = standard_displacement(ran.displacement, roll, RADIUS, level=True)
+    rises = np.concatenate([[True], np.diff(np.maximum.accumulate(hidden)) > 0.0])
+    less = equivalent_conicity(hidden[rises], ran.difference[rises], amplitudes)
+    assert (np.abs(less - truth) < 0.0005 + 0.015 * truth).all()

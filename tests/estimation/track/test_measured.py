@@ -13,6 +13,7 @@ from test_panel import PARAMETERS, fleet_passes
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
+from estimation.contact.table import ContactMethod
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
@@ -31,7 +32,9 @@ def curve(cone: float = 0.10, *, stretched: float = 1.0) -> MeasuredCurve:
     """Return the curve of a wheelset of the simulation, as somebody would have measured it."""
     table = SmoothTable(cone)
     x = table.lateral_displacement
-    return MeasuredCurve("W of 2026-01-02", table.left(x) - table.right(x), stretched * x, STD)
+    return MeasuredCurve(
+        "W of 2026-01-02", table.left(x) - table.right(x), stretched * table.standard_displacement, STD
+    )
 
 
 def estimated(passes: list[Pass], measured: dict[ProfileLife, MeasuredCurve] | None) -> SectionEstimate:
@@ -61,7 +64,8 @@ def test_the_curve_is_the_contact_geometry_turned_round(depth: float) -> None:
     found = measured_curve("W", wheel, wheel, STD, rail="56E1", inclination=0.05, gauge=1.435)
     rail = rail_profile("56E1")
     grid = np.arange(-70, 71) * 0.05e-3
-    table = contact_table(WheelsetOnTrack.symmetric(wheel, rail, 0.05, 1.435), grid, np.zeros(1))
+    wheelset = WheelsetOnTrack.symmetric(wheel, rail, 0.05, 1.435)
+    table = contact_table(wheelset, grid, method=ContactMethod.EN15302)
     back, reached = found.at(table.rolling_radius_difference[:, 0])
     assert reached.all()
     np.testing.assert_allclose(back, grid, atol=0.06e-3)  # a step of the grid, where R hardly rises
@@ -76,7 +80,8 @@ def test_a_contact_jump_is_a_level_part_of_the_curve() -> None:
     wheelset = WheelsetOnTrack.symmetric(wheel, rail_profile("56E1"), 0.05, 1.435)
     jumps = radius_difference_curve(wheelset, np.arange(-70, 71) * 0.05e-3).jumps
     assert len(jumps) == 2
-    across = contact_table(wheelset, np.sort(np.concatenate([jumps - 2e-9, jumps + 2e-9]))).rolling_radius_difference
+    beside = np.sort(np.concatenate([jumps - 2e-9, jumps + 2e-9]))
+    across = contact_table(wheelset, beside, method=ContactMethod.EN15302).rolling_radius_difference
     for before, after in across[:, 0].reshape(2, 2):
         assert after - before > 20e-6
         displacement, reached = found.at(np.linspace(before, after, 5)[1:-1])
@@ -110,7 +115,7 @@ def test_one_measured_wheelset_lets_a_fleet_of_alike_ones_determine_the_track() 
 def test_a_measurement_a_tenth_too_wide_is_accepted_without_other_information() -> None:
     passes = list(fleet_passes(alike=True))
     wide = estimated(passes, {passes[0].life: curve(stretched=1.1)})
-    assert alignment_error(wide) > 1.2 * alignment_error(alike())
+    assert alignment_error(wide) > 1.15 * alignment_error(alike())
 
 
 def test_one_measured_wheelset_alone_is_enough() -> None:

@@ -10,7 +10,7 @@ from paper_class import PAPER_CLASS
 
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.sensor_noise import difference_noise, usable_cutoff
+from estimation.vehicle.sensor_noise import difference_noise, displacement_noise, usable_cutoff
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorChannel, VehicleClass
 
 DT, CUTOFF, SAMPLES = 4e-3, 40.0, 2**18
@@ -82,3 +82,17 @@ def test_the_cut_off_is_shorter_where_the_noise_of_the_yaw_sensor_drowns_long_wa
     assert usable_cutoff(with_noise(3.0), 25.0) == 25.0
     of_wheelset = WindowParameters.of(with_noise(0.31), None, SignalParameters(), Gates())
     assert of_wheelset.signals.cutoff_wavelength == 35.0
+
+
+@pytest.mark.parametrize(("gravity", "height"), [(True, 0.45), (False, 0.53)])
+def test_the_roll_that_is_taken_off_the_displacement_brings_its_noise(*, gravity: bool, height: float) -> None:
+    """Gravity and height add: both are the same error of the roll."""
+    lateral, roll = SensorChannel(noise_density=1e-3), SensorChannel(noise_density=3e-3)
+    sensors = replace(PAPER_CLASS.sensors, lateral=lateral, roll=roll, measures_gravity=gravity)
+    found = []
+    for seed in range(4):
+        moved = integrated(1e-3, 2, 20.0, seed) + height * integrated(3e-3, 2, 20.0, seed + 10)
+        if gravity:
+            moved = moved - 9.81 * integrated(3e-3, 4, 20.0, seed + 10)
+        found.append(moved.var())
+    assert displacement_noise(replace(PAPER_CLASS, sensors=sensors)) == pytest.approx(np.sqrt(np.mean(found)), rel=0.1)

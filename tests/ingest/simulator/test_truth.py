@@ -12,6 +12,7 @@ from scenario_text import SMALL
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray
 from ingest.simulator.axle_motion import contact_of, true_geometry
@@ -37,7 +38,8 @@ def finely_tabulated(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
     wheel = worn(wheel_profile("P8"), TreadWear(0.8e-3, plan.wear_centre, plan.wear_half_width, 0.8e-3))
     wheelset = WheelsetOnTrack.symmetric(wheel, rail_profile("56E1"), 1 / 20, 1.435, radius=plan.nominal_radius)
     x = FINE * np.arange(-3500, 3501)
-    return x, contact_table(wheelset, x, outside="hold").rolling_radius_difference[:, 0]
+    table = contact_table(wheelset, x, method=ContactMethod.EN15302, outside="hold")
+    return x, table.rolling_radius_difference[:, 0]
 
 
 def test_the_true_conicity_has_the_contact_jumps_where_they_are(tmp_path: Path) -> None:

@@ -1,0 +1,125 @@
+"""The conicity of a wheelset in motion against that of EN 15302, by pair of profiles; no sensor has noise.
+
+Each wheelset runs at 20 m/s along an alignment of 2 mm std by the equations of motion, rigid with roll, and its motion
+is estimated three times: on track of which the sensors show that it is level, on track that may roll, and with the
+displacement of the axle in place of that of the standard. The truth is contact without roll at nominal gauge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from api.reproduction.study import ideal_motion
+from bench.report import BenchRow
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.radius_difference import radius_difference_curve
+from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.motion.cross_level import standard_displacement
+from estimation.tables import bin_table
+from estimation.values.arrays import FloatArray
+from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
+from ingest.simulator.track import TrackRecipe, make_track
+
+AMPLITUDES = np.array([2.0e-3, 2.5e-3, 3.0e-3])
+GRID = 0.01e-3 * np.arange(-1100, 1101)  # m
+SPEED, SECONDS, ALIGNMENT_STD, SEED = 20.0, 400.0, 2.0e-3, 15302
+REACH, REACH_SHARE = 0.0005, 0.005
+FORMS = ("level", "rolling", "axle")
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """A wheel, as worn as it is, on a rail."""
+
+    name: str
+    wheel: Profile
+    rail: str
+    inclination: int  # 1 : inclination
+
+
+def pairs() -> Iterator[Pair]:
+    """Yield new and worn pairs on rails of 1:20 and 1:40."""
+    p8, s1002 = wheel_profile("P8"), wheel_profile("S1002")
+    yield Pair("P8, new", p8, "56E1", 20)
+    yield Pair("P8, new", p8, "60E1", 40)
+    for depth in (0.5e-3, 1.0e-3):
+        yield Pair(f"P8, worn {1e3 * depth:g} mm", worn(p8, wear_course(WearFamily.P8_ON_56E1, depth)), "56E1", 20)
+    yield Pair("S1002, new", s1002, "60E1", 40)
+    yield Pair("S1002, new", s1002, "60E1", 20)
+    for depth in (0.3e-3, 0.6e-3, 1.0e-3, 1.5e-3):
+        hollow = worn(s1002, TreadWear(depth, 4e-3, 33e-3, depth))
+        yield Pair(f"S1002, hollow {1e3 * depth:g} mm", hollow, "60E1", 40)
+    cone = wheel_profile("EN13715-1/40/h28/e32.5")
+    yield Pair("cone of 1:40, new", cone, "60E1", 20)
+    yield Pair("cone of 1:40, new", cone, "60E1", 40)
+    yield Pair("cone of 1:40, worn 0.8 mm", worn(cone, TreadWear(0.8e-3, 3e-3, 38e-3, 0.8e-3)), "60E1", 40)
+    for letter in "ABH":
+        yield Pair(f"wheel {letter} of EN 15302", wheel_profile(f"EN15302-{letter}"), "60E1", 40)
+
+
+def rows() -> Iterator[BenchRow]:
+    """Yield a row for each pair."""
+    for pair in pairs():
+        yield _row(pair, biases(pair))
+
+
+def biases(pair: Pair) -> tuple[FloatArray, Mapping[str, FloatArray]]:
+    """Return the true conicity (3,) and the error (3,) of each form of the estimate at 2, 2.5 and 3 mm.
+
+    Parameters
+    ----------
+    pair
+        Wheel and rail.
+    """
+    vehicle = VehicleParameters()
+    wheelset = WheelsetOnTrack.symmetric(
+        pair.wheel, rail_profile(pair.rail), 1.0 / pair.inclination, 1.435, radius=vehicle.nominal_radius
+    )
+    curve = radius_difference_curve(wheelset, GRID[::10])
+    true = equivalent_conicity(curve.displacement, curve.difference, AMPLITUDES)
+    ran = _run(wheelset, vehicle)
+    return true, {form: _estimated(ran, vehicle, form) - true for form in FORMS}
+
+
+def _run(wheelset: WheelsetOnTrack, vehicle: VehicleParameters) -> WheelsetMotion:
+    track = make_track(
+        TrackRecipe(length=SPEED * SECONDS + 100.0, alignment_std=ALIGNMENT_STD), np.random.SeedSequence(SEED)
+    )
+    table = contact_table(wheelset, GRID, outside="hold")
+    return simulate_wheelset(vehicle, table, track, np.full(round(SECONDS / STEP), SPEED), 20.0)
+
+
+def _estimated(ran: WheelsetMotion, vehicle: VehicleParameters, form: str) -> FloatArray:
+    motion = ideal_motion(ran)
+    if form != "axle":
+        x = standard_displacement(motion.displacement, motion.roll, vehicle.nominal_radius, level=form == "rolling")
+        motion = replace(motion, displacement=x)
+    parameters = bin_table.BinParameters(vehicle=vehicle)
+    certain = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
+    found = estimate_geometry(bin_table.tabulate(motion, parameters), parameters, certain)
+    values = np.array([np.nan if one.value is None else one.value for one in found.conicity])
+    places = [int(np.argmin(np.abs(found.amplitude - amplitude))) for amplitude in AMPLITUDES]
+    return np.asarray(values[places])
+
+
+def _row(pair: Pair, found: tuple[FloatArray, Mapping[str, FloatArray]]) -> BenchRow:
+    true, errors = found
+    said = "; ".join(f"{name} {_percent(errors[form], true)}" for form, name in _NAMES.items())
+    met = all((np.abs(errors[form]) <= REACH + REACH_SHARE * true).all() for form in ("level", "rolling"))
+    text = " / ".join(f"{one:.3f}" for one in true)
+    return BenchRow(f"{pair.name}, {pair.rail} 1:{pair.inclination}: {text}", said, "0.5 % + 0.0005", met)
+
+
+_NAMES = {"level": "level track", "rolling": "track that may roll", "axle": "axle, as before"}
+
+
+def _percent(error: FloatArray, true: FloatArray) -> str:
+    return " / ".join("-" if np.isnan(one) else f"{100 * one:+.1f}" for one in error / true) + " %"
