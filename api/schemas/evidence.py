@@ -194,6 +194,34 @@ class WeakDamperEvidence(_OfRule):
     limit_1: float | None = Field(description="Share below which the alert is raised.")
 
 
+class StepCause(Representation):
+    """What may be behind a sudden change, and how well it explains it."""
+
+    cause: Literal["turned", "exchanged", "turned_end_for_end", "damaged", "sensor"] = Field(
+        description="What may have happened."
+    )
+    share_1: float | None = Field(description="Probability among the causes.")
+    left_1: float | None = Field(description="Standard deviations that it leaves open.")
+
+
+class UnregisteredChangeEvidence(Representation):
+    """Evidence of `unregistered_change`: the conicity has changed at once, and no event on file says why."""
+
+    kind: Literal["unregistered_change"]
+    last_data_before_at: Timestamp | None = Field(description="End of the last data before it.")
+    first_data_behind_at: Timestamp | None = Field(description="Begin of the first data behind it.")
+    before_km: float | None = Field(description="Mileage of the last interval before it.")
+    after_km: float | None = Field(description="Mileage of the first interval behind it.")
+    size_1: Uncertain | None = Field(description="By how much the conicity has changed.")
+    level_before_1: float | None = Field(description="Conicity before it.")
+    amplitude_mm: float | None = Field(description="Amplitude that size and level are of.")
+    intervals_before: int | None = Field(description="Intervals before it.")
+    intervals_behind: int | None = Field(description="Intervals behind it.")
+    causes: list[StepCause] = Field(description="What may have happened, the likeliest first.")
+    reason: str | None = Field(description="The finding as a sentence.")
+    delays: Delays | None = Field(description="The delays that it was raised with.")
+
+
 class FleetAlertEvidence(Representation):
     """Evidence of a fleet alert of any kind: how many alerts it stands for. They themselves are under `members`."""
 
@@ -233,6 +261,7 @@ Evidence = Annotated[
     | DataQualityEvidence
     | LowAdhesionEvidence
     | WeakDamperEvidence
+    | UnregisteredChangeEvidence
     | FleetAlertEvidence
     | OtherEvidence,
     Field(discriminator="kind"),

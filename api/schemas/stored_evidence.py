@@ -14,10 +14,12 @@ from estimation.values.alerts import Alert, AlertScope
 from estimation.values.identity import AFTER, BEFORE
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.step_causes import StepCause
 
 _NOT_KNOWN = "not known"
 _INDICATORS: tuple[Literal["offset", "shape"], ...] = ("offset", "shape")
 _MOUNTED_PARTS = 4
+_CAUSES = tuple(cause.value for cause in StepCause)
 
 
 def evidence_of(alert: Alert) -> kinds.Evidence:
@@ -220,6 +222,30 @@ def _weak_damper(stored: Stored) -> kinds.WeakDamperEvidence:
     )
 
 
+def _unregistered_change(stored: Stored) -> kinds.UnregisteredChangeEvidence:
+    listed = stored.get("causes")
+    causes = [part(one) for one in listed] if isinstance(listed, list) else []
+    return kinds.UnregisteredChangeEvidence(
+        kind="unregistered_change",
+        last_data_before_at=moment(stored.get(BEFORE)),
+        first_data_behind_at=moment(stored.get(AFTER)),
+        before_km=number(stored.get("before_km")),
+        after_km=number(stored.get("after_km")),
+        size_1=estimate(stored.get("size")),
+        level_before_1=number(stored.get("level_before")),
+        amplitude_mm=number(stored.get("amplitude_mm")),
+        intervals_before=count(stored.get("intervals_before")),
+        intervals_behind=count(stored.get("intervals_behind")),
+        causes=[
+            kinds.StepCause(cause=one["cause"], share_1=number(one.get("share")), left_1=number(one.get("left")))  # type: ignore[arg-type]  # one of them
+            for one in causes
+            if one.get("cause") in _CAUSES
+        ],
+        reason=text(stored.get("reason")),
+        delays=_delays(stored),
+    )
+
+
 def _fleet_alert(alert: Alert) -> kinds.FleetAlertEvidence:
     stored = as_counted(alert.evidence)
     listed = stored.get(WHEELSETS)
@@ -276,4 +302,5 @@ _READERS: Mapping[str, Callable[[Stored], kinds.Evidence]] = {
     "data_quality": _data_quality,
     "low_adhesion": _low_adhesion,
     "weak_damper": _weak_damper,
+    "unregistered_change": _unregistered_change,
 }

@@ -10,6 +10,7 @@ from api.schemas.common import Links, Representation, Uncertain, finite, finite_
 from api.schemas.registry import segment
 from api.times import Timestamp, times_to_rfc3339, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.values import trend as values
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
@@ -51,6 +52,21 @@ class DateForecast(Representation):
     reason_code: ReasonCode | None
 
 
+class TrendStep(Representation):
+    """A sudden change of the indicator, which the trend begins behind."""
+
+    before_km: float | None = Field(description="Mileage of the last interval before it.")
+    after_km: float | None = Field(description="Mileage of the first interval behind it.")
+    before_at: Timestamp = Field(description="End of the last data before it.")
+    after_at: Timestamp = Field(description="Begin of the first data behind it.")
+    size_1: Uncertain = Field(description="By how much the indicator has changed, at `amplitude_mm`.")
+    level_before_1: float | None = Field(description="The indicator before it.")
+    amplitude_mm: float | None = Field(description="Amplitude that size and level are of.")
+    probability_1: float | None = Field(description="That there is a step there.")
+    intervals_before: int = Field(description="Intervals before it, since the step before.")
+    intervals_behind: int = Field(description="Intervals behind it.")
+
+
 class TrendProvenance(Representation):
     """What the trend was made from."""
 
@@ -73,6 +89,9 @@ class Trend(Representation):
     baseline: int
     recorded_at: Timestamp
     points: TrendPoints
+    step: TrendStep | None = Field(
+        description="The step that the trend begins behind; null where it begins with the profile."
+    )
     current_1: Uncertain = Field(
         description="Equivalent conicity at 3 mm of the current geometry: `equivalent_conicity_at_3_mm_1` there."
     )
@@ -153,6 +172,7 @@ def trend(record: TrendRecord, current: GeometryRecord | None) -> Trend:
             value_1=finite_list(found.value),
             std_1=finite_list(found.std),
         ),
+        step=None if found.step is None else _step(found.step),
         current_1=uncertain(_NO_CURRENT if of_now is None else conicity_at_limit_amplitude(of_now.geometry)),
         current_mileage_km=None if of_now is None else finite(of_now.mileage_km),
         fitted_1=uncertain(found.fitted),
@@ -174,6 +194,21 @@ def trend(record: TrendRecord, current: GeometryRecord | None) -> Trend:
             "geometry": f"{own}/geometry",
             "alerts": f"/v1/alerts?wheelset={segment(record.wheelset)}",
         },
+    )
+
+
+def _step(found: values.TrendStep) -> TrendStep:
+    return TrendStep(
+        before_km=finite(found.before_km),
+        after_km=finite(found.after_km),
+        before_at=to_rfc3339(found.before_ns),
+        after_at=to_rfc3339(found.after_ns),
+        size_1=uncertain(found.size),
+        level_before_1=finite(found.level_before),
+        amplitude_mm=finite(1e3 * found.amplitude),
+        probability_1=finite(found.probability),
+        intervals_before=found.before,
+        intervals_behind=found.behind,
     )
 
 

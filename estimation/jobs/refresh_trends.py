@@ -16,6 +16,7 @@ from estimation.jobs.steps.roster import roster
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.trend.points import conicity_points
+from estimation.trend.steps import behind_step, newest_step, with_step
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.identity import IdentityChange, since_change
 from estimation.values.interval_conicities import IntervalConicities
@@ -121,7 +122,7 @@ def _news(context: JobContext, serial: str, inputs: _Inputs, limit: float) -> Tr
 
 
 def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: TrendParameters) -> WearTrend:
-    """Return the trend of the conicities of intervals.
+    """Return the trend of the conicities of intervals, since their newest step.
 
     Parameters
     ----------
@@ -132,8 +133,9 @@ def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: Tr
     parameters
         Of the fit.
     """
-    chosen = conicity_points(records)
-    return refresh(
+    step = newest_step(records)
+    chosen = conicity_points(behind_step(records, step))
+    trend = refresh(
         chosen.points,
         limit,
         parameters,
@@ -142,6 +144,7 @@ def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: Tr
         shared_std=chosen.spread,
         not_comparable=chosen.not_comparable,
     )
+    return trend if step is None else with_step(trend, step)
 
 
 def _limit(

@@ -27,6 +27,7 @@ from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.wheelset_facts import windows_wanted
 from estimation.storage import UnitOfWork
+from estimation.trend.steps import behind_step
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Condition
 from estimation.values.geometry import GeometryRecord
@@ -194,6 +195,8 @@ def _facts(
     if own and limit is not None:
         fitted = trends(conicities, limit)
         trend = TrendRecord(wheelset.serial, own[-1].baseline, fitted, "", "", at_ns)
+        conicities = behind_step(conicities, fitted.step)
+        own = [one for one in own if fitted.step is None or one.from_ns >= fitted.step.after_ns]
     return WheelsetFacts(
         wheelset=wheelset,
         vehicle=vehicle,

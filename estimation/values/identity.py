@@ -13,6 +13,7 @@ from typing import Protocol, TypeVar
 from estimation.values.alerts import Alert
 
 IDENTITY = "identity"  # kind of the alerts that record a change
+UNREGISTERED_CHANGE = "unregistered_change"  # kind of the alerts of steps of a trend
 BEFORE, AFTER = "before_ns", "after_ns"  # in their evidence
 
 

@@ -233,6 +233,10 @@ class ReasonCode(StrEnum):
         "The limit is for 3 mm and the conicity there is not known: nothing is said about the limit.",
     )
     OTHER_AMPLITUDE = "other_amplitude", "The trend is at another amplitude than 3 mm, which too few intervals cover."
+    BEHIND_STEP = (
+        "behind_step",
+        "The conicity changed at once: the trend begins there and rests on few intervals. Register what happened.",
+    )
     INTERVALS_LEFT_OUT = "intervals_left_out", "Some mileage intervals do not cover the trend's amplitude."
     BEYOND_HORIZON = "beyond_horizon", "The limit is not reached within the forecast horizon."
     # alert

@@ -14,8 +14,25 @@ from estimation.values.reasons import Reason
 
 
 @dataclass(frozen=True, slots=True)
+class TrendStep:
+    """A sudden change of the indicator that wear does not explain; what was recorded within it is of neither side."""
+
+    before_km: float  # mileage of the last interval before
+    after_km: float  # mileage of the first interval behind
+    before_ns: int  # end of the last data before
+    after_ns: int  # begin of the first data behind
+    found_ns: int  # end of the data that showed it first
+    size: Estimate  # at ``amplitude``
+    level_before: float
+    amplitude: float  # m
+    probability: float
+    before: int  # intervals, since the step before it
+    behind: int  # intervals
+
+
+@dataclass(frozen=True, slots=True)
 class WearTrend:
-    """An indicator since the last reprofiling, its robust slope, and when it reaches its limit."""
+    """An indicator since the last reprofiling or step, its robust slope, and when it reaches its limit."""
 
     quantity: str  # "equivalent_conicity"
     mileage_km: FloatArray  # (k,) since the wheelset was new
@@ -33,6 +50,7 @@ class WearTrend:
     reason: Reason | None = None
     converged: bool = True  # whether the robust fits over distance and date stopped changing
     not_comparable: Reason | None = None  # why the limit is not held against it; None where it is
+    step: TrendStep | None = None  # that its points are behind
 
     def __post_init__(self) -> None:
         k = len(self.value)

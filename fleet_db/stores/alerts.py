@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
-from estimation.values.identity import IDENTITY
+from estimation.values.identity import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.session import to_json
@@ -28,6 +28,7 @@ from fleet_db.stores.alert_queries import (
 
 SEVERITIES = {one.value: one for one in Severity}
 CONDITIONS = {one.value: one for one in Condition}
+RESTARTING = (IDENTITY, UNREGISTERED_CHANGE)  # kinds of alerts of changes that geometries are not merged across
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,8 +224,8 @@ class AlertStore:
             self.connection.execute(insert(EVENTS).values(**row))
         if saved.wheelset is not None:
             self.changes.show(saved.wheelset)
-        if events and saved.kind == IDENTITY and saved.wheelset is not None:
-            self.changes.note(saved.wheelset)  # its geometry starts again from the identity change
+        if events and saved.kind in RESTARTING and saved.wheelset is not None:
+            self.changes.note(saved.wheelset)  # its geometry starts again from the change
         return saved
 
     def _in_feed(self, alert: Alert) -> bool:

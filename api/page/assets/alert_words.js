@@ -4,10 +4,13 @@ import { date, number, roundKm, words } from "./format.js";
 /** Kinds of alerts of wheelsets and track sections; a test compares them with the rules. */
 export const KINDS = [
   "conicity_limit", "limit_forecast", "wheel_asymmetry", "no_data", "sensor_fault", "identity", "hunting",
-  "suspension_change", "data_quality", "low_adhesion", "weak_damper",
+  "suspension_change", "data_quality", "low_adhesion", "weak_damper", "unregistered_change",
 ];
 
-const ACTIONS = { reprofile: "Turn the wheelset, or measure its profiles." };
+const ACTIONS = {
+  reprofile: "Turn the wheelset, or measure its profiles.",
+  register_event: "Register what happened: a reprofiling, an exchange, another sensor.",
+};
 const STATES = { active: "open", pending: "pending", unknown: "not assessable now" };
 
 export const stateOf = (alert) => STATES[alert.display_state] ?? alert.display_state;
@@ -76,6 +79,13 @@ const OF_KIND = {
     ...part(estimated(e.damping_share_1), () => `${uncertain(e.damping_share_1, 2)} of its damping is left`),
     ...part(have(e.limit_1), () => `limit ${number(e.limit_1, 2)}`),
     ...part(have(e.vehicle, e.first_axle), () => `vehicle ${e.vehicle}, running gear from axle ${e.first_axle}`),
+  ],
+  unregistered_change: (e) => [
+    ...part(estimated(e.size_1), () => `the conicity has changed by ${uncertain(e.size_1, 2)}${have(e.level_before_1) ? ` from ${number(e.level_before_1, 2)}` : ""}`),
+    ...part(have(e.before_km, e.after_km), () => `between ${roundKm(e.before_km)} and ${roundKm(e.after_km)} km`),
+    ...part(have(e.first_data_behind_at), () => `before ${date(e.first_data_behind_at)}`),
+    ...part(e.causes?.length, () => e.causes.filter((one) => one.share_1 >= 0.1).map((one) => `${words(one.cause)} ${number(100 * one.share_1)} %`).join(", ")),
+    ...part(have(e.intervals_behind), () => `${e.intervals_behind} intervals since`),
   ],
   fleet_alert: (e) => [
     ...part(have(e.member_count), () => `stands for ${e.member_count} alerts, ${e.open_member_count} of them open`),

@@ -29,6 +29,7 @@ export function trendChart(found, over, height = 280) {
   }
   series.push(...fan(trend, byMileage));
   const turned = wheelset.reprofilings.map((one) => ({ x: byMileage ? one.mileage_km : seconds(one.reprofiled_at), label: "reprofiled", role: "event" }));
+  if (trend?.step) turned.push({ x: byMileage ? trend.step.after_km : seconds(trend.step.after_at), label: "step", role: "event" });
   const limit = trend?.limit_1;
   if (limit != null) turned.push({ y: limit, label: `limit ${number(limit, 2)}`, role: "limit" });
   return el(

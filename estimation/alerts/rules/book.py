@@ -23,6 +23,7 @@ from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule
+from estimation.alerts.rules.unregistered_change import UnregisteredChangeRule
 from estimation.alerts.rules.weak_damper import WeakDamperRule
 from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule
 
@@ -42,6 +43,7 @@ ALERT_RULES: tuple[type[AlertRule], ...] = (
     DataQualityRule,
     LowAdhesionRule,
     WeakDamperRule,
+    UnregisteredChangeRule,
 )
 
 

@@ -8,6 +8,7 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.identity import IdentityRule, mounting_corrected
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.values.alerts import Alert, CloseReason, Finding
+from estimation.values.identity import BEFORE, UNREGISTERED_CHANGE
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 
@@ -28,12 +29,13 @@ def superseded(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, CloseR
 
 def _ending(alert: Alert, facts: WheelsetFacts, book: RuleBook) -> tuple[CloseReason, int] | None:
     mounting, rules = facts.wheelset.mounting, [rule for rule in book.rules if rule.kind == alert.kind]
-    reprofiled = [r.at_ns for r in facts.wheelset.reprofilings if r.at_ns > alert.opened_ns]
+    since_ns = _since(alert)
+    reprofiled = [r.at_ns for r in facts.wheelset.reprofilings if r.at_ns > since_ns]
     if reprofiled and any(rule.of_wear for rule in rules):
         return CloseReason.REPROFILED, reprofiled[0]
     if mounting is None:
         return CloseReason.OUT_OF_SERVICE, alert.last_seen_ns
-    if mounting.from_ns > alert.opened_ns:
+    if mounting.from_ns > since_ns:
         return CloseReason.WHEELSET_EXCHANGED, mounting.from_ns
     changed_ns = facts.sensors_changed_ns
     if changed_ns is not None and changed_ns > alert.opened_ns and any(rule.of_sensors for rule in rules):
@@ -41,6 +43,12 @@ def _ending(alert: Alert, facts: WheelsetFacts, book: RuleBook) -> tuple[CloseRe
     if mounting_corrected(alert, mounting):
         return CloseReason.MOUNTING_CORRECTED, alert.last_seen_ns
     return None if book.enabled(alert.kind) else (CloseReason.RULE_DISABLED, alert.last_seen_ns)
+
+
+def _since(alert: Alert) -> int:
+    """Return the time after which something registered ends an alert: of a step, before the data that showed it."""
+    before = alert.evidence.get(BEFORE)
+    return before if alert.kind == UNREGISTERED_CHANGE and isinstance(before, int) else alert.opened_ns
 
 
 def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]:

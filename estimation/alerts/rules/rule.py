@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar
 from annotated_types import Interval
 
 from estimation.alerts.identity import IdentityEvent
+from estimation.alerts.step_causes import StepSurroundings
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
 from estimation.values.dampers import GearDamper
@@ -69,6 +70,7 @@ class WheelsetFacts:
     open_alerts: Sequence[Alert] = ()
     identity: IdentityEvent | None = None  # since the last identity change
     suspension: SuspensionShown | None = None  # of its vehicle, where its alert stands at this wheelset
+    step_surroundings: StepSurroundings = field(default_factory=StepSurroundings)  # of the step of its trend
     damper: GearDamper | None = None  # of the running gear whose first axle it is at
     trend_parameters: TrendParameters = field(default_factory=TrendParameters)  # of the trend
     rejected_recordings: Mapping[str, int] = field(default_factory=dict)  # of its vehicle, by code, as the one before

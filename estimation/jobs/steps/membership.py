@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from estimation.jobs.steps.baselines import Baseline, baselines
-from estimation.jobs.steps.identities import identity_change
+from estimation.jobs.steps.trend_steps import last_change
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.values.identity import IdentityChange
@@ -129,7 +129,7 @@ class Membership:
         return float(0.5 ** ((self.end_km(key) - mileage_km) / self.half_life_km))
 
     def of_its_baseline(self, roll_up: RollUp) -> bool:
-        """Whether the time of a roll-up is of the baseline, and on the side of an identity change, of its key.
+        """Whether the time of a roll-up is of the baseline, and on the side of its last change, of its key.
 
         Parameters
         ----------
@@ -185,16 +185,17 @@ def membership(unit: UnitOfWork, serial: str, classes: ClassLookup) -> Membershi
     Parameters
     ----------
     unit
-        Registry and alerts are read.
+        Registry, alerts and trends are read.
     serial
         Serial number of the wheelset.
     classes
         Of the same transaction.
     """
+    wheelset = classes.wheelset(serial)
     return Membership(
         serial,
-        baselines(classes.wheelset(serial)),
-        identity_change(unit, serial),
+        baselines(wheelset),
+        last_change(unit, wheelset),
         [mounting for mounting in unit.registry.mountings(serial) if mounting.reversed],
         classes.settings.interval_km,
         classes.settings.half_life_km,

@@ -11,9 +11,12 @@ from estimation.alerts.rules.intervals import LOOK_BACK as INTERVALS
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
 from estimation.alerts.rules.standing import LOOK_BACK, reach_km, within_reach
+from estimation.alerts.step_causes import StepSurroundings
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.identities import identity_change
+from estimation.jobs.steps.trend_steps import step_of, surroundings
 from estimation.storage import UnitOfWork
+from estimation.trend.steps import behind_step
 from estimation.values.alerts import Alert
 from estimation.values.geometry import GeometryRecord
 from estimation.values.identity import since_change
@@ -48,12 +51,16 @@ def facts_of(
     alerts: Sequence[Alert] = unit.alerts.all_open(wheelset.serial)
     if mounting is None:
         return WheelsetFacts(wheelset=wheelset, vehicle=None, geometry=None, trend=None, windows=(), open_alerts=alerts)
-    conicities = _conicities(unit, wheelset, mounting.from_ns)
+    trend = unit.trends.latest(wheelset.serial)
+    step = step_of(trend, wheelset)
+    conicities = behind_step(_conicities(unit, wheelset, mounting.from_ns), step)
+    around = StepSurroundings() if step is None else surroundings(unit, wheelset, mounting.vehicle, conicities)
     return WheelsetFacts(
         wheelset=wheelset,
         vehicle=vehicle,
         geometry=unit.geometries.current(wheelset.serial),
-        trend=unit.trends.latest(wheelset.serial),
+        trend=trend,
+        step_surroundings=around,
         windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, *windows_wanted(book)),
         intervals=_newest(unit, wheelset.serial, conicities, book),
         conicities=conicities,

@@ -1,0 +1,140 @@
+"""Simulated wheelset lives with what happens to them: conicities of intervals, and findings of a suspension.
+
+A stated standard deviation is mostly what all intervals of a wheelset have in common (0.01 to 0.07), with sampling
+noise of 0.001 to 0.01 besides. Wear is straight, saturating or accelerating; friction changes with the season and with
+fallen leaves; intervals are now and then outliers, alone or two on end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray
+from estimation.values.interval_conicities import IntervalConicities, KnownConicity
+
+HISTORIES = (3, 6, 12, 30, 60, 120, 240)  # intervals before a step
+LEAST = 0.04  # conicity: an outlier is never below it
+DAY_NS = 86_400 * 10**9
+BEGIN_NS = 1_700_000_000 * 10**9
+AMPLITUDES = (0.002, 0.0025, 0.003)
+LIMIT = 0.4
+INTERVAL_KM = (1000.0, 1000.0, 1000.0, 3000.0, 10_000.0)
+MOST_KM, MOST_WEAR = 300_000.0, 0.35  # of a profile
+
+
+@dataclass(frozen=True, slots=True)
+class Life:
+    """Intervals of a wheelset, with the truth about its step."""
+
+    records: tuple[IntervalConicities, ...]
+    first: int | None  # of the intervals wholly behind the step; None where there is none
+    size: float
+    event_km: float | None
+    level: FloatArray  # (k,) true conicity without season
+    km_per_year: float
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What happens to a wheelset."""
+
+    history: int  # intervals before the step, or all of them
+    size: float = 0.0
+    behind: int = 12  # intervals
+    mixed: bool = False  # one interval is of both sides
+    doubles: float = 0.0  # chance of two outliers on end
+    singles: float = 0.02
+    season: bool = True
+    shape: str = ""  # of wear; by chance where empty
+    km: float = 0.0  # of an interval; by chance where 0
+
+
+def life(case: Case, seed: int) -> Life:
+    """Return a wheelset life.
+
+    Parameters
+    ----------
+    case
+        What happens.
+    seed
+        Of everything that is by chance.
+    """
+    rng = np.random.default_rng(seed)
+    mixed = int(case.mixed and case.size != 0.0)
+    k = case.history + (0 if case.size == 0.0 else mixed + case.behind)
+    km = case.km or float(rng.choice([one for one in INTERVAL_KM if one * k <= MOST_KM]))
+    km_per_year = float(np.clip(np.exp(rng.normal(np.log(120_000.0), 0.4)), km * 8.0, 3e5))
+    x = km * (np.arange(k) + rng.uniform(0.3, 0.7, k))
+    start = float(rng.uniform(0.05, 0.25)) + max(0.0, -case.size)
+    level = start + _wear(x, case.shape or str(rng.choice(["straight", "saturating", "accelerating"])), rng)
+    behind = np.zeros(k)
+    if case.size != 0.0:
+        behind[case.history + mixed :] = 1.0
+        behind[case.history : case.history + mixed] = rng.uniform(0.2, 0.8)
+    level = level + case.size * behind
+    days = x / km_per_year * 365.25
+    value = level + (_season(days, rng) if case.season else 0.0) + _outliers(k, case, rng)
+    value = np.where(value < LEAST, 2.0 * LEAST - value, value)
+    noise = float(np.exp(rng.uniform(np.log(0.001), np.log(0.01)))) * rng.uniform(0.7, 1.4, k)
+    common = float(rng.uniform(0.01, 0.07))
+    value = value + min(common, LEAST) * rng.uniform(-0.5, 0.5) + noise * rng.standard_normal(k)
+    std = np.hypot(common * rng.uniform(0.95, 1.05, k), noise)
+    records = tuple(_record(i, x[i], days[i], km / km_per_year * 365.25, value[i], std[i]) for i in range(k))
+    stepped = case.size != 0.0
+    event_km = float(km * (case.history + 0.5 * mixed)) if stepped else None
+    return Life(records, case.history + mixed if stepped else None, case.size, event_km, level, km_per_year)
+
+
+def _wear(x: FloatArray, shape: str, rng: np.random.Generator) -> FloatArray:
+    rate, scale = rng.uniform(0.3e-6, 2e-6), rng.uniform(5e4, 3e5)
+    u = x - x[0]
+    wear = rate * u
+    if shape == "saturating":
+        wear = rate * scale * (1.0 - np.exp(-u / scale))
+    elif shape == "accelerating":
+        wear = rate * u * (1.0 + 0.5 * u / scale)
+    return np.asarray(wear * min(1.0, MOST_WEAR / wear[-1]))
+
+
+def _season(days: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Return what friction does to a conicity: a wave over the year, and some weeks of fallen leaves or frost."""
+    size, leaves = rng.uniform(0.0, 0.012), rng.uniform(-0.025, 0.025)
+    day = (days + rng.uniform(0.0, 365.25)) % 365.25
+    return np.asarray(size * np.sin(2.0 * np.pi * day / 365.25) + leaves * ((day > 280.0) & (day < 325.0)))
+
+
+def _outliers(k: int, case: Case, rng: np.random.Generator) -> FloatArray:
+    """Return outliers; two on end have one cause and about one size."""
+    out = np.zeros(k)
+    single = rng.random(k) < case.singles
+    out[single] = rng.choice([-1.0, 1.0], single.sum()) * rng.uniform(0.03, 0.2, single.sum())
+    for i in np.flatnonzero(rng.random(k - 1) < case.doubles):
+        out[i : i + 2] = rng.choice([-1.0, 1.0]) * rng.uniform(0.03, 0.2) * rng.uniform(0.9, 1.1, 2)
+    return out
+
+
+def _record(number: int, x: float, days: float, width: float, value: float, std: float) -> IntervalConicities:
+    middle = BEGIN_NS + round(days * DAY_NS)
+    half = round(0.25 * width * DAY_NS)
+    known = tuple(KnownConicity(a, float(value) * (0.8 + 0.2 * a / 0.003), float(std)) for a in AMPLITUDES)
+    return IntervalConicities(
+        0, number, float(x), middle - half, middle + half, 5, f"{number:064x}", "bench", known, None
+    )
+
+
+def worn_further(given: Life, share: float) -> Life:
+    """Return a life whose intervals cover less than 3 mm for a share of it, as worn wheels do.
+
+    Parameters
+    ----------
+    given
+        With all amplitudes.
+    share
+        Of its intervals before the step, the newest of them.
+    """
+    first = given.first or len(given.records)
+    begin = round(first * (1.0 - share))
+    cut = [replace(r, known=r.known[:1]) if begin <= i < first else r for i, r in enumerate(given.records)]
+    return replace(given, records=tuple(cut))

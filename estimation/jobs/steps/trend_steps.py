@@ -1,0 +1,89 @@
+"""Steps of trends, as other jobs need them: where a wheelset begins again, and what else is known about the time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from estimation.accuracy.wheel_contact import RailShare
+from estimation.alerts.step_causes import StepSurroundings
+from estimation.jobs.steps.identities import identity_change
+from estimation.rails.design import conicity_on_rails, designed_wheel
+from estimation.storage import UnitOfWork
+from estimation.values.identity import IdentityChange
+from estimation.values.interval_conicities import IntervalConicities
+from estimation.values.registry import WheelsetRecord
+from estimation.values.trend import TrendRecord, TrendStep
+
+AMPLITUDES = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)  # m, at which a profile behind a step is compared with its design
+
+
+def last_change(unit: UnitOfWork, wheelset: WheelsetRecord) -> IdentityChange | None:
+    """Return the last change that data of a wheelset are not merged across: of its identity, or a step of its trend.
+
+    Parameters
+    ----------
+    unit
+        Alerts, mountings and trends are read.
+    wheelset
+        With its reprofilings.
+    """
+    identity = identity_change(unit, wheelset.serial)
+    step = step_of(unit.trends.latest(wheelset.serial), wheelset)
+    changes = [identity, None if step is None else IdentityChange(step.before_ns, step.after_ns)]
+    return max((one for one in changes if one is not None), key=lambda one: one.after_ns, default=None)
+
+
+def step_of(record: TrendRecord | None, wheelset: WheelsetRecord) -> TrendStep | None:
+    """Return the newest step of the present profile; None where there is none.
+
+    Parameters
+    ----------
+    record
+        Newest trend.
+    wheelset
+        With its reprofilings.
+    """
+    return None if record is None or record.baseline != len(wheelset.reprofilings) else record.trend.step
+
+
+def surroundings(
+    unit: UnitOfWork, wheelset: WheelsetRecord, vehicle: str, behind: Sequence[IntervalConicities]
+) -> StepSurroundings:
+    """Return what else is known about the time of a step: the design of the wheel, and the other wheelsets.
+
+    Parameters
+    ----------
+    unit
+        Registry, sections and trends are read.
+    wheelset
+        With a step.
+    vehicle
+        Code of the one that it runs in.
+    behind
+        Its intervals behind the step.
+    """
+    mounted = [one for one in unit.registry.wheelsets(wheelset.fleet) if one.serial != wheelset.serial]
+    beside = [one for one in mounted if one.mounting is not None and one.mounting.vehicle == vehicle]
+    trends = [(one, unit.trends.latest(one.serial)) for one in beside]
+    others = [step_of(record, one) for one, record in trends if record is not None]
+    newest = max(behind, key=lambda one: one.to_ns, default=None)
+    return StepSurroundings(() if newest is None else newest.known, _designed(unit, wheelset), tuple(others))
+
+
+def _designed(unit: UnitOfWork, wheelset: WheelsetRecord) -> Mapping[float, float] | None:
+    rails = {RailShare(s.rail_profile, s.rail_inclination, s.nominal_gauge_m, 1.0) for s in unit.tracks.sections()}
+    if len(rails) != 1:
+        return None  # on several kinds of rails no one conicity is that of the design
+    found = _conicities(wheelset.wheel_profile, wheelset.nominal_radius_m, rails.pop())
+    return {at: value for at, value in zip(AMPLITUDES, found, strict=True) if np.isfinite(value)} or None
+
+
+@lru_cache(64)
+def _conicities(profile: str, radius: float, rails: RailShare) -> tuple[float, ...]:
+    wheel = designed_wheel(profile, radius)
+    if wheel is None:
+        return (float("nan"),) * len(AMPLITUDES)
+    return tuple(conicity_on_rails(wheel, rails, np.array(AMPLITUDES))[0].tolist())

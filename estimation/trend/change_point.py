@@ -1,0 +1,286 @@
+"""Has an indicator changed at once? A step at one place, against outliers and wear, as hypotheses on the same points.
+
+Model of the points about a place, with x the distance, t the time::
+
+    value_i = level + slope x_i + bend(x_i) + wander(t_i) + size [i >= k] + noise_i
+
+All but the level have normal priors (``StepModel``): the slope of wear and its change, an integrated random walk; the
+wandering of weather and friction; the size of a step. Noise is a share of the stated standard deviations, most of which
+all points have in common, so that the share is averaged over by its likelihood. Any point may be an outlier, and the
+next one is more often after an outlier: what lasts for two points only is no step. Hypotheses are "no step" and "a step
+before point k"; each has its own outliers, found one after the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr
+
+from estimation.values.arrays import BoolArray, FloatArray
+
+DAY_NS = 86_400e9
+BEFORE, BEHIND = 16, 12  # points about a place that decide whether there is a step
+AROUND = 2  # places before and behind the likeliest that share its probability
+BESIDE = 5  # points of which a median shows where a step may be
+SMALLEST_RUN_KM = 1.0  # between points, of which a slope is made
+PLACES = 4  # that are looked at, those of the largest changes
+NOISE_SHARES = np.geomspace(0.02, 3.0, 9)  # of the stated standard deviations
+USUAL_SHARE, SHARE_SPREAD = 0.15, 0.8  # of the prior, as a median and a standard deviation of the logarithm
+LEVEL_STD = 10.0  # of the level, in standard deviations of a step: as good as flat
+SURELY_OUT = 5.0  # median deviations from a running median with which a point begins as an outlier
+MAD_STD = 1.4826
+MOST_FLIPS = 12
+LEAST_GAIN = 1e-9  # of log evidence: rounding never flips an outlier to and fro
+FAR_FROM = 7.0  # log odds of a step at a place, below which its neighbours are not looked at
+AS_LIKELY = 2.0  # of the log odds: places that differ by less
+WORTH_A_LOOK = 1.0  # of a median change over the least size, below which no hypothesis is computed
+
+
+@dataclass(frozen=True, slots=True)
+class StepModel:
+    """What an indicator does when nothing happens to it, and what a step is; by default equivalent conicity."""
+
+    slope_std: float = 2e-6  # per km
+    bend_std: float = 1e-6  # per km, change of slope
+    bend_km: float = 30_000.0  # over so much
+    wander_std: float = 0.01  # of friction and weather, and of another version of the track
+    wander_days: float = 30.0  # in which it changes
+    step_std: float = 0.15
+    outlier_std: float = 0.1
+    step_chance: float = 5e-3  # before any point
+    outlier_chance: float = 0.03
+    outlier_lasts: float = 0.3  # chance of another one after it
+    noise_floor: float = 5e-4
+    least_size: float = 0.03  # a step is larger than that with ``sure``
+    sure: float = 0.9  # least probability of a step
+    least_points: int = 3  # on either side of it
+
+
+@dataclass(frozen=True, slots=True)
+class ChangePoint:
+    """A step between two points; those between ``last`` and ``first`` may be of either side."""
+
+    last: int  # point before it
+    first: int  # point behind it
+    probability: float
+    size: float
+    std: float
+    before: int  # points up to ``last``, since the step before it
+    level: float  # median of the points before it
+
+
+class Series(NamedTuple):
+    """Points in order of distance."""
+
+    x_km: FloatArray  # (k,)
+    t_ns: FloatArray  # (k,)
+    value: FloatArray  # (k,)
+    std: FloatArray  # (k,) > 0
+
+    def part(self, first: int, last: int) -> Series:
+        """Return the points from ``first`` up to ``last``, which is not of them."""
+        return Series(*(column[first:last] for column in self))
+
+
+def newest_change(series: Series, model: StepModel | None = None) -> ChangePoint | None:
+    """Return the newest step; None where there is none.
+
+    Parameters
+    ----------
+    series
+        In order of distance.
+    model
+        Of the indicator.
+    """
+    model, begin, newest = model or StepModel(), 0, None
+    while (found := _change_of(series.part(begin, len(series.value)), model)) is not None:
+        newest = replace(found, last=begin + found.last, first=begin + found.first)
+        begin = newest.first
+    return newest
+
+
+def _change_of(series: Series, model: StepModel) -> ChangePoint | None:
+    """Return the newest of the steps among the largest changes of a stretch."""
+    places = _places(series, model)
+    found = (_judged(series, place, model) for place in sorted(places, reverse=True))
+    return next((one for one in found if one is not None), None)
+
+
+def _places(series: Series, model: StepModel) -> list[int]:
+    """Return where medians of the points on either side differ most, but for the wear about there."""
+    k, least = len(series.value), model.least_points
+    if k < 2 * least:
+        return []
+    at = np.arange(least, k - least + 1)
+    change = np.array([_median_change(series, int(one), least) for one in at])
+    size = np.concatenate([[0.0], np.abs(change), [0.0]])
+    peak = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
+    peak &= np.abs(change) > WORTH_A_LOOK * model.least_size
+    order = np.argsort(-np.abs(change[peak]), kind="stable")
+    return [int(one) for one in at[peak][order][:PLACES]]
+
+
+def _median_change(series: Series, at: int, least: int) -> float:
+    """Return the smaller change of the medians, of as few points as there must be and of some more, less the wear."""
+    about = series.part(max(0, at - BEHIND), at + BEHIND)
+    run = np.maximum(np.diff(about.x_km), SMALLEST_RUN_KM)
+    wear = float(np.median(np.diff(about.value) / run))
+    flat = series.part(max(0, at - BESIDE), at + BESIDE)
+    level, here = flat.value - wear * (flat.x_km - series.x_km[at]), min(at, BESIDE)
+    changes = [
+        float(np.median(level[here : here + n]) - np.median(level[max(0, here - n) : here])) for n in (least, BESIDE)
+    ]
+    return min(changes, key=abs)
+
+
+def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
+    """Return the step about a place, if it is as probable and as large as is wanted."""
+    k, least = len(series.value), model.least_points
+    first = max(0, place - BEFORE)
+    window = series.part(first, min(k, place + BEHIND))
+    points = _Points.of(window, model)
+    at = place - first
+    nothing, here = points.evidence(None), points.evidence(at)
+    if here.log_evidence + np.log(model.step_chance) < nothing.log_evidence - FAR_FROM:
+        return None
+    others = [i for i in range(at - AROUND, at + AROUND + 1) if i != at and least <= i <= len(window.value) - least]
+    steps = [(at, here), *((i, points.evidence(i)) for i in others)]
+    steps = [(i, one) for i, one in steps if least <= min((~one.out[:i]).sum(), (~one.out[i:]).sum())]
+    if not steps:
+        return None
+    log_odds = np.array([one.log_evidence for _, one in steps]) + np.log(model.step_chance) - nothing.log_evidence
+    probability = float(1.0 - 1.0 / (1.0 + np.exp(np.minimum(log_odds, 500.0)).sum()))
+    likeliest = steps[int(np.argmax(log_odds))][1]
+    if min(probability, likeliest.probability_beyond(model.least_size)) < model.sure:
+        return None
+    # an interval in which it happened is a mixture: an outlier on either side, as likely before as behind
+    as_likely = [i for (i, _), odds in zip(steps, log_odds, strict=True) if odds >= log_odds.max() - AS_LIKELY]
+    last, behind = first + min(as_likely) - 1, first + max(as_likely)
+    level = float(np.median(series.value[max(0, last + 1 - BESIDE) : last + 1]))
+    return ChangePoint(last, behind, probability, likeliest.size, likeliest.std, last + 1, level)
+
+
+@dataclass(frozen=True, slots=True)
+class _Evidence:
+    log_evidence: float
+    weight: FloatArray  # (f,) of the shares of noise
+    sizes: FloatArray  # (f,)
+    stds: FloatArray  # (f,)
+    out: BoolArray  # (n,) outliers
+
+    @property
+    def size(self) -> float:
+        return float(self.weight @ self.sizes)
+
+    @property
+    def std(self) -> float:
+        return float(np.sqrt(self.weight @ (self.stds**2 + (self.sizes - self.size) ** 2)))
+
+    def probability_beyond(self, least: float) -> float:
+        """Return the probability that the step goes the way it seems to go and is larger than that."""
+        return float(ndtr((abs(self.size) - least) / self.std))
+
+
+@dataclass(frozen=True, slots=True)
+class _Points:
+    """Points about a place, with what their values have in common but for noise and steps."""
+
+    value: FloatArray  # (n,) less their median
+    covariance: FloatArray  # (n, n)
+    noise: FloatArray  # (f, n) variances
+    model: StepModel
+
+    @classmethod
+    def of(cls, series: Series, model: StepModel) -> _Points:
+        x = series.x_km - series.x_km[0]
+        days = (series.t_ns - series.t_ns[0]) / DAY_NS
+        early, late = np.minimum.outer(x, x), np.maximum.outer(x, x)
+        bend = model.bend_std**2 / model.bend_km * early**2 * (3.0 * late - early) / 6.0
+        wander = model.wander_std**2 * np.exp(-np.abs(np.subtract.outer(days, days)) / model.wander_days)
+        level = (LEVEL_STD * model.step_std) ** 2
+        covariance = level + model.slope_std**2 * np.outer(x, x) + bend + wander
+        noise = np.outer(NOISE_SHARES**2, series.std**2) + model.noise_floor**2
+        return cls(series.value - np.median(series.value), covariance, noise, model)
+
+    def evidence(self, at: int | None) -> _Evidence:
+        """Return the evidence of a step before point ``at``, or of none, with the outliers that suit it best."""
+        step = np.zeros(len(self.value)) if at is None else (np.arange(len(self.value)) >= at).astype(float)
+        covariance = self.covariance + self.model.step_std**2 * np.outer(step, step)
+        out = self._begin(at)
+        best = None
+        for _ in range(MOST_FLIPS):
+            inverse, log_evidence = self._inverse(covariance, out)
+            total = float(np.logaddexp.reduce(log_evidence))
+            if best is None or total > best[0]:
+                best = total, inverse, log_evidence, out
+            flipped = self._flipped(inverse[int(np.argmax(log_evidence))], int(np.argmax(log_evidence)), out)
+            if flipped is None:
+                break
+            out = flipped
+        total, inverse, log_evidence, out = best  # type: ignore[misc]  # there was a first round
+        weight = np.exp(log_evidence - total)
+        sizes = self.model.step_std**2 * np.einsum("i,fij,j->f", step, inverse, self.value)
+        left = 1.0 - self.model.step_std**2 * np.einsum("i,fij,j->f", step, inverse, step)
+        return _Evidence(total, weight, sizes, self.model.step_std * np.sqrt(np.maximum(left, 1e-12)), out)
+
+    def _begin(self, at: int | None) -> BoolArray:
+        """Return which points are surely outliers of the points about them on their side of the step."""
+        sides = [self.value] if at is None else [self.value[:at], self.value[at:]]
+        apart = np.concatenate([side - _running_median(side) for side in sides])
+        scale = MAD_STD * np.median(np.abs(apart)) + self.model.noise_floor
+        return np.asarray(np.abs(apart) > SURELY_OUT * scale)
+
+    def _variance(self, out: BoolArray) -> FloatArray:
+        return self.noise + self.model.outlier_std**2 * out
+
+    def _inverse(self, covariance: FloatArray, out: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Return the inverse covariances (f, n, n), and the log evidence of each share of noise with its prior."""
+        n = len(self.value)
+        full = covariance + self._variance(out)[:, :, None] * np.eye(n)
+        factor = np.linalg.cholesky(full)
+        whitened = np.linalg.inv(factor)
+        log_size = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        inverse = np.einsum("fki,fkj->fij", whitened, whitened)
+        left = whitened @ self.value
+        prior = -0.5 * ((np.log(NOISE_SHARES) - np.log(USUAL_SHARE)) / SHARE_SPREAD) ** 2
+        prior -= np.logaddexp.reduce(prior)
+        return inverse, prior + self._log_prior(out) - log_size - 0.5 * (left**2).sum(axis=1)
+
+    def _log_prior(self, out: BoolArray) -> float:
+        """Return the log probability of the outliers, of which one follows another more often than a good point."""
+        m = self.model
+        chance = np.where(np.concatenate([[False], out[:-1]]), m.outlier_lasts, m.outlier_chance)
+        return float(np.log(np.where(out, chance, 1.0 - chance)).sum())
+
+    def _flipped(self, inverse: FloatArray, share: int, out: BoolArray) -> BoolArray | None:
+        """Return the outliers with the one change that makes them most probable; None where none does."""
+        precision = np.diagonal(inverse)
+        apart = (inverse @ self.value) / precision
+        now = self._variance(out)[share]
+        then = self._variance(~out)[share]
+        others = 1.0 / precision - now  # variance of what the other points say of it
+        gain = _log_normal(apart, others + then) - _log_normal(apart, others + now)
+        prior = self._log_prior(out)
+        for i in range(len(out)):
+            changed = out.copy()
+            changed[i] = not out[i]
+            gain[i] += self._log_prior(changed) - prior
+        best = int(np.argmax(gain))
+        if gain[best] <= LEAST_GAIN:
+            return None
+        changed = out.copy()
+        changed[best] = not out[best]
+        return changed
+
+
+def _log_normal(apart: FloatArray, variance: FloatArray) -> FloatArray:
+    return np.asarray(-0.5 * (np.log(variance) + apart**2 / variance))
+
+
+def _running_median(value: FloatArray) -> FloatArray:
+    half = BESIDE // 2
+    n = len(value)
+    return np.array([np.median(value[max(0, i - half) : max(0, i - half) + BESIDE][-BESIDE:]) for i in range(n)])
