@@ -24,18 +24,51 @@ FILTERED = 30.0  # m that the filter takes at each end
 LEAST_RUN = 300.0  # m
 LEAST_SHARE = 0.5  # of the samples of a window that both nodes must have
 LEAST_CORRELATION = 0.65  # wheelsets that run on their own waves, and not on the track, agree by up to 0.64 further on
-TOLERANCE = 0.4  # m; what is found is within 0.15 m of the truth
-NEXT_WAVE = 1.0  # m: further away the maximum may be that of another wave
-CLEAR = 0.2  # by how much its correlation must then be above that at the expected distance
+LEAST_EXCHANGED = 0.5  # the same at one distance that is known beforehand: that of nodes that are exchanged
+TOLERANCE = 0.4  # m; what is found is within 0.25 m of the truth
+CLEAR = 2.5  # how many times what the distance found leaves unexplained that on file must leave; waves reach 1.8
+CLEAR_EXCHANGED = 1.25  # the same where the other distance is that of nodes that are exchanged; right ones are below 1
 
 
 @dataclass(frozen=True, slots=True)
 class AxleDistance:
-    """By how far an axle is ahead of the other one of its bogie."""
+    """By how far an axle is ahead of the other one of its bogie.
+
+    A wheelset that is mounted the other way round rolls the other way, so that both signs count. Waves of a wheelset's
+    own make distances alike that are half a wave apart, with signs that alternate.
+    """
 
     ahead: float  # m, negative where it is behind
-    correlation: float  # of the rolls, there
-    expected: float  # the highest correlation within ``TOLERANCE`` of the expected distance
+    correlation: float  # of the rolls there, its magnitude
+    expected: float  # the highest magnitude within ``TOLERANCE`` of the expected distance
+    exchanged: float  # the same of the expected distance with the other sign
+
+    @property
+    def leads(self) -> bool | None:
+        """Whether the axle meets the track in the order of the registry; None where the rolls do not say."""
+        if max(self.expected, self.exchanged) < LEAST_EXCHANGED:
+            return None
+        clearer = _clearer(self.exchanged, self.expected)
+        return False if clearer >= CLEAR_EXCHANGED else True if 1.0 / clearer >= CLEAR_EXCHANGED else None
+
+    def contradicts(self, ahead: float) -> bool:
+        """Whether the rolls say that the distance is another one.
+
+        Parameters
+        ----------
+        ahead
+            The expected distance, m.
+        """
+        if self.leads is False:
+            return True
+        if self.correlation < LEAST_CORRELATION or abs(self.ahead - ahead) <= TOLERANCE:
+            return False
+        return _clearer(self.correlation, self.expected) >= CLEAR
+
+
+def _clearer(correlation: float, other: float) -> float:
+    """Return how many times the power that one correlation leaves unexplained another one leaves."""
+    return (1.0 - other**2) / max(1.0 - correlation**2, np.finfo(np.float64).eps)
 
 
 def check_axle_distance(window: Window, partner: Window, ahead: float) -> Reason | None:
@@ -46,17 +79,18 @@ def check_axle_distance(window: Window, partner: Window, ahead: float) -> Reason
     window, partner
         Of the two nodes of a bogie, over the same time, with as many samples.
     ahead
-        By how much the node of ``window`` is ahead of the other, m, by the registry; negative at the rear axle.
+        By how much the node of ``window`` is ahead of the other in the direction of travel, m, by the registry;
+        negative at the axle behind.
     """
     found = axle_distance(window, partner, ahead)
-    if found is None or found.correlation < LEAST_CORRELATION or abs(found.ahead - ahead) <= TOLERANCE:
+    if found is None or not found.contradicts(ahead):
         return None
-    if abs(found.ahead - ahead) > NEXT_WAVE and found.correlation < found.expected + CLEAR:
-        return None
+    at = -ahead if found.leads is False else found.ahead
+    correlation = found.exchanged if found.leads is False else found.correlation
     return Reason(
         ReasonCode.AXLE_DISTANCE,
-        f"the track reaches the other axle of the bogie {found.ahead:+.1f} m later, by the registry {ahead:+.1f} m"
-        f" (correlation {found.correlation:.2f})",
+        f"the track reaches the other axle of the bogie {at:+.1f} m later, by the registry {ahead:+.1f} m"
+        f" (correlation {correlation:.2f})",
     )
 
 
@@ -110,11 +144,10 @@ def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _highest(correlation: FloatArray, ahead: float) -> AxleDistance:
-    """Return the maximum of a correlation; its magnitude where one of the wheelsets is mounted the other way round."""
-    if -correlation.min() > correlation.max():
-        correlation = -correlation
-    distance = STEP * (np.arange(len(correlation)) - len(correlation) // 2)
-    at = int(np.argmax(correlation))
-    near = np.abs(distance - ahead) <= TOLERANCE
-    expected = float(correlation[near].max()) if near.any() else 0.0
-    return AxleDistance(float(distance[at]), float(correlation[at]), expected)
+    """Return the maximum of the magnitude of a correlation beside those at the expected distance, of either sign."""
+    size = np.abs(correlation)
+    distance = STEP * (np.arange(len(size)) - len(size) // 2)
+    at = int(np.argmax(size))
+    near = [np.abs(distance - expected) <= TOLERANCE for expected in (ahead, -ahead)]
+    expected, exchanged = (float(size[part].max()) if part.any() else 0.0 for part in near)
+    return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged)

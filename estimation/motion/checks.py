@@ -256,23 +256,23 @@ def direction(window: Window) -> int:
 
 
 def to_wheelset_axes(
-    integrated: IntegratedWindow, track: TrackAlignment, way: int, *, mounted_reversed: bool
+    integrated: IntegratedWindow, track: TrackAlignment, facing: int, *, mounted_reversed: bool
 ) -> tuple[IntegratedWindow, TrackAlignment]:
     """Return window and alignment with the left side where the wheelset's own left wheel is.
 
-    A vehicle that runs against the section has its axes turned half round: the section's right is its left. For a
+    A vehicle that faces against the section has its axes turned half round: the section's right is its left. For a
     wheelset mounted the other way round everything lateral is its mirror image, in which the same equations hold.
 
     Parameters
     ----------
     integrated, track
         As measured, and as on file.
-    way
-        1 along the section, -1 against it, from :func:`direction`.
+    facing
+        1 where the front end of the vehicle is ahead along the section, -1 where its rear end is.
     mounted_reversed
         The wheelset's left wheel is on the vehicle's right-hand side.
     """
-    if (way < 0) != mounted_reversed:
+    if (facing < 0) != mounted_reversed:
         track = _turned(track)
     return mirrored(integrated) if mounted_reversed else integrated, track
 

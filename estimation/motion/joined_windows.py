@@ -47,7 +47,8 @@ def whole_runs(windows: Iterable[Window]) -> Iterator[Window]:
 
 
 def _shared_start_end(window: Window) -> tuple[Hashable, int, int]:
-    shared = (window.wheelset, window.vehicle, window.axle, window.track_section, window.sample_interval_s)
+    place = (window.wheelset, window.vehicle, window.axle, window.track_section)
+    shared = (*place, window.sample_interval_s, window.backwards)
     return shared, window.start_ns, window.start_ns + window.length_ns
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from estimation.motion import rolling_kernels as kernels
 from estimation.motion.integration import bridged, segments
 from estimation.motion.parameters import SignalParameters
+from estimation.motion.travel import runs_backwards, turned_over
 from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.rolling_sums import RollingSums
@@ -50,6 +51,8 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     signals
         Least speed, and how long gaps may be that straight lines bridge.
     """
+    if runs_backwards(window):
+        window = turned_over(window)
     dt = window.sample_interval_s
     size, each = round(PIECE_S / dt), round(PART_S / dt)
     usable = moving_samples(window, signals)

@@ -224,7 +224,8 @@ def window_motion(
     integrated = _checked(window, parameters)
     if isinstance(integrated, Reason):
         return integrated
-    integrated, track = to_wheelset_axes(integrated, track, direction(window), mounted_reversed=mounted_reversed)
+    facing = -direction(window) if window.backwards else direction(window)
+    integrated, track = to_wheelset_axes(integrated, track, facing, mounted_reversed=mounted_reversed)
     window = integrated.window
     if correction is not None:
         window = replace(window, distance=correction.at(window.distance))

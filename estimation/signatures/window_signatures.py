@@ -94,20 +94,19 @@ def window_signatures(
 def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
     """Return where the wheelset of a window runs in its bogie.
 
-    The axle of the lower number is in front where the vehicle runs forwards; a vehicle reports its speed as positive
-    either way, so that the two ways of running the section backwards look alike.
+    The axle of the lower number is in front where the vehicle runs forwards.
 
     Parameters
     ----------
     window
-        Its axle.
+        Its axle, and which end of its vehicle goes first.
     parameters
         Of its vehicle's class.
     """
     partner = parameters.vehicle_class.partner(window.axle)
     if partner is None:
         return AxlePosition.SINGLE
-    return AxlePosition.LEADING if window.axle < partner else AxlePosition.TRAILING
+    return AxlePosition.LEADING if (window.axle < partner) != window.backwards else AxlePosition.TRAILING
 
 
 def _without_place(window: Window) -> Window:

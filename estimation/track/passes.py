@@ -74,7 +74,8 @@ def passes(
     """Return the passes of a window: one for each uninterrupted stretch along which distance rises, or falls.
 
     A vehicle that runs the section the other way has its axes turned half round: what it measures to its left is to the
-    section's right, and its left wheels run on the section's right rail.
+    section's right, and its left wheels run on the section's right rail. One that runs the other way with its rear end
+    first has not.
 
     Parameters
     ----------
@@ -98,14 +99,16 @@ def passes(
         direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
         if direction:
             signals = motion_signals(segment, vehicle, np.asarray(direction * at))
-            found += _placed(window, signals, vehicle, direction, -1 if mounted_reversed else 1)
+            facing = -direction if window.backwards else direction
+            found += _placed(window, signals, vehicle, (direction, facing), -1 if mounted_reversed else 1)
     return found
 
 
 def _placed(
-    window: Window, signals: MotionSignals, vehicle: VehicleParameters, direction: int, mounted: int
+    window: Window, signals: MotionSignals, vehicle: VehicleParameters, ways: tuple[int, int], mounted: int
 ) -> list[Pass]:
-    """Return the pass of one stretch, along the section's own direction."""
+    """Return the pass of one stretch, along the section's own direction; ways are those of running and of the axes."""
+    direction, facing = ways
     if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
         return []
     grid = fuse(signals, vehicle, FusionParameters())
@@ -118,9 +121,9 @@ def _placed(
             window.vehicle,
             window.start_ns,
             direction * grid.run[along],
-            direction * grid.displacement[along],
+            facing * grid.displacement[along],
             mounted * grid.difference[along],
-            direction * mounted,
+            facing * mounted,
             mounted * grid.stiffness_term[along],
         )
     ]

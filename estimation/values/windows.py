@@ -53,8 +53,8 @@ class Window:
     recordings were cut. ``distance`` is the position of the wheelset (not of the vehicle's antenna) along the track
     section. ``resolution`` holds the SI value of one count of each acceleration, in the order of the fields: the
     accelerations are whole multiples of it. The yaw acceleration of a bogie frame is not measured by the node: it
-    follows from both nodes of the bogie, is NaN where either is not valid, and is not stored; nor is
-    ``measures_gravity``, which is a fact of the vehicle class.
+    follows from both nodes of the bogie, is NaN where either is not valid, and is not stored; nor are
+    ``measures_gravity``, which is a fact of the vehicle class, and ``backwards``, which the data show.
     """
 
     wheelset: str
@@ -76,6 +76,7 @@ class Window:
     quality: WindowQuality
     frame_yaw_acceleration: FloatArray | None = None  # (n,) rad/s2, of the bogie frame; None without a bogie
     measures_gravity: bool = False  # lateral accelerations are specific forces: g times the roll is in them
+    backwards: bool = False  # the vehicle runs with its rear end first, and yaw has been turned over
 
     def __post_init__(self) -> None:
         n = len(self.valid)

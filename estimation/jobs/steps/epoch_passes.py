@@ -97,7 +97,7 @@ def _examined(context: JobContext, records: Sequence[WindowRecord], settings: Es
             else:
                 windows.append(window)
     turned = mounting is not None and mounting.reversed
-    keys = [(w.sample_interval_s, w.start_ns, w.start_ns + w.length_ns) for w in windows]
+    keys = [((w.sample_interval_s, w.backwards), w.start_ns, w.start_ns + w.length_ns) for w in windows]
     for group in following(windows, keys):
         found += _passes_of(group, assumed, mounted_reversed=turned)
     return found

@@ -1,16 +1,17 @@
-"""A window with what its vehicle's class adds to it: whether gravity is in it, and the yaw of its bogie frame."""
+"""A window with what its class adds, gravity and the yaw of its bogie frame, as one of a vehicle that runs forward."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.errors import NotFoundError, PurgedError
+from estimation.errors import DamagedError, NotFoundError, PurgedError
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.motion.axle_distance import check_axle_distance
 from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.travel import bogie_runs_backwards, runs_backwards, turned_over
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window, WindowKey, WindowRecord
@@ -99,16 +100,51 @@ class WindowLoader:
             window = replace(window, measures_gravity=vehicle_class.sensors.measures_gravity)
         partner_axle = vehicle_class.partner(record.axle)
         if partner_axle is None:
-            return window
-        offsets = self.vehicles.vehicle(record.vehicle).axle_offsets_m
+            return self._as_it_travels(window, record)
         partner = self._partner(record, partner_axle)
         if isinstance(partner, Reason):
             return partner
         if partner.sample_interval_s != window.sample_interval_s or len(partner.valid) != len(window.valid):
             return _unknown(partner_axle, "is sampled otherwise")
-        ahead = offsets[partner_axle - 1] - offsets[record.axle - 1]
-        contradiction = check_axle_distance(window, partner, ahead)
-        return with_frame_yaw(window, partner, ahead) if contradiction is None else contradiction
+        return self._in_bogie(window, replace(partner, measures_gravity=window.measures_gravity), record)
+
+    def _in_bogie(self, window: Window, partner: Window, record: WindowRecord) -> Window | Reason:
+        """Return the window of one axle of a bogie with the yaw of their frame, or what contradicts the registry."""
+        offsets = self.vehicles.vehicle(record.vehicle).axle_offsets_m
+        behind = offsets[record.axle - 1]
+        ahead = offsets[partner.axle - 1] - behind
+        backwards = bogie_runs_backwards(window, partner, ahead)
+        contradiction = check_axle_distance(window, partner, -ahead if backwards else ahead)
+        if contradiction is not None:
+            return contradiction
+        framed = with_frame_yaw(window, partner, ahead)
+        return turned_over(framed, behind) if backwards else framed
+
+    def _as_it_travels(self, window: Window, record: WindowRecord) -> Window:
+        """Return the window of a single wheelset as one of a vehicle that runs forward.
+
+        A node that alone says that the vehicle runs backwards is the wrong way round itself.
+        """
+        if not runs_backwards(window):
+            return window
+        vehicle = self.vehicles.vehicle(record.vehicle)
+        others = [runs_backwards(other) for other in self._others(window, vehicle.axles)]
+        if others.count(False) > others.count(True):
+            return window
+        return turned_over(window, vehicle.axle_offsets_m[record.axle - 1])
+
+    def _others(self, window: Window, axles: int) -> Iterator[Window]:
+        """Yield what the other nodes of the vehicle measured at the time of a window."""
+        for axle in range(1, axles + 1):
+            mounting = self.vehicles.mounting_at(window.vehicle, axle, window.start_ns)
+            if axle == window.axle or mounting is None:
+                continue
+            try:
+                other = self._samples((mounting.wheelset, window.start_ns))
+            except (NotFoundError, PurgedError, DamagedError):
+                continue
+            if other.vehicle == window.vehicle:
+                yield replace(other, measures_gravity=window.measures_gravity)
 
     def _samples(self, key: WindowKey) -> Window:
         """Return a window as it is stored."""

@@ -119,32 +119,31 @@ class _Batch:
 
     def _forces(self, record: WindowRecord, window: Window, assumed: Assumed) -> ContactForces | Reason:
         """Return the forces on the wheelset of a window; those of its gear are kept for the other axle."""
-        key = self._gear(record, assumed)
+        key = self._gear(record, assumed, backwards=window.backwards)
         if isinstance(key, Reason):
             return key
         if self.gear is None or self.gear[0] != key:
             gear = self._loaded(key, window, assumed)
             if isinstance(gear, Reason):
                 return gear
-            self.gear = key, self._gear_forces(key[0], gear, assumed)
+            self.gear = key, self._gear_forces(gear, assumed)
         forces = self.gear[1]
         return forces if isinstance(forces, Reason) else forces[key.index(record.key)]
 
-    def _gear_forces(
-        self, first: WindowKey, gear: tuple[Window, ...], assumed: Assumed
-    ) -> tuple[ContactForces, ...] | Reason:
+    def _gear_forces(self, gear: tuple[Window, ...], assumed: Assumed) -> tuple[ContactForces, ...] | Reason:
         """Return the forces on a running gear; what its damper shows is kept beside."""
         segments = gear_segments(gear, assumed.windows.vehicle_class, assumed.windows.signals)
-        record = self.inputs.records.get(first)
-        if record is not None and record.implausible is None and looked_at(gear[0]):
-            found = window_damper(gear[0], record.content_digest, segments, assumed.on_file)
+        first = min(gear, key=lambda window: window.axle)
+        record = self.inputs.records.get((first.wheelset, first.start_ns))
+        if record is not None and record.implausible is None and looked_at(first):
+            found = window_damper(first, record.content_digest, segments, assumed.on_file)
             self.dampers[found.vehicle, found.first_axle, found.start_ns] = found
         if isinstance(segments, Reason):
             return segments
         return forces_on(segments, assumed.windows.vehicle_class, ForceParameters())
 
-    def _gear(self, record: WindowRecord, assumed: Assumed) -> tuple[WindowKey, ...] | Reason:
-        """Return the windows of the running gear of a window, front axle first."""
+    def _gear(self, record: WindowRecord, assumed: Assumed, *, backwards: bool) -> tuple[WindowKey, ...] | Reason:
+        """Return the windows of the running gear of a window, the axle first that meets the track first."""
         axle = assumed.windows.vehicle_class.partner(record.axle)
         if axle is None:
             return (record.key,)
@@ -152,7 +151,7 @@ class _Batch:
         if mounting is None or (mounting.wheelset, record.start_ns) not in self.inputs.records:
             return Reason(ReasonCode.FRAME_UNKNOWN, f"the other axle of the bogie, axle {axle}, has no window")
         other = (mounting.wheelset, record.start_ns)
-        return (record.key, other) if record.axle < axle else (other, record.key)
+        return (record.key, other) if (record.axle < axle) != backwards else (other, record.key)
 
     def _loaded(self, keys: tuple[WindowKey, ...], window: Window, assumed: Assumed) -> tuple[Window, ...] | Reason:
         """Return the windows of a running gear; one of them is at hand."""

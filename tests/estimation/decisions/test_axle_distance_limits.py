@@ -9,7 +9,14 @@ import pytest
 from plain_windows import plain_window
 from scipy.signal import butter, sosfiltfilt
 
-from estimation.motion.axle_distance import axle_distance, check_axle_distance
+from estimation.motion.axle_distance import (
+    CLEAR,
+    CLEAR_EXCHANGED,
+    LEAST_EXCHANGED,
+    AxleDistance,
+    axle_distance,
+    check_axle_distance,
+)
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
@@ -72,12 +79,45 @@ def test_nodes_that_see_no_common_track_are_silent() -> None:
 
 
 def test_nodes_that_measure_little_of_the_track_are_silent() -> None:
-    for noise, silent in ((0.65, True), (0.5, True), (0.35, False)):
+    for noise, silent in ((0.7, True), (0.5, False), (0.35, False)):
         front, rear = nodes(noise=noise)
         found = axle_distance(rear, front, WHEELBASE)
         assert found is not None
         assert found.ahead == pytest.approx(-WHEELBASE, abs=0.15)
         assert (check_axle_distance(rear, front, WHEELBASE) is None) == silent
+
+
+def narrow(*waves: tuple[float, float]) -> tuple[Window, Window]:
+    """Return front and rear node on waves of (wavelength in m, by how much the rear one is late in m)."""
+    at, size = np.arange(COUNT) * SPEED / RATE, 1.0 / len(waves)
+    front = sum((size * np.sin(2.0 * np.pi / wave * at) for wave, _ in waves), np.zeros(COUNT))
+    rear = sum((size * np.sin(2.0 * np.pi / wave * (at - late)) for wave, late in waves), np.zeros(COUNT))
+    return window(front), window(rear)
+
+
+def test_waves_of_their_own_make_distances_half_a_wave_apart_alike() -> None:
+    """Wheelsets that sway at 4.2 m look as if the axles were 4.5 m apart, with the other sign; on file are 2.4 m."""
+    front, rear = narrow((4.2, 2.4), (4.4, 2.35), (3.9, 2.5))
+    assert check_axle_distance(front, rear, 2.4) is None
+    assert check_axle_distance(rear, front, -2.4) is None
+
+
+@pytest.mark.parametrize(("other", "contradicted"), [(CLEAR - 0.1, False), (CLEAR + 0.1, True)])
+def test_another_distance_must_leave_so_much_less_unexplained(other: float, *, contradicted: bool) -> None:
+    expected = 0.3
+    correlation = np.sqrt(1.0 - (1.0 - expected**2) / other)
+    found = AxleDistance(4.5, float(correlation), expected, 0.1)
+    assert found.contradicts(WHEELBASE) is contradicted
+
+
+@pytest.mark.parametrize(("other", "leads"), [(CLEAR_EXCHANGED - 0.02, None), (CLEAR_EXCHANGED + 0.02, False)])
+def test_exchanged_nodes_must_leave_so_much_less_unexplained(other: float, *, leads: bool | None) -> None:
+    expected = 0.4
+    exchanged = float(np.sqrt(1.0 - (1.0 - expected**2) / other))
+    assert exchanged > LEAST_EXCHANGED
+    found = AxleDistance(-WHEELBASE, exchanged, expected, exchanged)
+    assert found.leads is leads
+    assert found.contradicts(WHEELBASE) is (leads is False)
 
 
 def test_too_few_samples_and_short_runs_say_nothing() -> None:

@@ -1,0 +1,206 @@
+"""A vehicle of the bench of refusals: drawn by its seed, run over a track, and what its nodes measure.
+
+Arrangement, sensors, vibration, profiles, speed and track are drawn by the seed, each independently of the others, so
+that every pair of them occurs. One running gear is simulated: the first bogie, or the first wheelset.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Status
+from estimation.values.track import TrackAlignment
+from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
+from estimation.vehicle.vehicle_class import VehicleClass
+from ingest.simulator.axle_motion import axle_motions, contact_of, true_geometry
+from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
+from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario_file import load_scenario
+from ingest.simulator.survey import surveyed
+from ingest.simulator.vehicle_class_entry import class_entry
+from ingest.vehicle_class_schema import VehicleClassEntry
+
+SCENARIOS = Path(__file__).parent / "vehicle_scenarios"
+WINDOW_S = 60.0
+AMPLITUDES: FloatArray = np.asarray(np.arange(4, 13) * 0.25e-3)  # m
+GOOD = WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 5.0, 25.0, 1.0, sensor_fault=False)
+RESOLUTION = (1e-3, 1e-3, 1e-3, 1e-3)  # of a count on the bus
+
+DIMENSIONS: Mapping[str, tuple[str, ...]] = {
+    "arrangement": ("single", "soft bogie", "coach", "push-pull single", "push-pull bogie", "push-pull coach"),
+    "sensors": ("quiet", "mems", "gyroscopes"),
+    "vibration": ("0", "2", "5", "10"),
+    "pair": ("new P8", "hollow P8", "S1002 1:40", "unlike wheels", "worn S1002"),
+    "speed": ("12", "20", "30"),
+    "track": ("level", "cross level", "switches"),
+    "survey": ("0.1", "0.3", "1.0"),
+}
+_SENSORS = {
+    "quiet": "lateral_noise_ug_per_root_hz = 10.0\nmass_noise_ug_per_root_hz = 10.0\n"
+    "angular_noise_rad_s2_per_root_hz = 2e-4\nlateral_offset_mg = 2.0\nmass_offset_mg = 2.0\n",
+    "mems": "",
+    "gyroscopes": "gyroscopes = true\n",
+}
+_PAIRS = {  # wheel, rail, inclination, deepest wear in mm, asymmetry in percent
+    "new P8": ("P8", "56E1", 20, 0.1, 8),
+    "hollow P8": ("P8", "56E1", 20, 1.4, 8),
+    "S1002 1:40": ("S1002", "60E1", 40, 0.2, 8),
+    "unlike wheels": ("P8", "56E1", 20, 0.9, 45),
+    "worn S1002": ("S1002", "60E1", 40, 0.75, 15),
+}
+_TRACKS = {
+    "level": "",
+    "cross level": "[section.cross_level]\nstd_mm = 2.0\n",
+    "switches": "[[section.switches]]\nper_km = 0.7\n",
+}
+_BASES = {"single": "paper_known", "bogie": "soft_known", "coach": "coach_known"}
+
+
+@dataclass(frozen=True, slots=True)
+class RefusalCase:
+    """What a running gear measured, what is on file of it, and what is true.
+
+    Attributes
+    ----------
+    drawn
+        What was drawn of each of ``DIMENSIONS``.
+    windows
+        Of each axle, front first, in order of time: as the nodes measure, in the axes of the vehicle.
+    offsets
+        Of the axles, m behind the reference of the position.
+    conicity
+        True ones of each wheelset at ``AMPLITUDES``.
+    """
+
+    drawn: Mapping[str, str]
+    windows: tuple[tuple[Window, ...], ...]
+    offsets: tuple[float, ...]
+    vehicle_class: VehicleClass
+    track: TrackAlignment
+    conicity: tuple[FloatArray, ...]
+
+
+def drawn_case(seed: int, **fixed: str) -> dict[str, str]:
+    """Return what the case of a seed is.
+
+    Parameters
+    ----------
+    seed
+        From 0.
+    **fixed
+        Dimensions that are not drawn.
+    """
+    rng = np.random.default_rng([35, seed])
+    return {name: str(rng.choice(kinds)) for name, kinds in DIMENSIONS.items()} | fixed
+
+
+def simulated(seed: int, campaigns: int, **fixed: str) -> RefusalCase:
+    """Return the case of a seed after two minutes of running in each campaign.
+
+    Parameters
+    ----------
+    seed
+        From 0.
+    campaigns
+        Runs; a push-pull train runs every second one backwards.
+    **fixed
+        Dimensions that are not drawn.
+    """
+    drawn = drawn_case(seed, **fixed)
+    scenario = _scenario(drawn, seed, campaigns)
+    track, plan = scenario_track(scenario), scenario.vehicles[0]
+    axles = (0,) if scenario.bogie is None else (0, 1)
+    contacts = [contact_of(scenario, track, plan.wheelsets[axle], scenario.odometer(0)) for axle in axles]
+    vehicle_class = VehicleClassEntry.model_validate(class_entry(scenario, "C")).record()
+    windows: list[list[Window]] = [[] for _ in axles]
+    for campaign in range(campaigns):
+        back = drawn["arrangement"].startswith("push-pull") and campaign % 2 == 1
+        run = vehicle_run(scenario, track, plan, campaign)
+        # the front axle of a train that runs backwards is the rear one by its registry
+        order = axles[::-1] if back else axles
+        motions = axle_motions(scenario, track, run, axles, [contacts[axle].table for axle in order])
+        for place, motion in zip(order, motions, strict=True):
+            record, stride = wheelset_record(scenario, run, place, motion), scenario.sensors.stride
+            values = record.values * ([-1.0, 1.0, -1.0, -1.0] if back else 1.0)
+            at = motion.distance[::stride] - (2.0 * plan.axle_offsets[place] if back else 0.0)  # as it is assembled
+            windows[place] += _windows(place, values, run.start_ns, float(record.t[1]), run.speed[::stride], at)
+    truths = [true_geometry(scenario, plan.wheelsets[axle], one) for axle, one in zip(axles, contacts, strict=True)]
+    conicity = tuple(np.interp(AMPLITUDES, one.amplitude, one.equivalent_conicity) for one in truths)
+    offsets = tuple(plan.axle_offsets[axle] for axle in axles)
+    return RefusalCase(drawn, tuple(map(tuple, windows)), offsets, vehicle_class, _on_file(scenario), conicity)
+
+
+def _windows(
+    axle: int, values: FloatArray, start_ns: int, dt: float, speed: FloatArray, at: FloatArray
+) -> list[Window]:
+    size = round(WINDOW_S / dt)
+    found = []
+    for k in range(len(values) // size):
+        part = slice(k * size, (k + 1) * size)
+        counted = np.round(values[part] / RESOLUTION) * RESOLUTION
+        named = dict(zip(ACCELERATIONS, counted.T, strict=True))
+        found.append(
+            Window(
+                wheelset=f"W{axle + 1}",
+                vehicle="V",
+                axle=axle + 1,
+                start_ns=start_ns + round(1e9 * k * WINDOW_S),
+                length_ns=round(1e9 * WINDOW_S),
+                sample_interval_s=dt,
+                **named,
+                speed=speed[part],
+                distance=at[part],
+                valid=np.ones(size, dtype=np.bool_),
+                resolution=RESOLUTION,
+                track_section="S",
+                odometer_m=0.0,
+                quality=GOOD,
+                measures_gravity=True,
+            )
+        )
+    return found
+
+
+def _scenario(drawn: Mapping[str, str], seed: int, campaigns: int) -> Scenario:
+    base = _BASES[drawn["arrangement"].split()[-1]]
+    wheel, rail, inclination, wear, asymmetry = _PAIRS[drawn["pair"]]
+    text = (SCENARIOS / f"{base}.toml").read_text(encoding="utf-8").split("[drawn_fleet]")[0]
+    speed = float(drawn["speed"])
+    for old, new in (
+        ("lowest_m_s = 14.0", f"lowest_m_s = {0.8 * speed:g}"),
+        ("highest_m_s = 25.0", f"highest_m_s = {1.2 * speed:g}"),
+        ("survey_alignment_std_mm = 0.1", f"survey_alignment_std_mm = {drawn['survey']}"),
+        ("campaigns = 8", f"campaigns = {campaigns}"),
+        ("measures_gravity = true\n", f"measures_gravity = true\n{_SENSORS[drawn['sensors']]}{_vibration(drawn)}"),
+        ("[speed]", f"{_TRACKS[drawn['track']]}\n[speed]"),
+        ("alignment_std_mm = 2.0", "alignment_std_mm = 1.8"),
+    ):
+        text = text.replace(old, new, 1)
+    text += (
+        f'[drawn_fleet]\nvehicles = 1\nwheelsets_each = 2\nclass = "C"\n[drawn_fleet.wear]\n'
+        f'distribution = "uniform"\nlowest_mm = {0.6 * wear:g}\nasymmetry_percent = {asymmetry}\n'
+        f'[[drawn_fleet.pairs]]\nname = "P"\nwheel_profile = "{wheel}"\nrail_profile = "{rail}"\n'
+        f"rail_inclination_1_in = {inclination}\ndeepest_wear_mm = {wear}\n"
+    )
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "case.toml"
+        path.write_text(text.replace("seed = 0", f"seed = {seed}", 1), encoding="utf-8")
+        return load_scenario(path)
+
+
+def _vibration(drawn: Mapping[str, str]) -> str:
+    size = float(drawn["vibration"])
+    return f"axle_box_vibration_m_s2 = {size:g}\naxle_box_vibration_rad_s2 = {0.5 * size:g}\n" if size else ""
+
+
+def _on_file(scenario: Scenario) -> TrackAlignment:
+    found = surveyed(scenario, scenario_track(scenario))
+    zero = np.zeros(len(found.s))
+    std = zero + scenario.section.survey_alignment_std
+    return TrackAlignment("S", 1, found.s, found.alignment, std, zero, zero, zero.astype(np.int64), Status.ESTIMATED)
