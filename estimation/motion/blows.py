@@ -1,14 +1,15 @@
 """Blows: accelerations of an axle box that rise and fall within some ms, as no wheelset moves.
 
-A wheel with a flat, a joint or a switch strikes the axle box, which rings. The lateral and the roll acceleration show it
-by far more than the motion of a wheelset has there; yaw does not, for a wheelset that passes a contact jump turns as
-suddenly. What rings is no motion: the samples are left out, and smooth curves bridge them in the integrals.
+A wheel with a flat, a joint or a switch strikes the axle box, which rings. The lateral and the roll acceleration show
+it by far more than the motion of a wheelset has there; yaw does not, for a wheelset that passes a contact jump turns
+as suddenly. What rings is no motion: the samples are left out, and smooth curves bridge them in the integrals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, median_filter, uniform_filter1d
@@ -66,7 +67,7 @@ def vibration(sharp_signals: FloatArray, interval_s: float) -> FloatArray:
     return np.asarray(stds[:, block])
 
 
-def struck(lateral: FloatArray, roll: FloatArray, interval_s: float) -> BoolArray:
+def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolArray | None = None) -> BoolArray:
     """Return which samples (n,) a blow has spoilt, from its begin until it has died down.
 
     Parameters
@@ -75,23 +76,27 @@ def struck(lateral: FloatArray, roll: FloatArray, interval_s: float) -> BoolArra
         (n,) m/s2 and rad/s2; NaN where not known.
     interval_s
         Between samples.
+    lost
+        (n,) samples that clipped in blows, near which it rings too; None for none.
     """
     both = np.stack([lateral, roll])
-    if not np.nanmax(np.abs(both), initial=0.0) > LEAST_BLOW:
-        return np.zeros(len(lateral), np.bool_)
+    lost = np.zeros(len(lateral), np.bool_) if lost is None else lost
+    if not (lost.any() or np.nanmax(np.abs(both), initial=0.0) > LEAST_BLOW):
+        return lost
     fast = np.abs(sharp(both, interval_s))
     std = vibration(fast, interval_s)
-    found = np.zeros(len(lateral), np.bool_)
+    found = lost.copy()
     reach = max(round(REACH_S / interval_s), 1)
     for signal, values, noise in zip(both, fast, std, strict=True):
         blows = values > np.maximum(LEAST_BLOW, LEAST_STDS * noise)
-        if not blows.any():
+        if not (blows | lost).any():
             continue
-        near = binary_dilation(blows, iterations=reach)
+        near = binary_dilation(blows | lost, iterations=reach)
         motion = median_filter(np.nan_to_num(signal), round(RINGING_S / interval_s) | 1)
         rest = np.abs(np.nan_to_num(signal) - motion)
-        rings = near & (rest > np.maximum(TAIL_STDS * noise, TAIL * float(np.median(values[blows]))))
-        found |= binary_closing(rings | blows, iterations=2)
+        size = float(np.median(values[blows])) if blows.any() else LEAST_BLOW
+        rings = near & (rest > np.maximum(TAIL_STDS * noise, TAIL * size))
+        found |= binary_closing(rings | blows | lost, iterations=2)
     return np.asarray(binary_dilation(found, iterations=max(round(GUARD_S / interval_s), 1)) if found.any() else found)
 
 
@@ -106,20 +111,29 @@ def without_blows(window: Window) -> Window:
     window
         Samples as they were measured.
     """
-    blows = struck(window.lateral_acceleration, window.roll_acceleration, window.sample_interval_s)
-    gaps = ~window.valid if window.quality.blows.share > 0.0 else np.zeros(len(blows), np.bool_)
-    if not (blows | gaps).any():
-        return window
     most = round(LONGEST_BRIDGED_S / window.sample_interval_s)
-    spans = [(int(a), int(b)) for a, b in runs(np.asarray(blows | gaps)) if b - a <= most]
-    spans = [(a, b) for a, b in spans if _placed(window, a, b)]
-    bridged = np.zeros(len(blows), np.bool_)
-    for first, behind in spans:
-        bridged[first:behind] = True
-    usable = window.valid & ~(blows | gaps)
+    lost = _marked(len(window.valid), _short_gaps(window, most)) if window.quality.blows.share > 0.0 else None
+    blows = struck(window.lateral_acceleration, window.roll_acceleration, window.sample_interval_s, lost)
+    if not blows.any():
+        return window
+    spans = [(int(a), int(b)) for a, b in runs(blows) if b - a <= most and _placed(window, int(a), int(b))]
+    bridged = _marked(len(blows), spans)
     support = max(round(SUPPORT_S / window.sample_interval_s), 4)
-    smooth = {name: bridge(getattr(window, name), usable, spans, support) for name in ACCELERATIONS}
+    smooth: dict[str, Any] = {
+        name: bridge(getattr(window, name), window.valid & ~blows, spans, support) for name in ACCELERATIONS
+    }
     return replace(window, valid=(window.valid & ~blows) | bridged, bridged=bridged, **smooth)
+
+
+def _short_gaps(window: Window, most: int) -> list[tuple[int, int]]:
+    return [(int(a), int(b)) for a, b in runs(~window.valid) if b - a <= most]
+
+
+def _marked(count: int, spans: Sequence[tuple[int, int]]) -> BoolArray:
+    found = np.zeros(count, np.bool_)
+    for first, behind in spans:
+        found[first:behind] = True
+    return found
 
 
 def _placed(window: Window, first: int, behind: int) -> bool:

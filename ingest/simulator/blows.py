@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.motion import WheelsetMotion
 
 PUSH, REBOUND = 8, 24  # steps of motion that each lasts
 SPEED = 20.0  # m/s, at which the sizes are given

@@ -1,4 +1,4 @@
-"""A window with what its vehicle's class adds to it: whether gravity is in it, and the yaw of its bogie frame."""
+"""A window with blows bridged, and what its vehicle's class adds: whether gravity is in it, the yaw of its frame."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from estimation.errors import NotFoundError, PurgedError
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.motion.axle_distance import check_axle_distance
+from estimation.motion.blows import without_blows
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode
@@ -57,7 +58,7 @@ class WindowLoader:
     _kept: dict[WindowKey, Window] = field(default_factory=dict)
 
     def stored(self, record: WindowRecord) -> Window:
-        """Return a window as it is stored, without what its class adds.
+        """Return a window without what its class adds.
 
         Parameters
         ----------
@@ -111,10 +112,11 @@ class WindowLoader:
         return with_frame_yaw(window, partner, ahead) if contradiction is None else contradiction
 
     def _samples(self, key: WindowKey) -> Window:
-        """Return a window as it is stored."""
+        """Return a window as it is stored, but for blows."""
         if key not in self._kept:
             record = self.known.get(key)
             window = self.unit.windows.load(*key) if record is None else self.unit.windows.samples(record)
+            window = without_blows(window)
             if len(self._kept) >= KEPT:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = window
