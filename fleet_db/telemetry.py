@@ -23,7 +23,7 @@ from estimation.compiled import compiled
 from estimation.errors import DamagedError, StorageError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.json_value import JsonValue
-from estimation.values.windows import ACCELERATIONS, NOT_HUNTING, Hunting, Window, WindowQuality
+from estimation.values.windows import ACCELERATIONS, NO_BLOWS, NOT_HUNTING, Hunting, TurnBlows, Window, WindowQuality
 from fleet_db.atomic_files import write_atomically
 from fleet_db.fields import from_json, to_json
 from fleet_db.packing import Array, pack, unpack
@@ -34,7 +34,7 @@ VERSION = 1
 MISSING, LARGEST_COUNT = -32768, 32767
 NAN_BITS = int(np.array(np.nan).view(np.int64))
 SMOOTH = ("speed", "distance")
-QUALITY = tuple(item.name for item in fields(WindowQuality) if item.name != "hunting")
+QUALITY = tuple(item.name for item in fields(WindowQuality) if item.name not in ("hunting", "blows"))
 QUALITY_COUNTS = ("gaps", "sensor_fault")
 
 
@@ -145,7 +145,7 @@ def unpack_window(blob: bytes, *, where: str) -> Window:
         **values,
         valid=valid,
         resolution=steps,
-        quality=_quality(scalars["quality"], scalars.get("hunting")),
+        quality=_quality(scalars["quality"], scalars.get("hunting"), scalars.get("blows")),
     )
 
 
@@ -202,6 +202,7 @@ def _scalars(window: Window) -> dict[str, Any]:
         "quality": {name: _to_json(name, getattr(window.quality, name)) for name in QUALITY},
         # only where there is some: the file of another window stays as it was
         **({"hunting": to_json(window.quality.hunting)} if window.quality.hunting.share else {}),
+        **({"blows": to_json(window.quality.blows)} if window.quality.blows.share else {}),
     }
 
 
@@ -209,9 +210,10 @@ def _to_json(name: str, value: float) -> JsonValue:
     return value if name in QUALITY_COUNTS else to_json(float(value))
 
 
-def _quality(stored: Mapping[str, Any], hunting: Any) -> WindowQuality:  # noqa: ANN401 - JSON
+def _quality(stored: Mapping[str, Any], hunting: Any, blows: Any) -> WindowQuality:  # noqa: ANN401 - JSON
     numbers: dict[str, Any] = {
         name: value if name in QUALITY_COUNTS else from_json(value, float) for name, value in stored.items()
     }
     found: Hunting = NOT_HUNTING if hunting is None else from_json(hunting, Hunting)
-    return WindowQuality(**numbers, hunting=found)
+    struck: TurnBlows = NO_BLOWS if blows is None else from_json(blows, TurnBlows)
+    return WindowQuality(**numbers, hunting=found, blows=struck)

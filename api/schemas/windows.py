@@ -25,6 +25,8 @@ class WindowQuality(Representation):
     hunting_1: float | None = Field(description="Share of the running time in which the wheelset hunts.")
     hunting_hz: float | None = Field(description="Frequency of the hunting; null where there is none.")
     hunting_amplitude_mm: float | None = Field(description="At least that; null where there is none.")
+    blows_1: float | None = Field(description="Share of the running time in which a wheel strikes once a turn.")
+    blows_m_s2: float | None = Field(description="Lateral acceleration of these blows; null where there are none.")
 
 
 class Window(Representation):
@@ -72,6 +74,8 @@ def window(record: WindowRecord) -> Window:
             hunting_1=finite(quality.hunting.share),
             hunting_hz=finite(quality.hunting.frequency_hz) if quality.hunting.share else None,
             hunting_amplitude_mm=finite(quality.hunting.amplitude, 1000.0) if quality.hunting.share else None,
+            blows_1=finite(quality.blows.share),
+            blows_m_s2=finite(quality.blows.size) if quality.blows.share else None,
         ),
         content_digest=record.content_digest,
         recorded_at=to_rfc3339(record.recorded_ns),

@@ -57,7 +57,7 @@ def _too_poor(quality: WindowQuality, gates: Gates) -> Reason | None:
             ReasonCode.TOO_FEW_SAMPLES,
             f"{quality.coverage:.0%} of the samples are there, {gates.least_coverage:.0%} are needed",
         )
-    if quality.clipped > gates.most_clipped:
+    if quality.clipped > gates.most_clipped and not quality.blows.sustained:  # those of blows are left out
         return Reason(
             ReasonCode.CLIPPED,
             f"{quality.clipped:.1%} of the samples are clipped, at most {gates.most_clipped:.0%} may be",

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from estimation.values.windows import ACCELERATIONS, Hunting, Window, WindowQuality
+from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
 
 Item = TypeVar("Item")
 MOST = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
@@ -86,11 +86,14 @@ def joined(windows: Sequence[Window]) -> Window:
     }
     frame = [window.frame_yaw_acceleration for window in windows]
     known = [part for part in frame if part is not None]
+    none = [np.zeros(len(window.valid), np.bool_) for window in windows]
+    bridged = [part if window.bridged is None else window.bridged for part, window in zip(none, windows, strict=True)]
     return replace(
         first,
         length_ns=sum(window.length_ns for window in windows),
         quality=_quality([window.quality for window in windows]),
         frame_yaw_acceleration=np.concatenate(known) if len(known) == len(frame) else None,
+        bridged=np.concatenate(bridged) if any(part.any() for part in bridged) else None,
         **arrays,
     )
 
@@ -107,9 +110,15 @@ def _quality(parts: Sequence[WindowQuality]) -> WindowQuality:
         position_quality=min(part.position_quality for part in parts),
         sensor_fault=any(part.sensor_fault for part in parts),
         hunting=_hunting([part.hunting for part in parts]),
+        blows=_blows([part.blows for part in parts]),
     )
 
 
 def _hunting(parts: Sequence[Hunting]) -> Hunting:
+    most = max(parts, key=lambda part: part.share)
+    return replace(most, share=float(np.mean([part.share for part in parts])))
+
+
+def _blows(parts: Sequence[TurnBlows]) -> TurnBlows:
     most = max(parts, key=lambda part: part.share)
     return replace(most, share=float(np.mean([part.share for part in parts])))

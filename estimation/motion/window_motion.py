@@ -131,6 +131,8 @@ def _filtered(
         valid[part.start + trim : part.stop - trim] = known[trim : len(known) - trim]
         for first, behind in modelled_gaps(known, parameters.bridged_samples):
             valid[max(part.start + first - margin, 0) : part.start + behind + margin] = False
+    if integrated.window.bridged is not None:
+        valid &= ~integrated.window.bridged
     rows = np.full((len(named), n), np.nan) if rows is None else rows
     rows.flags.writeable = False  # so that nothing copies them
     return dict(zip(named, rows, strict=True)), valid

@@ -30,6 +30,25 @@ NOT_HUNTING = Hunting(0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
+class TurnBlows:
+    """Blows on the axle box once a turn of the wheel, over some running time: a wheel with a flat."""
+
+    share: float  # of the running time, 0 to 1
+    size: float  # m/s2, median of the lateral acceleration; less than the true one where the sensor clips
+    turn_m: float  # run between two blows; 0 where there are none
+    side: int  # 1 the vehicle's left wheel, -1 its right one, 0 not known
+
+    @property
+    def sustained(self) -> bool:
+        """Whether they last for most of the time."""
+        return self.share >= BLOWS_SHARE
+
+
+BLOWS_SHARE = 0.5  # of a window's running time that makes it a window of a wheel with a flat
+NO_BLOWS = TurnBlows(0.0, 0.0, 0.0, 0)
+
+
+@dataclass(frozen=True, slots=True)
 class WindowQuality:
     """What gates look at before a window is estimated."""
 
@@ -43,6 +62,7 @@ class WindowQuality:
     position_quality: float  # 0 (unknown) to 1
     sensor_fault: bool  # self-test failed or an emergency was sent
     hunting: Hunting = NOT_HUNTING  # found from all samples, clipped ones too
+    blows: TurnBlows = NO_BLOWS  # likewise
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +74,9 @@ class Window:
     section. ``resolution`` holds the SI value of one count of each acceleration, in the order of the fields: the
     accelerations are whole multiples of it. The yaw acceleration of a bogie frame is not measured by the node: it
     follows from both nodes of the bogie, is NaN where either is not valid, and is not stored; nor are
-    ``measures_gravity``, which is a fact of the vehicle class, and ``backwards``, which the data show.
+    ``measures_gravity``, which is a fact of the vehicle class, and ``backwards``, which the data show. Where samples
+    are ``bridged`` a blow has spoilt the accelerations and a smooth curve is in their place, for the integrals: they
+    are valid, and are not used as samples.
     """
 
     wheelset: str
@@ -77,6 +99,7 @@ class Window:
     frame_yaw_acceleration: FloatArray | None = None  # (n,) rad/s2, of the bogie frame; None without a bogie
     measures_gravity: bool = False  # lateral accelerations are specific forces: g times the roll is in them
     backwards: bool = False  # the vehicle runs with its rear end first, and yaw has been turned over
+    bridged: BoolArray | None = None  # (n,); None where none are; not stored
 
     def __post_init__(self) -> None:
         n = len(self.valid)
@@ -86,6 +109,8 @@ class Window:
             frame = frozen_array(self.frame_yaw_acceleration, (n,), name="frame_yaw_acceleration")
             object.__setattr__(self, "frame_yaw_acceleration", frame)
         object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
+        if self.bridged is not None:
+            object.__setattr__(self, "bridged", frozen_array(self.bridged, (n,), np.bool_, name="bridged"))
 
 
 ACCELERATIONS = ("lateral_acceleration", "yaw_acceleration", "roll_acceleration", "mass_lateral_acceleration")

@@ -55,6 +55,10 @@ class WindowRow(Base):
     hunting_share: Mapped[Real | None]
     hunting_hz: Mapped[Real | None]
     hunting_amplitude_m: Mapped[Real | None]
+    blows_share: Mapped[Real | None]
+    blows_m_s2: Mapped[Real | None]
+    blows_turn_m: Mapped[Real | None]
+    blows_side: Mapped[int | None]
     state: Mapped[str] = mapped_column(String(16))
     reason: Mapped[Name]
     reason_code: Mapped[ReasonCodeColumn | None]

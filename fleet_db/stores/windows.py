@@ -25,9 +25,11 @@ from sqlalchemy import (
 from estimation.errors import NotFoundError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import (
+    NO_BLOWS,
     NOT_HUNTING,
     Hunting,
     PassedOver,
+    TurnBlows,
     Window,
     WindowKey,
     WindowMark,
@@ -427,6 +429,7 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
             position_quality=nan_if_null(row.position_quality),
             sensor_fault=row.sensor_fault,
             hunting=_hunting(row),
+            blows=_blows(row),
         ),
         state=WindowState(row.state),
         reason=stored_reason(row),
@@ -454,6 +457,12 @@ def _hunting(row: Row[Any]) -> Hunting:
     return Hunting(row.hunting_share, row.hunting_hz or 0.0, row.hunting_amplitude_m or 0.0)
 
 
+def _blows(row: Row[Any]) -> TurnBlows:
+    if not row.blows_share:
+        return NO_BLOWS
+    return TurnBlows(row.blows_share, row.blows_m_s2 or 0.0, row.blows_turn_m or 0.0, row.blows_side or 0)
+
+
 def window_values(window: Window, mileage_km: float) -> dict[str, object]:
     """Return what the row of a window that waits to be estimated holds of it, without its file.
 
@@ -478,6 +487,10 @@ def window_values(window: Window, mileage_km: float) -> dict[str, object]:
         "hunting_share": window.quality.hunting.share,
         "hunting_hz": window.quality.hunting.frequency_hz,
         "hunting_amplitude_m": window.quality.hunting.amplitude,
+        "blows_share": window.quality.blows.share,
+        "blows_m_s2": window.quality.blows.size,
+        "blows_turn_m": window.quality.blows.turn_m,
+        "blows_side": window.quality.blows.side,
         "state": WindowState.PENDING.value,
         **reason_columns(None),
     }

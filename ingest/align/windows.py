@@ -16,10 +16,11 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.motion.hunting import find_hunting
+from estimation.motion.turn_blows import find_turn_blows
 from estimation.values.arrays import BoolArray, IntArray
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
-from estimation.values.windows import ACCELERATIONS, Hunting, Window, WindowQuality
+from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
 from ingest.align.samples import (
     NO_SECTION,
@@ -39,8 +40,11 @@ MIN_PRESENCE = 0.2
 CLIPPING_GUARD_S = 0.04
 """Samples this near to a clipped one are left out with it: the sensor's filter has spread what was cut off."""
 
-SWAYING = ACCELERATIONS[:2]
-"""The lateral and the yaw acceleration, which show hunting."""
+BLOW_GUARD_S = 0.008
+"""The same where a wheel strikes once a turn: as soon as a blow has died down the samples are good again."""
+
+OF_WHEELSET = ACCELERATIONS[:3]
+"""Lateral and yaw acceleration show hunting, lateral and roll acceleration show blows."""
 
 MOVING_M_S = 0.5
 """A window in which the vehicle never ran faster is no running time."""
@@ -181,7 +185,8 @@ def _window(
     if np.isnan(motion.odometer_m):
         return WindowCounts(windows_without_odometer=1)
     slot = (t_ns - extent[0]) // samples.interval_ns
-    guard = round(CLIPPING_GUARD_S * 1e9 / samples.interval_ns)
+    hunting, blows = _found(node, span, motion, slot, samples.interval_ns * 1e-9)
+    guard = round((BLOW_GUARD_S if blows.sustained else CLIPPING_GUARD_S) * 1e9 / samples.interval_ns)
     good, many = good_samples(slot, node.block.valid[span], node.clipped[span], motion.speed, guard)
     section, number = _section(motion, slot, good, lookup) if many else (None, NO_SECTION)
     distance = np.full(len(motion.distance), np.nan)
@@ -209,7 +214,7 @@ def _window(
         resolution=samples.resolution,
         track_section=section,
         odometer_m=motion.odometer_m,
-        quality=_quality(node, span, extent, motion, valid, slot),
+        quality=replace(_quality(node, span, extent, motion, valid, slot), hunting=hunting, blows=blows),
     )
     return MountedWindow(window, mounting, motion.odometer_excess_m, _off_line(motion, section, lookup))
 
@@ -253,15 +258,19 @@ def _quality(
         speed_max_m_s=float(np.fmax.reduce(motion.speed)),
         position_quality=float(motion.position_quality[slot].mean()),
         sensor_fault=bool(last > first),
-        hunting=_hunting(node, span, motion, slot, extent[1] * 1e-9 / len(valid)),
     )
 
 
-def _hunting(node: NodeSamples, span: slice, motion: GridMotion, slot: IntArray, interval_s: float) -> Hunting:
-    """Return what all samples of the node show of hunting, those that clip too."""
+def _found(
+    node: NodeSamples, span: slice, motion: GridMotion, slot: IntArray, interval_s: float
+) -> tuple[Hunting, TurnBlows]:
+    """Return what all samples of the node show of hunting and of blows, those that clip too."""
     every = np.ones(len(slot), np.bool_)
-    signals = gridded(node.saturated[span], slot, every, len(motion.speed), len(SWAYING))
-    return find_hunting(signals[0], signals[1], motion.speed, interval_s)
+    lateral, yaw, roll = gridded(node.saturated[span], slot, every, len(motion.speed), len(OF_WHEELSET))
+    return (
+        find_hunting(lateral, yaw, motion.speed, interval_s),
+        find_turn_blows(lateral, roll, motion.speed, interval_s),
+    )
 
 
 def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:

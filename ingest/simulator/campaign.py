@@ -8,6 +8,7 @@ import numpy as np
 
 from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
+from ingest.simulator.blows import with_flat, with_track_blows
 from ingest.simulator.motion import STEP, WheelsetMotion, travelled
 from ingest.simulator.random_streams import Stream, generator, seed_of
 from ingest.simulator.running import CONTACT_STEP
@@ -132,7 +133,7 @@ def _run(
 
 
 def _reported(scenario: Scenario, vehicle: VehiclePlan, campaign: int, distance: FloatArray) -> FloatArray:
-    """Return the positions (n,) that a vehicle reports: off by an offset and a scale error of this run."""
+    """Return the positions (n,) that a vehicle reports: off by the errors of this run, repeated in tunnels."""
     rng = generator(scenario.seed, Stream.POSITION, scenario.vehicles.index(vehicle), campaign)
     errors = scenario.position
     offset, scale = rng.uniform(-1.0, 1.0, 2) * (errors.offset, errors.scale)
@@ -140,7 +141,13 @@ def _reported(scenario: Scenario, vehicle: VehiclePlan, campaign: int, distance:
     offset, scale = offset + normal[0], scale + normal[1]
     if errors.fixed_offset > 0.0:
         offset += errors.fixed_offset * rng.choice([-1.0, 1.0])
-    return np.asarray(distance + offset + scale * (distance - distance[0]))
+    reported = distance + offset + scale * (distance - distance[0])
+    if errors.frozen_length > 0.0:
+        entered = np.floor(distance / errors.frozen_every) * errors.frozen_every
+        inside = distance - entered < errors.frozen_length
+        last = np.maximum.accumulate(np.where(inside, -1, np.arange(len(distance))))
+        reported = np.where(inside & (last >= 0), reported[np.maximum(last, 0)], reported)
+    return np.asarray(reported)
 
 
 def odometer_scale(scenario: Scenario, vehicle: VehiclePlan) -> float:
@@ -176,7 +183,19 @@ def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: Whee
     rng = generator(scenario.seed, Stream.SENSOR, order, axle, run.campaign)
     errors = _node_errors(scenario, order, axle, run.campaign)
     narrow = scenario.running.contact_step < CONTACT_STEP
-    return measure(motion, scenario.sensors, rng, offsets, errors, short_pulses=narrow)
+    return measure(
+        _with_blows(scenario, run, axle, motion), scenario.sensors, rng, offsets, errors, short_pulses=narrow
+    )
+
+
+def _with_blows(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> WheelsetMotion:
+    order, wheelset = scenario.vehicles.index(run.vehicle), run.vehicle.wheelsets[axle]
+    for flat in scenario.running.flats:
+        if flat.wheelset == wheelset.serial and run.campaign + 1 >= flat.from_campaign:
+            rng = generator(scenario.seed, Stream.WHEEL_FLAT, order, axle, run.campaign)
+            motion = with_flat(motion, flat, wheelset.nominal_radius, rng)
+    blows = scenario.running.track_blows
+    return motion if blows is None else with_track_blows(motion, blows)
 
 
 def _node_errors(scenario: Scenario, order: int, axle: int, campaign: int) -> NodeErrors | None:

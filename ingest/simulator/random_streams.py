@@ -28,6 +28,7 @@ class Stream(IntEnum):
     LOAD = 62
     OUT_OF_ROUND = 63  # phases, by vehicle, axle and campaign
     DIAMETER = 64  # by wheelset
+    WHEEL_FLAT = 70  # where on the tread, by vehicle, axle and campaign
     STAMPS = 40  # jitter of each, by vehicle and campaign
     NODE_ERRORS = 41  # scale, mounting and skew of the sensors, by vehicle and axle
     TEMPERATURE = 42  # drift of the sensors, by vehicle, axle and campaign

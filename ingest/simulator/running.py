@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from ingest.simulator.blows import TrackBlows, WheelFlat
 from ingest.simulator.creep_laws import Creep, CreepLaw
 from ingest.simulator.irregularity import Waves
 
@@ -44,6 +45,8 @@ class RunningPlan:
     contact_half_width: float = 0.0  # m of lateral displacement over which the contact is averaged
     contact_step: float = CONTACT_STEP  # m between points of a contact table: a contact jump is a ramp as wide
     stretches: tuple[FrictionStretch, ...] = ()  # of another friction; where they overlap the last one holds
+    flats: tuple[WheelFlat, ...] = ()
+    track_blows: TrackBlows | None = None
 
     @property
     def changes_the_track(self) -> bool:

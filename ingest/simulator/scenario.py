@@ -204,6 +204,8 @@ class PositionErrors:
     scale_std: float = 0.0
     fixed_offset: float = 0.0  # m, forwards or backwards
     odometer_scale_std: float = 0.0  # of odometer and speed, one draw per vehicle
+    frozen_every: float = 1000.0  # m along the section between the begins of tunnels
+    frozen_length: float = 0.0  # m of each, in which the last position is repeated
 
     @property
     def largest_offset(self) -> float:

@@ -110,6 +110,18 @@ class ScenarioTable(InputTable):
         return self
 
     @model_validator(mode="after")
+    def _check_flats(self) -> Self:
+        listed = {wheelset.serial for vehicle in self.vehicles for wheelset in vehicle.wheelsets}
+        serials = listed if self.drawn_fleet is None else set(self.drawn_fleet.serials())
+        for i, flat in enumerate(self.wheels.flats):
+            if flat.wheelset not in serials:
+                raise field_error(f"there is no wheelset {flat.wheelset!r}", "wheels", "flats", i, "wheelset")
+            if flat.from_campaign > self.sessions.campaigns:
+                reason = f"{flat.from_campaign} is outside the range: at most {self.sessions.campaigns}"
+                raise field_error(reason, "wheels", "flats", i, "from_campaign")
+        return self
+
+    @model_validator(mode="after")
     def _check_bogies(self) -> Self:
         bogie = self.dynamics.bogie_plan()
         if bogie is None:
@@ -211,6 +223,8 @@ class ScenarioTable(InputTable):
             contact_half_width=MM * self.wheels.contact_half_width_mm,
             contact_step=MM * self.wheels.contact_step_mm,
             stretches=tuple(stretch.plan() for stretch in self.creep.stretches),
+            flats=tuple(flat.plan() for flat in self.wheels.flats),
+            track_blows=None if self.section.blows is None else self.section.blows.plan(),
         )
 
 

@@ -1,4 +1,4 @@
-"""A window with what its class adds, gravity and the yaw of its bogie frame, as one of a vehicle that runs forward."""
+"""A window as one of a vehicle that runs forward: blows bridged, with gravity and the yaw of its bogie's frame."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from estimation.errors import DamagedError, NotFoundError, PurgedError
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.motion.axle_distance import check_axle_distance
+from estimation.motion.blows import without_blows
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.motion.travel import bogie_runs_backwards, runs_backwards, turned_over
 from estimation.storage import UnitOfWork
@@ -58,7 +59,7 @@ class WindowLoader:
     _kept: dict[WindowKey, Window] = field(default_factory=dict)
 
     def stored(self, record: WindowRecord) -> Window:
-        """Return a window as it is stored, without what its class adds.
+        """Return a window without what its class adds.
 
         Parameters
         ----------
@@ -147,10 +148,11 @@ class WindowLoader:
                 yield replace(other, measures_gravity=window.measures_gravity)
 
     def _samples(self, key: WindowKey) -> Window:
-        """Return a window as it is stored."""
+        """Return a window as it is stored, but for blows."""
         if key not in self._kept:
             record = self.known.get(key)
             window = self.unit.windows.load(*key) if record is None else self.unit.windows.samples(record)
+            window = without_blows(window)
             if len(self._kept) >= KEPT:
                 self._kept.pop(next(iter(self._kept)))
             self._kept[key] = window

@@ -159,6 +159,11 @@ class DrawnFleetTable(InputTable):
     def _vehicles(self) -> int:
         return self.vehicles if self.wheelsets is None else math.ceil(self.wheelsets / self.wheelsets_each)
 
+    def serials(self) -> tuple[str, ...]:
+        """Return the serials of the wheelsets."""
+        places = self.vehicles * self.wheelsets_each if self.wheelsets is None else self.wheelsets
+        return tuple(f"W{rank:02d}" for rank in range(places))
+
     def axles_without_bogie(self) -> int:
         """Return how many wheelsets a vehicle has where that is an odd number; 0 where there is none."""
         vehicles = self._vehicles()

@@ -140,6 +140,8 @@ class PositionTable(InputTable):
     scale_std_percent: float = Field(default=0.0, ge=0.0, le=3.0)
     offset_m: float = Field(default=0.0, ge=0.0, le=1000.0)
     odometer_scale_std_percent: float = Field(default=0.0, ge=0.0, le=3.0)
+    frozen_every_m: float = Field(default=1000.0, ge=10.0, le=1e6)
+    frozen_length_m: NotNegative = 0.0
 
     def plan(self) -> PositionErrors:
         """Return the position errors in SI units."""
@@ -150,6 +152,8 @@ class PositionTable(InputTable):
             scale_std=self.scale_std_percent / 100.0,
             fixed_offset=self.offset_m,
             odometer_scale_std=self.odometer_scale_std_percent / 100.0,
+            frozen_every=self.frozen_every_m,
+            frozen_length=self.frozen_length_m,
         )
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
+from ingest.simulator.blows import TrackBlows, WheelFlat
 from ingest.simulator.creep_laws import Creep, CreepLaw
 from ingest.simulator.irregularity import Waves
 from ingest.simulator.running import CONTACT_STEP, FrictionPlan, FrictionStretch
@@ -134,12 +135,43 @@ class LoadVariationTable(_BandTable):
         return Waves("gauge", self.std_percent / 100.0, (self.shortest_wavelength_m, self.longest_wavelength_m))
 
 
+def _wheel(text: str) -> str:
+    if text not in ("left", "right"):
+        raise field_error(f"{text!r} is neither left nor right")
+    return text
+
+
+class FlatTable(InputTable):
+    """``[[wheels.flats]]``."""
+
+    wheelset: Text
+    wheel: Annotated[Text, AfterValidator(_wheel)] = "left"
+    blow_m_s2: float = Field(gt=0.0, le=500.0)
+    from_campaign: int = Field(default=1, ge=1)
+
+    def plan(self) -> WheelFlat:
+        """Return the flat."""
+        return WheelFlat(self.wheelset, self.wheel == "left", self.blow_m_s2, self.from_campaign)
+
+
+class TrackBlowsTable(InputTable):
+    """``[section.blows]``."""
+
+    every_m: float = Field(ge=5.0, le=1e5)
+    blow_m_s2: float = Field(gt=0.0, le=500.0)
+
+    def plan(self) -> TrackBlows:
+        """Return the blows."""
+        return TrackBlows(self.every_m, self.blow_m_s2)
+
+
 class WheelsTable(InputTable):
     """``[wheels]``."""
 
     out_of_round_mm: float = Field(default=0.0, ge=0.0, le=2.0)
     contact_half_width_mm: float = Field(default=0.0, ge=0.0, le=5.0)
     contact_step_mm: float = Field(default=CONTACT_STEP / MM, ge=0.001, le=0.2)
+    flats: list[FlatTable] = Field(default_factory=list)
 
 
 class TractionTable(InputTable):

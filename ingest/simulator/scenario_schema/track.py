@@ -23,7 +23,7 @@ from ingest.simulator.scenario_schema.irregularities import (
 )
 from ingest.simulator.scenario_schema.profile_names import RailName
 from ingest.simulator.scenario_schema.rails import RailFiles, RailWearTable
-from ingest.simulator.scenario_schema.running_plan import CrossLevelTable, LoadVariationTable
+from ingest.simulator.scenario_schema.running_plan import CrossLevelTable, LoadVariationTable, TrackBlowsTable
 from ingest.simulator.scenario_schema.survey import SurveyTable
 from ingest.simulator.scenario_schema.units import MM
 from ingest.simulator.track import TrackRecipe
@@ -94,6 +94,7 @@ class SectionTable(RailFiles):
     long_gauge: LongWavesTable | None = None
     cross_level: CrossLevelTable | None = None
     load_variation: LoadVariationTable | None = None
+    blows: TrackBlowsTable | None = None
     curves: list[CurveTable] = Field(default_factory=list)
     defects: list[DefectTable] = Field(default_factory=list)
     switches: list[SwitchTable] = Field(default_factory=list)
