@@ -241,6 +241,12 @@ def _get(url: str, path: str) -> Any:  # noqa: ANN401 - JSON
         return None
 
 
+def _recorded(url: str, path: str) -> Any:  # noqa: ANN401 - JSON
+    """Return the JSON of an estimate; None where nothing has ever been estimated."""
+    found = _get(url, path)
+    return found if found is None or found["recorded_at"] is not None else None
+
+
 def _items(url: str, path: str) -> list[Any]:
     found: list[Any] = []
     following: str | None = f"{path}?limit=1000"
@@ -255,8 +261,8 @@ def _results(url: str) -> dict[str, Any]:
     wheelsets = sorted(item["serial"] for item in _items(url, "/v1/wheelsets"))
     sections = sorted(item["code"] for item in _items(url, "/v1/track-sections"))
     answers = {
-        "geometry": {serial: _get(url, f"/v1/wheelsets/{_quoted(serial)}/geometry") for serial in wheelsets},
-        "trend": {serial: _get(url, f"/v1/wheelsets/{_quoted(serial)}/trend") for serial in wheelsets},
+        "geometry": {serial: _recorded(url, f"/v1/wheelsets/{_quoted(serial)}/geometry") for serial in wheelsets},
+        "trend": {serial: _recorded(url, f"/v1/wheelsets/{_quoted(serial)}/trend") for serial in wheelsets},
         "alerts": _alerts(url),
         "tracks": {code: _track(url, f"/v1/track-sections/{_quoted(code)}") for code in sections},
         "windows": {serial: _items(url, f"/v1/wheelsets/{_quoted(serial)}/windows") for serial in wheelsets},

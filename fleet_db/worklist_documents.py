@@ -21,7 +21,7 @@ from estimation.values.worklist import (
     WorklistState,
 )
 
-FORM = 1
+FORM = 2
 """Grows with every change of what a row says, so that rows of an earlier release are made again."""
 
 

@@ -53,12 +53,12 @@ def _by_signature(
 ) -> SecondOpinion | None:
     """Return what the signature of a wheelset says, where its geometry says nothing."""
     at = f"/v1/wheelsets/{urllib.parse.quote(serial, safe='')}"
-    geometry = get_if_any(service, f"{at}/geometry")
-    if geometry is not None and geometry["equivalent_conicity_1"]["value"] is not None:
+    geometry = get(service, f"{at}/geometry")
+    if geometry["equivalent_conicity_1"]["value"] is not None:
         return None
     signature = get_if_any(service, f"{at}/signature")
-    reason = "no window yet" if geometry is None else geometry["equivalent_conicity_1"]["reason"]
-    head = f"{serial}: no geometry ({reason.rstrip('.')})"
+    reason = geometry["equivalent_conicity_1"]["reason"].rstrip(".")
+    head = f"{serial}: no geometry ({reason})"
     if signature is None:
         return SecondOpinion(f"{head}, and no signature yet", None)
     conicity = signature["equivalent_conicity_at_3_mm_1"]

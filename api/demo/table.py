@@ -97,8 +97,7 @@ def get_if_any(service: ServiceAddress, path: str) -> Any:  # noqa: ANN401 - JSO
 
 def _line(service: ServiceAddress, serial: str, campaigns: list[dict[str, Any]]) -> WheelsetLine:
     at = f"/v1/wheelsets/{urllib.parse.quote(serial, safe='')}"
-    geometry = get_if_any(service, f"{at}/geometry")
-    trend = get_if_any(service, f"{at}/trend")
+    geometry, trend = (_recorded(get(service, f"{at}/{name}")) for name in ("geometry", "trend"))
     query = urllib.parse.urlencode({"wheelset": serial, "open": "true", "limit": 1000})
     alerts = get(service, f"/v1/alerts?{query}")["items"]
     conicity = geometry["equivalent_conicity_1"] if geometry else {"value": None, "interval_95": None}
@@ -107,7 +106,7 @@ def _line(service: ServiceAddress, serial: str, campaigns: list[dict[str, Any]])
         serial=serial,
         mileage_km=geometry["mileage_km"] if geometry else None,
         amplitude_mm=geometry["equivalent_conicity_amplitude_mm"] if geometry else None,
-        true=_true(campaigns, geometry) if geometry else None,
+        true=_true(campaigns, geometry) if geometry and geometry["equivalent_conicity_amplitude_mm"] else None,
         value=conicity["value"],
         low=low,
         high=high,
@@ -115,6 +114,11 @@ def _line(service: ServiceAddress, serial: str, campaigns: list[dict[str, Any]])
         distance=_distance(trend) if trend else "",
         alerts=", ".join(f"{a['kind']} ({_standing(a)})" for a in alerts) or "none",
     )
+
+
+def _recorded(answer: dict[str, Any]) -> dict[str, Any] | None:
+    """Return an answer; None where nothing has ever been estimated."""
+    return None if answer["recorded_at"] is None else answer
 
 
 def _standing(alert: dict[str, Any]) -> str:

@@ -24,13 +24,23 @@ from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_fu
 from api.problems import described
 from api.schemas import adhesion, geometry, rails, trend, windows
 from api.schemas.common import Page
-from api.services import ServicesDep
+from api.services import Services, ServicesDep
+from api.times import to_rfc3339
+from api.window_reasons import WindowReasons
 from estimation.errors import NotFoundError
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import WheelsetRecord
+from estimation.values.windows import WindowRecord
+from estimation.worklist.row import NO_TREND
 from fleet_db.keeping.purge import purged_before
 from fleet_db.keeping.retention import Kept
 from fleet_db.storage import SqlUnitOfWork
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
+NOT_KEPT = b""
+"""Stands among the kept representations for one that is made each time."""
+
 _TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"type": "string"}}}}}
 
 
@@ -47,20 +57,46 @@ def get_geometry(
     not_in_the_future(as_of, services.clock.now_ns())
     with services.storage.read() as unit:
         if as_of is None:
-            key = ("geometry", serial, accepted, unit.geometries.version(serial))
-            payload = services.cache.get_or_make(key, partial(_geometry, unit, serial, accepted))
+            payload = _geometry_now(unit, services, serial, accepted)
         else:
-            payload = _geometry(unit, serial, accepted, as_of)
+            payload = _geometry_then(unit, serial, accepted, as_of)
     return answer_payload(request, payload, accepted)
 
 
-def _geometry(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int | None = None) -> bytes:
-    _answerable(unit, serial, as_of_ns)
+def _geometry_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type: str) -> bytes:
+    """Return what is estimated now; that nothing is changes with the windows, and is not kept."""
+    version = unit.geometries.version(serial)
+    if version is not None:
+        key = ("geometry", serial, media_type, version)
+        payload = services.cache.get_or_make(key, partial(_estimated_geometry, unit, serial, media_type))
+        if payload != NOT_KEPT:
+            return payload
+    current = unit.geometries.current(serial)
+    with_windows = current is not None and current.geometry.windows > 0
+    why = WindowReasons(unit).without_estimate(serial, current.geometry.reason if with_windows and current else None)
+    if current is not None:
+        return _geometry_payload(geometry.geometry(current, why), media_type)
+    baseline = len(unit.registry.wheelset(serial).reprofilings)
+    return _geometry_payload(geometry.no_geometry(serial, baseline, why.reason, why), media_type)
+
+
+def _estimated_geometry(unit: SqlUnitOfWork, serial: str, media_type: str) -> bytes:
+    found = unit.geometries.current(serial)
+    if found is None or found.geometry.status is Status.UNESTIMATED:
+        return NOT_KEPT
+    return _geometry_payload(geometry.geometry(found), media_type)
+
+
+def _geometry_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
+    wheelset = _answerable(unit, serial, as_of_ns)
     found = unit.geometries.current(serial, as_of_ns)
     if found is None:
-        unit.registry.wheelset(serial)
-        raise NotFoundError("geometry yet of wheelset", serial)
-    body = geometry.geometry(found)
+        reason = _nothing_until("geometry", as_of_ns)
+        return _geometry_payload(geometry.no_geometry(serial, _baseline(wheelset, as_of_ns), reason), media_type)
+    return _geometry_payload(geometry.geometry(found), media_type)
+
+
+def _geometry_payload(body: geometry.Geometry, media_type: str) -> bytes:
     return table_payload(body, media_type, geometry.table(body))
 
 
@@ -77,29 +113,58 @@ def get_trend(
     not_in_the_future(as_of, services.clock.now_ns())
     with services.storage.read() as unit:
         if as_of is None:
-            key = ("trend", serial, accepted, unit.trends.version(serial))
-            payload = services.cache.get_or_make(key, partial(_trend, unit, serial, accepted))
+            payload = _trend_now(unit, services, serial, accepted)
         else:
-            payload = _trend(unit, serial, accepted, as_of)
+            payload = _trend_then(unit, serial, accepted, as_of)
     return answer_payload(request, payload, accepted)
 
 
-def _trend(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int | None = None) -> bytes:
-    _answerable(unit, serial, as_of_ns)
-    found = unit.trends.latest(serial, as_of_ns)
-    if found is None:
-        unit.registry.wheelset(serial)
-        raise NotFoundError("trend yet of wheelset", serial)
-    current = unit.geometries.current(serial, as_of_ns)
-    body = trend.trend(found, current)
+def _trend_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type: str) -> bytes:
+    """Return the trend now; that there is none changes with the windows, and is not kept."""
+    version = unit.trends.version(serial)
+    if version[0] is not None:
+        key = ("trend", serial, media_type, version)
+        return services.cache.get_or_make(key, partial(_trend_payload, unit, serial, media_type))
+    baseline = len(unit.registry.wheelset(serial).reprofilings)
+    current = unit.geometries.current(serial)
+    if current is not None and current.geometry.windows:
+        body = trend.no_trend(serial, baseline, NO_TREND, current)
+    else:
+        why = WindowReasons(unit).without_estimate(serial)
+        body = trend.no_trend(serial, baseline, why.reason, current, why)
     return table_payload(body, media_type, trend.table(body))
 
 
-def _answerable(unit: SqlUnitOfWork, serial: str, as_of_ns: int | None) -> None:
-    """Refuse a time of which not everything is kept; of the present everything is."""
-    if as_of_ns is not None:
-        unit.registry.wheelset(serial)
-        not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
+def _trend_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
+    wheelset = _answerable(unit, serial, as_of_ns)
+    if unit.trends.latest(serial, as_of_ns) is not None:
+        return _trend_payload(unit, serial, media_type, as_of_ns)
+    current = unit.geometries.current(serial, as_of_ns)
+    baseline = _baseline(wheelset, as_of_ns)
+    body = trend.no_trend(serial, baseline, _nothing_until("trend", as_of_ns), current)
+    return table_payload(body, media_type, trend.table(body))
+
+
+def _trend_payload(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int | None = None) -> bytes:
+    found = unit.trends.latest(serial, as_of_ns)
+    assert found is not None
+    body = trend.trend(found, unit.geometries.current(serial, as_of_ns))
+    return table_payload(body, media_type, trend.table(body))
+
+
+def _answerable(unit: SqlUnitOfWork, serial: str, as_of_ns: int) -> WheelsetRecord:
+    """Return a wheelset; refuse a time of which not everything is kept: of the present everything is."""
+    found = unit.registry.wheelset(serial)
+    not_purged(as_of_ns, purged_before(unit.connection, Kept.SUPERSEDED_ESTIMATES))
+    return found
+
+
+def _nothing_until(what: str, as_of_ns: int) -> Reason:
+    return Reason(ReasonCode.NO_GEOMETRY, f"no {what} had been recorded until {to_rfc3339(as_of_ns)}")
+
+
+def _baseline(wheelset: WheelsetRecord, as_of_ns: int) -> int:
+    return sum(one.at_ns <= as_of_ns for one in wheelset.reprofilings)
 
 
 @router.get("/{serial}/rails", response_model=rails.WheelsetRails, responses=described(404))
@@ -132,8 +197,13 @@ def list_windows(
     with services.storage.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.windows.page(serial, after, limit + 1)
-    rows = [record for record in found if measured_to is None or record.start_ns < measured_to]
-    return answer_page(request, filters, limit, rows, lambda record: record.start_ns, windows.window)
+        rows = [record for record in found if measured_to is None or record.start_ns < measured_to]
+        reasons = WindowReasons(unit).of_records(rows[:limit])
+
+    def represent(record: WindowRecord) -> windows.Window:
+        return windows.window(record, reasons[record.key])
+
+    return answer_page(request, filters, limit, rows, lambda record: record.start_ns, represent)
 
 
 @router.get("/{serial}/creep-forces", response_model=Page[adhesion.WindowCreep], responses=described(400, 404))

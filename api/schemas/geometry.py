@@ -8,11 +8,13 @@ from pydantic import Field, JsonValue
 
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.registry import segment
+from api.schemas.unestimated import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.geometry import COMBINATIONS, LEFT_OUT, BinStatus, BinValues, GeometryRecord
-from estimation.values.quantities import Status
-from estimation.values.reasons import ReasonCode, code_of, text_of
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.window_reasons import WithoutEstimate
 
 MM = 1000.0
 
@@ -57,18 +59,26 @@ class Provenance(Representation):
 
 
 class Geometry(Representation):
-    """Contact geometry of one wheelset, estimated from the data since its last reprofiling."""
+    """Contact geometry of one wheelset, estimated from the data since its last reprofiling.
+
+    Where nothing was ever estimated the numbers are null, the bins empty, and `unestimated_because` explains it.
+    """
 
     wheelset: str = Field(examples=["WS-0001"])
     status: Status
     reason: str | None
     reason_code: ReasonCode | None
-    estimator: str = Field(description="Name of the estimator that found it.", examples=["bins"])
+    unestimated_because: UnestimatedBecause | None = Field(
+        description="Why nothing is estimated now, by its windows; null where something is, and with `as_of`."
+    )
+    estimator: str | None = Field(
+        description="Name of the estimator that found it; null without a geometry.", examples=["bins"]
+    )
     baseline: int = Field(description="Number of reprofilings before it.")
     mileage_km: float | None = Field(description="Weighted mean mileage of its windows since the wheelset was new.")
-    measured_from: Timestamp
-    measured_to: Timestamp
-    recorded_at: Timestamp
+    measured_from: Timestamp | None = Field(description="Begin of its data; null without a geometry.")
+    measured_to: Timestamp | None = Field(description="End of its data, not included; null without a geometry.")
+    recorded_at: Timestamp | None = Field(description="When it was recorded; null without a geometry.")
     n_windows: int
     equivalent_conicity_1: Uncertain
     equivalent_conicity_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude covered.")
@@ -82,7 +92,7 @@ class Geometry(Representation):
     nonlinearity_parameter_per_mm: Uncertain
     zero_crossing_mm: Uncertain = Field(description="Lateral displacement at which both rolling radii are equal.")
     bins: Bins
-    provenance: Provenance
+    provenance: Provenance | None = Field(description="What it was made from; null without a geometry.")
     links: Links
 
 
@@ -95,15 +105,25 @@ def _column(values: BinValues, scale: float) -> BinColumn:
     )
 
 
-def geometry(record: GeometryRecord) -> Geometry:
-    """Return the representation of a geometry estimate."""
+def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> Geometry:
+    """Return the representation of a geometry estimate.
+
+    Parameters
+    ----------
+    record
+        The estimate.
+    without
+        Why it holds no number; None where it does, or as it was recorded at a time.
+    """
     found = record.geometry
+    reason = found.reason if without is None else without.reason
     own = f"/v1/wheelsets/{segment(record.wheelset)}"
     return Geometry(
         wheelset=record.wheelset,
         status=found.status,
-        reason=text_of(found.reason),
-        reason_code=code_of(found.reason),
+        reason=text_of(reason),
+        reason_code=code_of(reason),
+        unestimated_because=None if without is None else unestimated_because(without),
         estimator=record.estimator,
         baseline=record.baseline,
         mileage_km=finite(record.mileage_km),
@@ -140,6 +160,57 @@ def geometry(record: GeometryRecord) -> Geometry:
                 for section, versions in sorted(record.track_versions.items())
             },
         },
+    )
+
+
+def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEstimate | None = None) -> Geometry:
+    """Return the representation of a wheelset of which nothing was ever estimated.
+
+    Parameters
+    ----------
+    serial
+        Of the wheelset.
+    baseline
+        Number of its reprofilings.
+    reason
+        Why, in one sentence.
+    without
+        The same by its windows; None of a time that has passed.
+    """
+    own = f"/v1/wheelsets/{segment(serial)}"
+    unknown = uncertain(Estimate.unknown(reason))
+    empty = BinColumn(value=[], std=[], status=[])
+    return Geometry(
+        wheelset=serial,
+        status=Status.UNESTIMATED,
+        reason=reason.text,
+        reason_code=reason.code,
+        unestimated_because=None if without is None else unestimated_because(without),
+        estimator=None,
+        baseline=baseline,
+        mileage_km=None,
+        measured_from=None,
+        measured_to=None,
+        recorded_at=None,
+        n_windows=0,
+        equivalent_conicity_1=unknown,
+        equivalent_conicity_amplitude_mm=None,
+        equivalent_conicity_at_3_mm_1=unknown,
+        windows_left_out=None,
+        conicity_by_amplitude=[],
+        nonlinearity_parameter_per_mm=unknown,
+        zero_crossing_mm=unknown,
+        bins=Bins(
+            lower_mm=[],
+            upper_mm=[],
+            samples_1=[],
+            rolling_radius_sum_mm=empty,
+            rolling_radius_difference_mm=empty,
+            contact_angle_sum_rad=empty,
+            contact_angle_difference_rad=empty,
+        ),
+        provenance=None,
+        links={"self": f"{own}/geometry", "wheelset": own, "trend": f"{own}/trend", "windows": f"{own}/windows"},
     )
 
 

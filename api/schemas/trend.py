@@ -8,13 +8,16 @@ from pydantic import Field, JsonValue
 
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.registry import segment
+from api.schemas.unestimated import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, times_to_rfc3339, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.trend.points import QUANTITY
 from estimation.values import trend as values
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.trend import TrendRecord
+from estimation.values.window_reasons import WithoutEstimate
 
 _BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
 _NO_CURRENT = Estimate.unknown(
@@ -76,18 +79,24 @@ class TrendProvenance(Representation):
 
 
 class Trend(Representation):
-    """An indicator since the last reprofiling, its robust slope, and when it reaches its limit."""
+    """An indicator since the last reprofiling, its robust slope, and when it reaches its limit.
+
+    Without a trend the numbers are null, the points empty, and `reason` and `unestimated_because` explain it.
+    """
 
     wheelset: str = Field(examples=["WS-0001"])
     quantity: str = Field(examples=["equivalent_conicity"])
     status: Status
     reason: str | None
     reason_code: ReasonCode | None
+    unestimated_because: UnestimatedBecause | None = Field(
+        description="Why nothing is estimated now, by the windows; null where there is a geometry, and with `as_of`."
+    )
     converged: bool = Field(
         description="Whether the robust fits over distance and date stopped changing; true where nothing was fitted."
     )
     baseline: int
-    recorded_at: Timestamp
+    recorded_at: Timestamp | None = Field(description="When it was recorded; null without a trend.")
     points: TrendPoints
     step: TrendStep | None = Field(
         description="The step that the trend begins behind; null where it begins with the profile."
@@ -103,7 +112,7 @@ class Trend(Representation):
     distance_to_limit_km: DistanceForecast
     date_of_limit: DateForecast
     probability_over_limit_1: float | None = Field(description="That the limit is exceeded now; null means unknown.")
-    provenance: TrendProvenance
+    provenance: TrendProvenance | None = Field(description="What it was made from; null without a trend.")
     links: Links
 
 
@@ -163,6 +172,7 @@ def trend(record: TrendRecord, current: GeometryRecord | None) -> Trend:
         status=found.status,
         reason=text_of(found.reason),
         reason_code=code_of(found.reason),
+        unestimated_because=None,
         converged=found.converged,
         baseline=record.baseline,
         recorded_at=to_rfc3339(record.recorded_ns),
@@ -209,6 +219,57 @@ def _step(found: values.TrendStep) -> TrendStep:
         probability_1=finite(found.probability),
         intervals_before=found.before,
         intervals_behind=found.behind,
+    )
+
+
+def no_trend(
+    serial: str, baseline: int, reason: Reason, current: GeometryRecord | None, without: WithoutEstimate | None = None
+) -> Trend:
+    """Return the representation of a wheelset that has no trend.
+
+    Parameters
+    ----------
+    serial
+        Of the wheelset.
+    baseline
+        Number of its reprofilings.
+    reason
+        Why it has none.
+    current
+        Its current geometry; None where there is none.
+    without
+        Why it has no geometry either, by its windows; None where it has one, and of a time that has passed.
+    """
+    own = f"/v1/wheelsets/{segment(serial)}"
+    unknown, nowhere = Estimate.unknown(reason), Forecast(None, None, None)
+    of_now = None if current is None or current.baseline != baseline else current
+    return Trend(
+        wheelset=serial,
+        quantity=QUANTITY,
+        status=Status.UNESTIMATED,
+        reason=reason.text,
+        reason_code=reason.code,
+        unestimated_because=None if without is None else unestimated_because(without),
+        converged=True,
+        baseline=baseline,
+        recorded_at=None,
+        points=TrendPoints(mileage_km=[], measured_at=[], value_1=[], std_1=[]),
+        current_1=uncertain(unknown if of_now is None else conicity_at_limit_amplitude(of_now.geometry)),
+        current_mileage_km=None if of_now is None else finite(of_now.mileage_km),
+        fitted_1=uncertain(unknown),
+        slope_1_per_1000_km=uncertain(unknown),
+        slope_1_per_year=uncertain(unknown),
+        limit_1=None,
+        distance_to_limit_km=distance_forecast(nowhere, reason),
+        date_of_limit=date_forecast(nowhere, reason),
+        probability_over_limit_1=None,
+        provenance=None,
+        links={
+            "self": f"{own}/trend",
+            "wheelset": own,
+            "geometry": f"{own}/geometry",
+            "alerts": f"/v1/alerts?wheelset={segment(serial)}",
+        },
     )
 
 

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from api.schemas.common import Representation, finite
 from api.times import Timestamp, to_rfc3339
-from estimation.values.reasons import ReasonCode, code_of, text_of
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.windows import WindowRecord, WindowState
 
 
@@ -40,15 +40,23 @@ class Window(Representation):
     track_section: str | None
     mileage_km: float | None
     state: WindowState
-    reason: str | None
+    reason: str | None = Field(description="Why it is refused, or what it waits for; null where it is estimated.")
     reason_code: ReasonCode | None
     quality: WindowQuality
     content_digest: str
     recorded_at: Timestamp
 
 
-def window(record: WindowRecord) -> Window:
-    """Return the representation of a window."""
+def window(record: WindowRecord, reason: Reason | None) -> Window:
+    """Return the representation of a window.
+
+    Parameters
+    ----------
+    record
+        The window.
+    reason
+        Why it is refused, or what it waits for; None where it is estimated.
+    """
     quality = record.quality
     return Window(
         wheelset=record.wheelset,
@@ -59,8 +67,8 @@ def window(record: WindowRecord) -> Window:
         track_section=record.track_section,
         mileage_km=finite(record.mileage_km),
         state=record.state,
-        reason=text_of(record.reason),
-        reason_code=code_of(record.reason),
+        reason=text_of(reason),
+        reason_code=code_of(reason),
         quality=WindowQuality(
             coverage_1=finite(quality.coverage),
             longest_gap_s=finite(quality.longest_gap_s),

@@ -125,7 +125,8 @@ def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
         lives.add(item.life)
     if len(lives) < LEAST_WHEELSETS and not lives & panel.known.measured.keys():
         return SINGLE_WHEELSET
-    return None if (passed >= least).any() else too_few_passes(least)
+    most = int(passed.max(initial=0))
+    return None if most >= least else too_few_passes(least, most)
 
 
 def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Panel, p: SectionParameters) -> _Accepted:

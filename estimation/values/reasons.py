@@ -23,6 +23,11 @@ class ReasonCode(StrEnum):
         member.meaning = meaning
         return member
 
+    @property
+    def remedy(self) -> str:
+        """What to do: what follows the first sentence of the meaning; empty where there is nothing to do."""
+        return self.meaning.partition(". ")[2]
+
     # window
     SENSOR_FAULT = "sensor_fault", "The sensor reports a failed self-test or an emergency. Check or replace the sensor."
     TOO_FEW_SAMPLES = "too_few_samples", "Too many samples are missing. Check the bus and the recorder."
@@ -32,13 +37,30 @@ class ReasonCode(StrEnum):
         "The wheelset hunts, and drives the sensor to its limits. Check yaw dampers and wheel profiles.",
     )
     SECTION_UNKNOWN = "section_unknown", "The vehicle is on no section of the registry. Register the section."
-    POSITION_UNKNOWN = "position_unknown", "No sample, or too few, has a position on the section."
+    POSITION_UNKNOWN = (
+        "position_unknown",
+        "No sample, or too few, has a position on the section. Check the position source.",
+    )
     FILE_DAMAGED = "file_damaged", "The file of the samples is missing or damaged. Receive the recording again."
     CLASS_UNKNOWN = "class_unknown", "The class of the vehicle is not on file. Register it; the window waits for it."
-    ALIGNMENT_UNKNOWN = "alignment_unknown", "The alignment of the section is not known yet. The window waits for it."
+    ALIGNMENT_UNKNOWN = (
+        "alignment_unknown",
+        "The alignment of the section is not known yet. Survey it, or wait for more passes; the window waits for it.",
+    )
+    WAITS_FOR_ESTIMATION = (
+        "waits_for_estimation",
+        "The window has not been estimated yet. Run `treadwatch estimate`, or let `treadwatch schedule` run.",
+    )
+    WAITS_FOR_POSITION = (
+        "waits_for_position",
+        "The place of the window on the section is not found yet. Let `refresh_alignment` run; more passes help it.",
+    )
     NOT_MOVING = "not_moving", "The vehicle stands, or runs too slowly."
     BOTH_DIRECTIONS = "both_directions", "The vehicle runs both ways along the section within the window."
-    POSITION_JUMP = "position_jump", "The position changes by another distance than the speed makes of it."
+    POSITION_JUMP = (
+        "position_jump",
+        "The position changes by another distance than the speed makes of it. Check the position source.",
+    )
     AXES_REVERSED = "axes_reversed", "The sensor axes contradict the direction of running. Check the mounting record."
     SENSOR_TURNED = (
         "sensor_turned",
@@ -49,7 +71,10 @@ class ReasonCode(StrEnum):
     IN_CURVES = "in_curves", "All of the window is in curves."
     INTERRUPTED = "interrupted", "No uninterrupted run of samples is long enough for the filters."
     TOO_FEW_USABLE = "too_few_usable", "Too few samples are left after filtering."
-    OUTSIDE_BINS = "outside_bins", "No lateral displacement is within the range of the bins."
+    OUTSIDE_BINS = (
+        "outside_bins",
+        "No lateral displacement is within the range of the bins. Check the scale of the sensors.",
+    )
     FRAME_UNKNOWN = (
         "frame_unknown",
         "The yaw of the bogie frame is not known: the other node of the bogie has no window. Check its sensors.",
@@ -71,7 +96,10 @@ class ReasonCode(StrEnum):
         "The track reaches the axles of the bogie unlike their distance on file. Check nodes, axle offsets and class.",
     )
     # position and pass
-    POSITION_UNCERTAIN = "position_uncertain", "The position along the section could not be confirmed."
+    POSITION_UNCERTAIN = (
+        "position_uncertain",
+        "The position along the section could not be confirmed. Wait for more passes, or check the position source.",
+    )
     PASS_TOO_SHORT = "pass_too_short", "The pass is shorter than the filters need."
     OTHER_SECTION = "other_section", "The pass does not match the section. Check what the vehicle reports as section."
     MIRRORED = "mirrored", "Left and right are exchanged. Check the mounting record and the signs."

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 from estimation.values.geometry import GeometryRecord
-from estimation.values.reasons import Reason
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord
 from estimation.values.worklist import MileageNow, OpenAlert
@@ -31,6 +31,8 @@ class WorklistInputs:
         Open ones, in any order.
     failure
         Why its geometry or trend cannot be read or understood; None where they can.
+    refused
+        How many of its newest windows are refused, by reason, the most frequent first; where it has no geometry.
     """
 
     wheelset: WheelsetRecord
@@ -42,3 +44,4 @@ class WorklistInputs:
     mileage: MileageNow | None
     alerts: Sequence[OpenAlert] = ()
     failure: Reason | None = None
+    refused: Mapping[ReasonCode, int] = field(default_factory=dict)

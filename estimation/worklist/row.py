@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.alerts import Severity
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.trend import TrendRecord
 from estimation.values.worklist import AxlePosition, BogiePlace, OpenAlert, WorklistRow, WorklistState
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
@@ -17,9 +17,11 @@ from estimation.worklist.urgency import Ahead, judged
 
 NO_GEOMETRY = Reason(ReasonCode.NO_GEOMETRY, "there is no geometry yet")
 REPROFILED = Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "there is no geometry since the last reprofiling")
+WITHOUT_GEOMETRY = (NO_GEOMETRY.code, REPROFILED.code)
 NO_TREND = Reason(ReasonCode.TOO_FEW_POINTS, "there is no trend since the last reprofiling yet")
 NOT_FINITE = Reason(ReasonCode.NOT_FINITE, "the calculation gave no finite number")
 BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
+REFUSALS_NAMED = 2
 _NOWHERE = Forecast(None, None, None)
 _SEVERITIES = list(Severity)
 
@@ -60,7 +62,7 @@ def _state(inputs: WorklistInputs) -> WorklistState:
     verdict = judged(
         mounted=inputs.wheelset.mounting is not None, ahead=ahead.ahead, alerts=alerts, last_ns=last_data_ns
     )
-    has_geometry = inputs.geometry is not None and conicity.reason not in (REPROFILED, NO_GEOMETRY)
+    has_geometry = inputs.geometry is not None and code_of(conicity.reason) not in WITHOUT_GEOMETRY
     return WorklistState(
         status=conicity.status,
         conicity=conicity,
@@ -86,10 +88,20 @@ def _conicity(inputs: WorklistInputs) -> Estimate:
     if inputs.failure is not None:
         return Estimate.unknown(inputs.failure, status=Status.INVALID)
     if geometry is None or not geometry.geometry.windows:
-        return Estimate.unknown(NO_GEOMETRY)
+        return Estimate.unknown(_with_refusals(NO_GEOMETRY, inputs))
     if geometry.baseline != len(inputs.wheelset.reprofilings):
-        return Estimate.unknown(REPROFILED)
+        return Estimate.unknown(_with_refusals(REPROFILED, inputs))
     return _published(conicity_at_limit_amplitude(geometry.geometry))
+
+
+def _with_refusals(reason: Reason, inputs: WorklistInputs) -> Reason:
+    """Return why there is no geometry, with what its newest windows are refused for."""
+    named = list(inputs.refused.items())[:REFUSALS_NAMED]
+    if not named:
+        return reason
+    refusals = ", ".join(f"{count} {code.value.replace('_', ' ')}" for code, count in named)
+    rest = sum(inputs.refused.values()) - sum(count for _, count in named)
+    return replace(reason, text=f"{reason.text}; refused windows: {refusals}{f', {rest} other' if rest else ''}")
 
 
 def _current_trend(inputs: WorklistInputs) -> TrendRecord | None:
@@ -129,7 +141,7 @@ def _why_unknown(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Es
     """Return why nothing is known of the limit; None where something is."""
     if inputs.failure is not None:
         return inputs.failure
-    if conicity.reason in (NO_GEOMETRY, REPROFILED) or conicity.status is Status.MODEL_MISMATCH:
+    if code_of(conicity.reason) in WITHOUT_GEOMETRY or conicity.status is Status.MODEL_MISMATCH:
         return conicity.reason
     if trend is None:
         return NO_TREND

@@ -32,6 +32,8 @@ from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
 
 CHUNKS, VEHICLES = table_of(ChunkRow), table_of(VehicleRow)
 MOUNTINGS, WINDOWS = table_of(MountingRow), table_of(WindowRow)
+LOOKED_THROUGH = 5_000
+"""Receipts of all vehicles, the newest, that are looked through for one of a vehicle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +145,24 @@ class ChunkStore:
         decoded = CHUNKS.c.state == ChunkState.DECODED.value
         found: int | None = self.connection.scalar(select(func.max(CHUNKS.c.last_ns)).where(decoded))
         return found
+
+    def newest_of_vehicle(self, vehicle: str, most: int = LOOKED_THROUGH) -> ChunkRecord | None:
+        """Return the receipt of a vehicle that came last; None where none is among the newest of all vehicles.
+
+        Parameters
+        ----------
+        vehicle
+            Code.
+        most
+            How many receipts of all vehicles are looked through: there is no index by vehicle.
+        """
+        place = (CHUNKS.c.received_ns.desc(), CHUNKS.c.digest.desc())
+        there = CHUNKS.c.state != ChunkState.DELETED.value
+        names = (CHUNKS.c.digest, CHUNKS.c.vehicle, CHUNKS.c.received_ns)
+        newest = select(*names).where(there).order_by(*place).limit(most).subquery()
+        of_vehicle = select(newest.c.digest).where(newest.c.vehicle == vehicle)
+        digest = self.connection.scalar(of_vehicle.order_by(newest.c.received_ns.desc()).limit(1))
+        return None if digest is None else self.get(digest)
 
     def purged(self) -> frozenset[str]:
         """Return the digests of the recordings whose raw bytes were deleted."""

@@ -71,6 +71,8 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
             if before.state != mark.state.value:
                 refused = WindowState.REFUSED.value in {before.state, mark.state.value}  # else the newest usable stays
                 changes.note(mark.wheelset, shown=refused)
+            elif mark.state is WindowState.REFUSED:
+                changes.show(mark.wheelset)  # another reason
     replace_all(connection, WINDOWS, changed)
     remove_tables(connection, changes, gone)
     return held

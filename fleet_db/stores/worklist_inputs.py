@@ -11,8 +11,8 @@ from estimation.errors import DamagedError
 from estimation.failures import code_of_error, first_line
 from estimation.values.alerts import Condition, Severity
 from estimation.values.geometry import GeometryRecord
-from estimation.values.reasons import Reason
-from estimation.values.registry import VehicleRecord
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord
 from estimation.values.windows import WindowState
 from estimation.values.worklist import MileageNow, OpenAlert
@@ -25,6 +25,7 @@ from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
+from fleet_db.stores.window_reasons import refused_by_code
 
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
 GEOMETRIES, TRENDS = table_of(GeometryRow), table_of(TrendRow)
@@ -73,9 +74,18 @@ class WorklistReader:
                     mileage=mileage,
                     alerts=alerts.get(serial, ()),
                     failure=failure,
+                    refused=self._refused(record, current),
                 )
             )
         return found
+
+    def _refused(self, wheelset: WheelsetRecord, geometry: GeometryRecord | None) -> Mapping[ReasonCode, int]:
+        """Return what the newest windows of a wheelset are refused for, where it has no geometry of its profile."""
+        has_windows = geometry is not None and geometry.geometry.windows > 0
+        if has_windows and geometry is not None and geometry.baseline == len(wheelset.reprofilings):
+            return {}
+        since_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
+        return refused_by_code(self.connection, wheelset.serial, since_ns)
 
     def _results(
         self, serial: str, *, geometry: bool, trend: bool

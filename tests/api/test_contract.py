@@ -94,6 +94,7 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "StateOfWear": {"probability"},
         "UsedEntry": {"weight"},
         "RecordingWindows": {"made", "pending", "estimated", "refused"},
+        "UnestimatedBecause": {"pending", "estimated", "refused"},
     }
     counts = {
         "diverged_windows",

@@ -197,7 +197,10 @@ def test_as_of_gives_what_was_recorded_then(client: httpx.Client, resource: str)
     earlier = get(client, path, as_of="2025-07-25T15:06:40.123456789Z")
     key = "equivalent_conicity_1" if resource == "geometry" else "fitted_1"
     assert earlier[key]["value"] == 0.1875
-    assert client.get(path, params={"as_of": "2025-07-25T15:06:40.123456788Z"}).status_code == 404
+    before = get(client, path, as_of="2025-07-25T15:06:40.123456788Z")
+    assert (before["status"], before["reason_code"], before[key]["value"]) == ("unestimated", "no_geometry", None)
+    assert "until 2025-07-25T15:06:40.123456788Z" in before["reason"]
+    assert (before["unestimated_because"], before["provenance"], before["recorded_at"]) == (None, None, None)
     assert client.get(path, params={"as_of": "2200-01-01T00:00:00Z"}).status_code == 422
 
 
@@ -209,7 +212,8 @@ def test_what_was_purged_is_gone_not_unknown(service: Service, resource: str) ->
     answer = service.client.get(path, params={"as_of": "2017-07-14T02:39:59Z"})
     assert (answer.status_code, answer.json()["type"]) == (410, "urn:treadwatch:problem:history-purged")
     assert "2017-07-14T02:40:00Z" in answer.json()["detail"]
-    assert service.client.get(path, params={"as_of": "2017-07-14T02:40:00Z"}).status_code == 404
+    kept = service.client.get(path, params={"as_of": "2017-07-14T02:40:00Z"})
+    assert (kept.status_code, kept.json()["status"]) == (200, "unestimated")
     assert service.client.get(path).status_code == 200
 
 
@@ -300,8 +304,6 @@ def test_mountings_and_vehicles_are_found_by_what_runs_where(client: httpx.Clien
         "/v1/wheelsets/WS-999/mountings",
         "/v1/wheelsets/WS-999/reprofilings",
         "/v1/wheelsets/WS-999/measured-profiles",
-        f"/v1/wheelsets/{api_fleet.NO_DATA_YET}/geometry",
-        f"/v1/wheelsets/{api_fleet.NO_DATA_YET}/trend",
         "/v1/fleets/none",
         "/v1/vehicles/none",
         "/v1/alerts/999999",

@@ -46,7 +46,7 @@ def test_every_reason_code_is_stored_and_served_as_it_is(fleet: SqlStorage) -> N
             record = unit.windows.get("WS-1", start_ns)
         assert record is not None
         assert record.reason == reason
-        served = windows.window(record).model_dump(mode="json")
+        served = windows.window(record, record.reason).model_dump(mode="json")
         assert (served["reason_code"], served["reason"]) == (code.value, reason.text)
 
 

@@ -7,6 +7,7 @@ import { conicityChart, occupancy, radiusChart } from "./wheelset_curves.js";
 import { eventsOf, loadWheelset, newestMileage } from "./wheelset_data.js";
 import { opinionsPanel } from "./wheelset_opinions.js";
 import { alertsPanel, eventsPanel, fact, fitPanel, measurementsPanel, panel, qualityPanel } from "./wheelset_panels.js";
+import { noEstimate } from "./wheelset_reasons.js";
 import { forecast, trendChart } from "./wheelset_trend.js";
 
 export async function wheelset({ params, signal, title }) {
@@ -17,12 +18,12 @@ export async function wheelset({ params, signal, title }) {
 }
 
 function whole(found, changed) {
-  const { wheelset: one, geometry, trend } = found;
+  const { wheelset: one, geometry, trend, without } = found;
   return el(
     "div", { class: "wheelset" }, heading(one),
     el("div", { class: "grid" },
       panel("summary", "Now", summary(found)), alertsPanel(found, changed)),
-    geometry === null ? noEstimate(found) : null,
+    without ? noEstimate(without, geometry) : null,
     el("div", { class: "grid" },
       panel("conicity", "Conicity", conicityChart(found)), panel("difference", "Rolling radius difference", radiusChart(found, "rolling_radius_difference_mm")),
       panel("trend-mileage", "Trend by mileage", trend || found.intervals.length ? trendChart(found, "mileage") : noTrend()),
@@ -53,14 +54,9 @@ export function summary(found) {
     fact("Conicity at 3 mm", estimate(conicity), conicity?.reason ? el("span", { class: "second" }, conicity.reason) : null),
     fact("Limit", trend?.limit_1 == null ? "none on file" : String(trend.limit_1)),
     fact("Slope per 1,000 km", estimate(trend?.slope_1_per_1000_km, 4)), fact("Limit reached", forecast(trend)),
-    fact("Mileage", mileage === null ? "unknown" : km(mileage)), fact("Last data", lastData(geometry?.measured_to)),
+    fact("Mileage", mileage === null ? "unknown" : km(mileage)), fact("Last data", lastData(geometry?.measured_to ?? found.without?.last_data_at)),
     fact("Reprofilings", String(found.wheelset.reprofilings.length)),
   );
-}
-
-function noEstimate({ quality }) {
-  const why = quality.total.length === 0 ? "No data of it have been received." : "Its windows wait, or are refused: see Data quality below.";
-  return el("div", { class: "state", data: { state: "empty" } }, el("h2", {}, "Nothing has been estimated of this wheelset yet."), el("p", {}, why));
 }
 
 const noTrend = () => el("p", { class: "absent" }, "There is no trend yet: no mileage interval has been estimated.");

@@ -8,8 +8,8 @@ export async function loadWheelset(serial, signal) {
   const own = `/v1/wheelsets/${segment(serial)}`;
   const wheelset = await get(own, signal);
   const list = (path) => getAll(`${path}${path.includes("?") ? "&" : "?"}limit=1000`, signal);
-  const [geometry, trend, design, intervals, measurements, mountings, alerts, quality, signature, rails] = await Promise.all([
-    getIfAny(`${own}/geometry`, signal), getIfAny(`${own}/trend`, signal), getIfAny(`${own}/contact`, signal),
+  const [recorded, recordedTrend, design, intervals, measurements, mountings, alerts, quality, signature, rails] = await Promise.all([
+    get(`${own}/geometry`, signal), get(`${own}/trend`, signal), getIfAny(`${own}/contact`, signal),
     list(`${own}/intervals`), list(`${own}/measured-profiles`), list(`${own}/mountings`),
     list(`/v1/alerts?wheelset=${segment(serial)}`), get(`${own}/data-quality`, signal),
     getIfAny(`${own}/signature`, signal), getIfAny(`${own}/rails`, signal),
@@ -17,7 +17,9 @@ export async function loadWheelset(serial, signal) {
   const comparisons = (await Promise.all(measurements.slice(-COMPARED).map((one) => getIfAny(one.links.comparison, signal)))).filter(Boolean);
   comparisons.reverse();
   alerts.sort((a, b) => b.opened_at.localeCompare(a.opened_at));
-  return { wheelset, geometry, trend, design, intervals, measurements, comparisons, mountings, alerts, quality, signature, rails };
+  const [geometry, trend] = [recorded, recordedTrend].map((one) => (one.recorded_at === null ? null : one)); // ever estimated
+  const without = recorded.unestimated_because && { ...recorded.unestimated_because, reason: recorded.reason };
+  return { wheelset, geometry, without, trend, design, intervals, measurements, comparisons, mountings, alerts, quality, signature, rails };
 }
 
 /** What happened to a wheelset, the newest first: `{at, what, detail, km}`. */

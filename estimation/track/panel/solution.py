@@ -312,22 +312,24 @@ def between_pass_std_ratio(state: PanelState) -> float:
     return float(np.sqrt(max(within, 0.0) / total)) if total > 0 else 0.0
 
 
-def too_few_passes(least: int) -> Reason:
+def too_few_passes(least: int, most: int) -> Reason:
     """Return that no place has enough passes.
 
     Parameters
     ----------
     least
         How many a place needs.
+    most
+        How many there are where there are most.
     """
-    return Reason(ReasonCode.TOO_FEW_PASSES, f"no place with {least} passes")
+    return Reason(ReasonCode.TOO_FEW_PASSES, f"no place with {least} passes: {most} at most, {least - most} to go")
 
 
 def _too_little(state: PanelState) -> Reason | None:
     """Return why the passes alone cannot separate the track from the wheelsets; None where they can."""
     least = state.panel.parameters.least_passes
     if not (state.passes >= least).any():
-        return too_few_passes(least)
+        return too_few_passes(least, int(state.passes.max(initial=0)))
     if len(state.lives) < LEAST_WHEELSETS:
         return SINGLE_WHEELSET
     found = between_pass_std_ratio(state)

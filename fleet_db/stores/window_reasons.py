@@ -1,0 +1,130 @@
+"""The newest windows of a wheelset by what became of them: one look at so many rows, however long its history."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from sqlalchemy import Connection, Select, bindparam, case, false, func, select
+
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import WindowState
+from fleet_db.models import WindowRow
+from fleet_db.rows import stored_reason, table_of
+from fleet_db.stores.windows import PLACED
+
+WINDOWS = table_of(WindowRow)
+COUNTED = 1000
+"""Windows that are counted, the newest: 17 hours of running."""
+
+EVER_NS = -(2**63)
+
+
+@dataclass(frozen=True, slots=True)
+class CountedWindows:
+    """Windows of one wheelset that have the same state, reason code, section and vehicle.
+
+    Attributes
+    ----------
+    placed
+        Whether their place on the section is found; False of those that do not wait.
+    reason
+        As it is stored of the newest; None where none is.
+    first_ns, newest_start_ns, newest_end_ns
+        Begin of the oldest, begin and end of the newest, ns UTC on the vehicle's clock.
+    """
+
+    state: WindowState
+    reason: Reason | None
+    section: str | None
+    vehicle: str
+    placed: bool
+    windows: int
+    first_ns: int
+    newest_start_ns: int
+    newest_end_ns: int
+
+
+def newest_by_reason(
+    connection: Connection, wheelset: str, since_ns: int | None = None, most: int = COUNTED
+) -> Sequence[CountedWindows]:
+    """Return the newest windows of a wheelset by state and reason code, the most frequent first.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    wheelset
+        Serial.
+    since_ns
+        Those that begin from there on; None for all.
+    most
+        How many windows at most.
+    """
+    given = {"serial": wheelset, "since_ns": EVER_NS if since_ns is None else since_ns, "most": most}
+    rows = connection.execute(_grouped(), given).all()
+    starts = [row.newest_start_ns for row in rows if row.reason_code is not None]
+    stored = {}
+    if starts:
+        found = connection.execute(_reasons(), {"serial": wheelset, "starts": starts})
+        stored = {row.start_ns: stored_reason(row) for row in found}
+    counted = [
+        CountedWindows(
+            state=WindowState(row.state),
+            reason=stored.get(row.newest_start_ns),
+            section=row.track_section,
+            vehicle=row.vehicle,
+            placed=bool(row.placed),
+            windows=row.windows,
+            first_ns=row.first_ns,
+            newest_start_ns=row.newest_start_ns,
+            newest_end_ns=row.newest_end_ns,
+        )
+        for row in rows
+    ]
+    return sorted(counted, key=lambda one: (-one.windows, -one.newest_end_ns, one.state.value))
+
+
+def refused_by_code(
+    connection: Connection, wheelset: str, since_ns: int | None = None, most: int = COUNTED
+) -> dict[ReasonCode, int]:
+    """Return how many of the newest windows of a wheelset are refused, by reason code, the most frequent first.
+
+    Parameters
+    ----------
+    connection, wheelset, since_ns, most
+        As of :func:`newest_by_reason`.
+    """
+    counts: dict[ReasonCode, int] = {}
+    for one in newest_by_reason(connection, wheelset, since_ns, most):
+        if one.state is WindowState.REFUSED and one.reason is not None:
+            counts[one.reason.code] = counts.get(one.reason.code, 0) + one.windows
+    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0].value)))
+
+
+@cache
+def _grouped() -> Select[Any]:
+    of_key = (WINDOWS.c.wheelset == bindparam("serial"), WINDOWS.c.start_ns >= bindparam("since_ns"))
+    waits = WINDOWS.c.state == WindowState.PENDING.value
+    names = ("state", "reason_code", "track_section", "vehicle", "start_ns")
+    end = (WINDOWS.c.start_ns + WINDOWS.c.length_ns).label("end_ns")
+    placed = case((waits, PLACED), else_=false()).label("placed")
+    newest = select(*(WINDOWS.c[name] for name in names), end, placed).where(*of_key)
+    one = newest.order_by(WINDOWS.c.start_ns.desc()).limit(bindparam("most")).subquery()
+    key = (one.c.state, one.c.reason_code, one.c.track_section, one.c.vehicle, one.c.placed)
+    return select(
+        *key,
+        func.count().label("windows"),
+        func.min(one.c.start_ns).label("first_ns"),
+        func.max(one.c.start_ns).label("newest_start_ns"),
+        func.max(one.c.end_ns).label("newest_end_ns"),
+    ).group_by(*key)
+
+
+@cache
+def _reasons() -> Select[Any]:
+    starts = WINDOWS.c.start_ns.in_(bindparam("starts", expanding=True))
+    columns = (WINDOWS.c.start_ns, WINDOWS.c.reason, WINDOWS.c.reason_code)
+    return select(*columns).where(WINDOWS.c.wheelset == bindparam("serial"), starts)
