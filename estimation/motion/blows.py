@@ -2,20 +2,15 @@
 
 A wheel with a flat, a joint or a switch strikes the axle box, which rings. The lateral and the roll acceleration show
 it by far more than the motion of a wheelset has there; yaw does not, for a wheelset that passes a contact jump turns
-as suddenly. What rings is no motion: the samples are left out, and smooth curves bridge them in the integrals.
+as suddenly. What rings is no motion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 from scipy.ndimage import binary_closing, binary_dilation, median_filter, uniform_filter1d
 
-from estimation.values.arrays import BoolArray, FloatArray, runs
-from estimation.values.windows import ACCELERATIONS, Window
+from estimation.values.arrays import BoolArray, FloatArray
 
 SLOW_S = 0.05  # running mean over this is motion
 RINGING_S = 0.1  # running median over this is motion even where a blow rings
@@ -26,8 +21,6 @@ TAIL = 0.12  # of the largest nearby: what still rings
 TAIL_STDS = 3.0
 REACH_S = 0.04  # on both sides of a blow, in which it may ring
 GUARD_S = 0.004  # on both sides of what rings
-LONGEST_BRIDGED_S = 0.06
-SUPPORT_S = 0.04  # on both sides, by which a bridge is drawn
 SAID_BY_MEDIAN = 0.6745  # median of the magnitude of a normal signal over its std
 
 
@@ -98,73 +91,3 @@ def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolA
         rings = near & (rest > np.maximum(TAIL_STDS * noise, TAIL * size))
         found |= binary_closing(rings | blows | lost, iterations=2)
     return np.asarray(binary_dilation(found, iterations=max(round(GUARD_S / interval_s), 1)) if found.any() else found)
-
-
-def without_blows(window: Window) -> Window:
-    """Return the window with smooth accelerations in place of blows; their samples are ``bridged``.
-
-    Where a wheel strikes once a turn, short gaps, of samples that clipped, are bridged too: they come too often for the
-    integrals to begin anew behind each.
-
-    Parameters
-    ----------
-    window
-        Samples as they were measured.
-    """
-    most = round(LONGEST_BRIDGED_S / window.sample_interval_s)
-    lost = _marked(len(window.valid), _short_gaps(window, most)) if window.quality.blows.share > 0.0 else None
-    blows = struck(window.lateral_acceleration, window.roll_acceleration, window.sample_interval_s, lost)
-    if not blows.any():
-        return window
-    spans = [(int(a), int(b)) for a, b in runs(blows) if b - a <= most and _placed(window, int(a), int(b))]
-    bridged = _marked(len(blows), spans)
-    support = max(round(SUPPORT_S / window.sample_interval_s), 4)
-    smooth: dict[str, Any] = {
-        name: bridge(getattr(window, name), window.valid & ~blows, spans, support) for name in ACCELERATIONS
-    }
-    return replace(window, valid=(window.valid & ~blows) | bridged, bridged=bridged, **smooth)
-
-
-def _short_gaps(window: Window, most: int) -> list[tuple[int, int]]:
-    return [(int(a), int(b)) for a, b in runs(~window.valid) if b - a <= most]
-
-
-def _marked(count: int, spans: Sequence[tuple[int, int]]) -> BoolArray:
-    found = np.zeros(count, np.bool_)
-    for first, behind in spans:
-        found[first:behind] = True
-    return found
-
-
-def _placed(window: Window, first: int, behind: int) -> bool:
-    """Return whether speed and place are known throughout."""
-    part = slice(first, behind)
-    return bool(np.isfinite(window.speed[part]).all() and np.isfinite(window.distance[part]).all())
-
-
-def bridge(signal: FloatArray, usable: BoolArray, spans: Sequence[tuple[int, int]], support: int) -> FloatArray:
-    """Return a signal (n,) with the parabola of least squares through what is near in place of each span.
-
-    Parameters
-    ----------
-    signal
-        (n,) in any unit.
-    usable
-        (n,) samples that count.
-    spans
-        ``[first, behind)`` of each.
-    support
-        Samples on each side that a parabola goes through.
-    """
-    found = signal.copy()
-    for first, behind in spans:
-        low, high = max(first - support, 0), min(behind + support, len(signal))
-        at = low + np.flatnonzero(usable[low:high])
-        middle, half = 0.5 * (first + behind - 1), 0.5 * (high - low)
-        if len(at) < support:
-            found[first:behind] = signal[at].mean() if len(at) else 0.0
-            continue
-        coefficients = np.polynomial.polynomial.polyfit((at - middle) / half, signal[at], 2)
-        where = (np.arange(first, behind) - middle) / half
-        found[first:behind] = np.polynomial.polynomial.polyval(where, coefficients)
-    return found

@@ -57,7 +57,13 @@ def _too_poor(quality: WindowQuality, gates: Gates) -> Reason | None:
             ReasonCode.TOO_FEW_SAMPLES,
             f"{quality.coverage:.0%} of the samples are there, {gates.least_coverage:.0%} are needed",
         )
-    if quality.clipped > gates.most_clipped and not quality.blows.sustained:  # those of blows are left out
+    if quality.blows.sustained and quality.clipped > gates.most_clipped_in_blows:
+        return Reason(
+            ReasonCode.WHEEL_FLAT,
+            f"a wheel strikes once a turn, with {quality.blows.size:.0f} m/s2 or more: {quality.clipped:.1%} of the"
+            f" samples are clipped, at most {gates.most_clipped_in_blows:.1%} may be in blows; inspect its tread",
+        )
+    if quality.clipped > gates.most_clipped:
         return Reason(
             ReasonCode.CLIPPED,
             f"{quality.clipped:.1%} of the samples are clipped, at most {gates.most_clipped:.0%} may be",
@@ -133,7 +139,8 @@ def _jumps(at: FloatArray, run: FloatArray, dt: float) -> list[tuple[int, int, f
         low, high = int(behind) - 1, int(first) + look
         if low > high:
             low, high = int(first), int(behind) - 1 + look
-        found.append((low, high, float(error[high] - error[low])))
+        apart = error[low : high + 1] - error[low]
+        found.append((low, high, float(apart[int(np.argmax(np.abs(apart)))])))
     return found
 
 

@@ -65,6 +65,7 @@ class Gates:
 
     least_coverage: float = 0.25
     most_clipped: float = 0.1  # clipped samples are left out; with more than this the window is refused
+    most_clipped_in_blows: float = 0.002  # the same of a wheel with a flat: some in every turn leave nothing whole
     least_position_quality: float = 0.1
 
 

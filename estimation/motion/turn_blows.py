@@ -7,13 +7,14 @@ are a fifth of a turn apart, so no place of the wheel has most of the blows. A w
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import betainc
 
 from estimation.motion.blows import sharp, vibration
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import NO_BLOWS, TurnBlows
 
 BLOCK_S = 10.0
@@ -38,14 +39,27 @@ class _Comb:
     """The turn of a block, and the blows on one place of the wheel."""
 
     turn: float  # m
+    first: float  # m run at one of the blows
     on_place: BoolArray  # (k,) of the events
 
 
 @dataclass(frozen=True, slots=True)
 class _Events:
-    at: IntArray  # (k,) sample of the largest
-    lateral: FloatArray  # (k,) m/s2, there
-    roll: FloatArray  # (k,) rad/s2
+    """Blows of a block, of whatever."""
+
+    middle: FloatArray  # (k,) samples, as fractions: the centre of what is over the vibration
+    lateral: FloatArray  # (k,) m/s2, where it is largest
+    roll: FloatArray  # (k,) rad/s2, there
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Some seconds of running."""
+
+    start: int  # first sample
+    run: FloatArray  # (n,) m
+    events: _Events
+    comb: _Comb | None
 
 
 def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlows:
@@ -60,25 +74,53 @@ def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, in
     interval_s
         Between samples.
     """
+    running, found = 0, []
+    for block in _blocks(lateral, roll, speed, interval_s):
+        running += 1
+        if block.comb is not None:
+            found.append((block.comb.turn, block.events, block.comb.on_place))
+    return _combined(found, running)
+
+
+def blow_times(
+    lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float, lost: BoolArray
+) -> FloatArray:
+    """Return where on the samples (k,) a wheel with a flat strikes, as fractions of samples; every turn has its blow.
+
+    Parameters
+    ----------
+    lateral, roll, speed, interval_s
+        As :func:`find_turn_blows` takes them.
+    lost
+        (n,) samples that clipped in blows.
+    """
+    times = []
+    for block in _blocks(lateral, roll, speed, interval_s, lost):
+        if block.comb is not None:
+            first = np.ceil((block.run[0] - block.comb.first) / block.comb.turn)
+            last = np.floor((block.run[-1] - block.comb.first) / block.comb.turn)
+            places = block.comb.first + block.comb.turn * np.arange(first, last + 1.0)
+            times.append(block.start + np.interp(places, block.run, np.arange(len(block.run))))
+    return np.concatenate(times) if times else np.empty(0)
+
+
+def _blocks(
+    lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float, lost: BoolArray | None = None
+) -> Iterator[_Block]:
+    """Yield the blocks in which the vehicle runs."""
     both = np.stack([lateral, roll])
-    if not np.nanmax(np.abs(both), initial=0.0) > LEAST_EVENT:
-        return NO_BLOWS
     fast = sharp(both, interval_s)
     std = vibration(fast, interval_s)
     size = round(BLOCK_S / interval_s)
-    running, found = 0, []
     for start in range(0, len(lateral) - size + 1, size):
         part = slice(start, start + size)
-        known = np.isfinite(speed[part]) & np.isfinite(both[0, part])
+        known = np.isfinite(speed[part]) & np.isfinite(lateral[part])
         if known.mean() < LEAST_KNOWN or np.mean(speed[part][known]) < LEAST_SPEED:
             continue
-        running += 1
-        events = _events(fast[:, part], std[:, part], interval_s)
         run = np.cumsum(np.nan_to_num(speed[part], nan=float(np.mean(speed[part][known])))) * interval_s
-        comb = _comb(run[events.at], float(run[-1]))
-        if comb is not None:
-            found.append((comb.turn, events, comb.on_place))
-    return _combined(found, running)
+        events = _events(fast[:, part], std[:, part], interval_s, None if lost is None else lost[part])
+        at = np.interp(events.middle, np.arange(size), run)
+        yield _Block(start, run, events, _comb(at, float(run[-1])))
 
 
 def _combined(found: list[tuple[float, _Events, BoolArray]], running: int) -> TurnBlows:
@@ -96,18 +138,21 @@ def _combined(found: list[tuple[float, _Events, BoolArray]], running: int) -> Tu
     return TurnBlows(len(alike) / running, size, float(np.median([one[0] for one in alike])), side)
 
 
-def _events(fast: FloatArray, std: FloatArray, interval_s: float) -> _Events:
-    """Return the blows of a block, each where it is largest over the vibration."""
+def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArray | None) -> _Events:
+    """Return the blows of a block."""
     level = np.maximum(LEAST_EVENT, EVENT_STDS * std)
     excess = np.max(np.abs(fast) / level, axis=0)
+    if lost is not None and lost.any():
+        excess = np.where(lost, max(float(excess.max()), 2.0), excess)
     over = np.flatnonzero(excess > 1.0)
     if not len(over):
         none = np.empty(0)
-        return _Events(np.empty(0, np.int64), none, none)
+        return _Events(none, none, none)
     first = np.concatenate([[0], np.flatnonzero(np.diff(over) > round(APART_S / interval_s)) + 1])
     groups = np.split(over, first[1:])
     at = np.array([group[int(np.argmax(excess[group]))] for group in groups], np.int64)
-    return _Events(at, fast[0, at], fast[1, at])
+    middle = np.array([np.average(group, weights=excess[group]) for group in groups])
+    return _Events(middle, fast[0, at], fast[1, at])
 
 
 def _comb(events: FloatArray, run: float) -> _Comb | None:
@@ -130,4 +175,5 @@ def _comb(events: FloatArray, run: float) -> _Comb | None:
     if len(hit) < LEAST_TURNS * run / turn or on.sum() < LEAST_EVENTS * len(events) or chance > MOST_CHANCE:
         return None
     number = np.round((events[on] - events[on][0]) / turn)
-    return _Comb(float(np.polyfit(number, events[on], 1)[0]), np.asarray(on))
+    fitted, first = np.polyfit(number, events[on], 1)
+    return _Comb(float(fitted), float(first), np.asarray(on))

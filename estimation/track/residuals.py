@@ -29,6 +29,7 @@ class Residuals:
 
     of_journeys: Mapping[Journey, float]
     of_lives: Mapping[ProfileLife, float]
+    of_usual_wheelsets: Mapping[Journey, float] = field(default_factory=dict)  # lower median of those of a journey
 
     def weights(self) -> dict[ProfileLife, float]:
         """Return by profile life how much a pass counts: 1 up to what is usual, less and less beyond.
@@ -58,6 +59,12 @@ class _MeanSquare:
 class _Sums:
     journeys: dict[Journey, _MeanSquare] = field(default_factory=dict)
     lives: dict[ProfileLife, _MeanSquare] = field(default_factory=dict)
+    parts: dict[Journey, dict[ProfileLife, _MeanSquare]] = field(default_factory=dict)
+
+    def usual_wheelset(self, journey: Journey) -> float:
+        """Return the lower median of the wheelsets of a journey: one that is wrong alone does not make it larger."""
+        known = sorted(mean.rms for mean in self.parts.get(journey, {}).values())
+        return known[(len(known) - 1) // 2] if known else float("nan")
 
 
 def residuals(iterated: IterationResult) -> Residuals:
@@ -74,7 +81,10 @@ def residuals(iterated: IterationResult) -> Residuals:
             rest = (values - d[item.used_points])[np.isfinite(d[item.used_points])]
             sums.journeys[journey].add(rest)
             sums.lives[item.life].add(rest)
+            if len(rest):
+                sums.parts.setdefault(journey, {}).setdefault(item.life, _MeanSquare()).add(rest)
     return Residuals(
         {journey: mean.rms for journey, mean in sums.journeys.items()},
         {life: mean.rms for life, mean in sums.lives.items()},
+        {journey: sums.usual_wheelset(journey) for journey in sums.journeys},
     )

@@ -132,7 +132,7 @@ def _too_few_passes(grouped: Grouped, panel: Panel) -> Reason | None:
 def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Panel, p: SectionParameters) -> _Accepted:
     """Iterate, leave out what agrees with nothing, and iterate again until all that is left agrees.
 
-    Wheelsets that are further off than others have less weight from then on.
+    A journey is judged by its usual wheelset. Wheelsets that are further off than others have less weight from then on.
     """
     kept = dict(grouped)
     outliers: dict[Journey, Reason] = {}
@@ -141,7 +141,7 @@ def _reject_outliers(grouped: Grouped, known: PriorAlignment | None, panel: Pane
         iterated = iterate(kept, known, panel, p.positions, p.iteration)
         left = residuals(iterated)
         rms |= left.of_journeys
-        found = _find_outliers({journey: rms[journey] for journey in kept}, iterated.corrections, p)
+        found = _find_outliers(left.of_usual_wheelsets, iterated.corrections, p)
         outliers |= found
         if len(found) == len(kept):
             return _Accepted(iterated, outliers, rms)

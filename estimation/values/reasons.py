@@ -36,6 +36,10 @@ class ReasonCode(StrEnum):
         "hunting",
         "The wheelset hunts, and drives the sensor to its limits. Check yaw dampers and wheel profiles.",
     )
+    WHEEL_FLAT = (
+        "wheel_flat",
+        "A wheel strikes once a turn, and drives the sensor to its limits. Inspect the treads of the wheelset.",
+    )
     SECTION_UNKNOWN = "section_unknown", "The vehicle is on no section of the registry. Register the section."
     POSITION_UNKNOWN = (
         "position_unknown",

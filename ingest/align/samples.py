@@ -16,6 +16,7 @@ from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
 from ingest.align.window_samples import between_frames
 from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, PLACE, POSITION, STATUS, VEHICLE_NODE, Catalogue
 from ingest.codec import MessageValues
+from ingest.plausibility.repeated_positions import without_repeats
 from ingest.plausibility.vehicle_motion import odometer_excess, possible_motion
 
 
@@ -217,6 +218,18 @@ class VehicleMotion:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "motion", Track(self.motion.tick, possible_motion(self.motion.values)))
+        at, run = self.position.tick, self._run_at(self.position.tick)
+        object.__setattr__(self, "position", Track(at, without_repeats(at, self.position.values, run)))
+
+    def _run_at(self, tick: IntArray) -> FloatArray:
+        """Return what the vehicle has run at some instants (n,) by its speed, m; NaN where that is not known."""
+        known = np.isfinite(self.motion.values[:, 0])
+        at, speed = self.motion.tick[known], np.abs(self.motion.values[known, 0])
+        if len(at) < 2:  # noqa: PLR2004 - nothing to interpolate between
+            return np.full(len(tick), np.nan)
+        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(at) * self.interval_ns * 1e-9
+        run = np.concatenate([[0.0], np.cumsum(steps)])
+        return np.asarray(np.interp(tick, at, run, left=np.nan, right=np.nan))
 
     def on_grid(self, first_tick: int, count: int) -> GridMotion:
         """Return the motion at ``count`` sampling instants from ``first_tick``."""

@@ -40,7 +40,7 @@ MIN_PRESENCE = 0.2
 CLIPPING_GUARD_S = 0.04
 """Samples this near to a clipped one are left out with it: the sensor's filter has spread what was cut off."""
 
-BLOW_GUARD_S = 0.008
+BLOW_GUARD_S = 0.004
 """The same where a wheel strikes once a turn: as soon as a blow has died down the samples are good again."""
 
 OF_WHEELSET = ACCELERATIONS[:3]

@@ -26,6 +26,7 @@ from estimation.alerts.rules.suspension_change import SuspensionChangeRule
 from estimation.alerts.rules.unregistered_change import UnregisteredChangeRule
 from estimation.alerts.rules.weak_damper import WeakDamperRule
 from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule
+from estimation.alerts.rules.wheel_flat import WheelFlatRule
 
 SHIPPED = "shipped"  # name of the rules where no file changes them
 DIGEST_LETTERS = 12
@@ -44,6 +45,7 @@ ALERT_RULES: tuple[type[AlertRule], ...] = (
     LowAdhesionRule,
     WeakDamperRule,
     UnregisteredChangeRule,
+    WheelFlatRule,
 )
 
 

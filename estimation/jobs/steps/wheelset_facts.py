@@ -11,6 +11,7 @@ from estimation.alerts.rules.intervals import LOOK_BACK as INTERVALS
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
 from estimation.alerts.rules.standing import LOOK_BACK, reach_km, within_reach
+from estimation.alerts.rules.wheel_flat import WheelFlatRule
 from estimation.alerts.step_causes import StepSurroundings
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.identities import identity_change
@@ -101,7 +102,9 @@ def windows_wanted(book: RuleBook) -> tuple[int, float]:
         Of a fleet and class.
     """
     rules = (book.rule(SensorFaultRule), book.rule(HuntingRule), book.rule(DataQualityRule))
-    return LOOK_BACK * max(rule.latest_windows for rule in rules), max(reach_km(rule.delays) for rule in rules)
+    flats = book.rule(WheelFlatRule)
+    wanted = max(flats.latest_windows, *(rule.latest_windows for rule in rules))
+    return LOOK_BACK * wanted, max(reach_km(rule.delays) for rule in (*rules, flats))
 
 
 def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int, far_km: float) -> Sequence[WindowRecord]:
