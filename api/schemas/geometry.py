@@ -10,7 +10,7 @@ from api.schemas.common import Links, Representation, Uncertain, finite, finite_
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values.geometry import COMBINATIONS, LEFT_OUT, BinStatus, BinValues, GeometryRecord
+from estimation.values.geometry import COMBINATIONS, LEFT_OUT, BinStatus, BinValues, Centre, CentreOrigin, GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of, text_of
 
@@ -44,6 +44,19 @@ class ConicityAtAmplitude(Representation):
     equivalent_conicity_1: Uncertain
 
 
+class ConicityCentre(Representation):
+    """The point a conicity is about; in EN 15302 it is the one about equal rolling radii."""
+
+    displacement_mm: float | None = Field(
+        description="Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left."
+    )
+    rolling_line_std_mm: float | None = Field(
+        description="Standard deviation of where both rolling radii are equal, against that: a bogie holds wheels of "
+        "different diameters off it. What it changes is part of the intervals."
+    )
+    origin: CentreOrigin = Field(description="From where the displacement is counted.")
+
+
 class Provenance(Representation):
     """What an estimate was made from; the same inputs and code give the same numbers."""
 
@@ -72,6 +85,9 @@ class Geometry(Representation):
     n_windows: int
     equivalent_conicity_1: Uncertain
     equivalent_conicity_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude covered.")
+    centre: ConicityCentre | None = Field(
+        description="The point the conicity is about; null without a conicity, and in older estimates."
+    )
     equivalent_conicity_at_3_mm_1: Uncertain = Field(
         description="What limits are compared with; where the motion does not cover 3 mm extrapolated, see `reason`."
     )
@@ -95,6 +111,14 @@ def _column(values: BinValues, scale: float) -> BinColumn:
     )
 
 
+def _centre(found: Centre) -> ConicityCentre:
+    return ConicityCentre(
+        displacement_mm=finite(found.displacement, MM),
+        rolling_line_std_mm=finite(found.std, MM),
+        origin=found.origin,
+    )
+
+
 def geometry(record: GeometryRecord) -> Geometry:
     """Return the representation of a geometry estimate."""
     found = record.geometry
@@ -113,6 +137,7 @@ def geometry(record: GeometryRecord) -> Geometry:
         n_windows=found.windows,
         equivalent_conicity_1=uncertain(found.equivalent_conicity),
         equivalent_conicity_amplitude_mm=finite(found.reported_amplitude, MM),
+        centre=None if found.centre is None else _centre(found.centre),
         equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
         windows_left_out=_left_out(record),
         conicity_by_amplitude=[
