@@ -20,18 +20,26 @@ from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.geometry.rolling_line import SLOPES, held_shares, left_in_difference
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.motion.cross_level import standard_displacement
 from estimation.tables import bin_table
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import TrackRecipe, make_track
+from ingest.vehicle_class_file import shipped_class
 
 AMPLITUDES = np.array([2.0e-3, 2.5e-3, 3.0e-3])
 GRID = 0.01e-3 * np.arange(-1100, 1101)  # m
 SPEED, SECONDS, ALIGNMENT_STD, SEED = 20.0, 400.0, 2.0e-3, 15302
 REACH, REACH_SHARE = 0.0005, 0.005
+P8_SLOPE = 0.228  # lambda of P8 on 60E1 1:40, which is straight
+BOGIES = ("coach", "soft_bogie", "freight")
+OPPOSITE = (0.5e-3, -0.5e-3)  # m, rho of the front and the rear wheelset: 1 mm of diameter each
+HELD_REACH = 0.06e-3  # m
 FORMS = ("level", "rolling", "axle")
 
 
@@ -66,9 +74,11 @@ def pairs() -> Iterator[Pair]:
 
 
 def rows() -> Iterator[BenchRow]:
-    """Yield a row for each pair."""
+    """Yield a row for each pair, and for each class of bogie what it holds off the rolling line."""
     for pair in pairs():
         yield _row(pair, biases(pair))
+    for code in BOGIES:
+        yield _held(shipped_class(code))
 
 
 def biases(pair: Pair) -> tuple[FloatArray, Mapping[str, FloatArray]]:
@@ -108,6 +118,31 @@ def _estimated(ran: WheelsetMotion, vehicle: VehicleParameters, form: str) -> Fl
     values = np.array([np.nan if one.value is None else one.value for one in found.conicity])
     places = [int(np.argmin(np.abs(found.amplitude - amplitude))) for amplitude in AMPLITUDES]
     return np.asarray(values[places])
+
+
+def _held(known: VehicleClass) -> BenchRow:
+    """Return what is left in R where wheels of both axles differ by 1 mm in diameter: simulated, and by the balance."""
+    p, wheel, rail = known.parameters, wheel_profile("P8"), rail_profile("60E1")
+    tables = []
+    for rho in OPPOSITE:
+        left, right = p.nominal_radius + 0.5 * rho, p.nominal_radius - 0.5 * rho
+        wheelset = WheelsetOnTrack(wheel, wheel, rail, rail, 1 / 40, 1.435, left, right)
+        tables.append(contact_table(wheelset, GRID[::5], outside="hold"))
+    track = make_track(TrackRecipe(length=1300.0), np.random.SeedSequence(SEED))
+    speed = np.full(60_000, SPEED)
+    ran = simulate_gear(RunningGear(p, known.bogie), tables, track, speed, 20.0)
+    found = np.array([(one.rolling_radius_left - one.rolling_radius_right)[10_000:].mean() for one in ran])
+    expected = left_in_difference(known, P8_SLOPE) @ OPPOSITE
+    shares = np.interp((0.2, 0.4), SLOPES, held_shares(known))
+    said = " / ".join(f"{1e3 * one:+.2f}" for one in found)
+    balance = " / ".join(f"{1e3 * one:+.2f}" for one in expected)
+    return BenchRow(
+        f"{known.code}, 1 mm between the wheels of both axles, opposite: mean of R, front / rear",
+        f"{said} mm simulated, {balance} mm by the balance;"
+        f" share at a conicity of 0.1 / 0.2: {shares[0]:.2f} / {shares[1]:.2f}",
+        "0.06 mm",
+        bool((np.abs(found - expected) <= HELD_REACH).all()),
+    )
 
 
 def _row(pair: Pair, found: tuple[FloatArray, Mapping[str, FloatArray]]) -> BenchRow:

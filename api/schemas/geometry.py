@@ -11,7 +11,15 @@ from api.schemas.registry import segment
 from api.schemas.unestimated import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values.geometry import COMBINATIONS, LEFT_OUT, BinStatus, BinValues, GeometryRecord
+from estimation.values.geometry import (
+    COMBINATIONS,
+    LEFT_OUT,
+    BinStatus,
+    BinValues,
+    Centre,
+    CentreOrigin,
+    GeometryRecord,
+)
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.window_reasons import WithoutEstimate
@@ -44,6 +52,19 @@ class ConicityAtAmplitude(Representation):
 
     amplitude_mm: float
     equivalent_conicity_1: Uncertain
+
+
+class ConicityCentre(Representation):
+    """The point a conicity is about; in EN 15302 it is the one about equal rolling radii."""
+
+    displacement_mm: float | None = Field(
+        description="Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left."
+    )
+    rolling_line_std_mm: float | None = Field(
+        description="Standard deviation of where both rolling radii are equal, against that: a bogie holds wheels of "
+        "different diameters off it. What it changes is part of the intervals."
+    )
+    origin: CentreOrigin = Field(description="From where the displacement is counted.")
 
 
 class Provenance(Representation):
@@ -82,6 +103,9 @@ class Geometry(Representation):
     n_windows: int
     equivalent_conicity_1: Uncertain
     equivalent_conicity_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude covered.")
+    centre: ConicityCentre | None = Field(
+        description="The point the conicity is about; null without a conicity, and in older estimates."
+    )
     equivalent_conicity_at_3_mm_1: Uncertain = Field(
         description="What limits are compared with; where the motion does not cover 3 mm extrapolated, see `reason`."
     )
@@ -102,6 +126,14 @@ def _column(values: BinValues, scale: float) -> BinColumn:
         value=[finite(v, scale) if known else None for v, known in zip(values.value, estimated, strict=True)],
         std=[finite(v, scale) if known else None for v, known in zip(values.std, estimated, strict=True)],
         status=list(values.status),
+    )
+
+
+def _centre(found: Centre) -> ConicityCentre:
+    return ConicityCentre(
+        displacement_mm=finite(found.displacement, MM),
+        rolling_line_std_mm=finite(found.std, MM),
+        origin=found.origin,
     )
 
 
@@ -133,6 +165,7 @@ def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> 
         n_windows=found.windows,
         equivalent_conicity_1=uncertain(found.equivalent_conicity),
         equivalent_conicity_amplitude_mm=finite(found.reported_amplitude, MM),
+        centre=None if found.centre is None else _centre(found.centre),
         equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
         windows_left_out=_left_out(record),
         conicity_by_amplitude=[
@@ -195,6 +228,7 @@ def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEsti
         n_windows=0,
         equivalent_conicity_1=unknown,
         equivalent_conicity_amplitude_mm=None,
+        centre=None,
         equivalent_conicity_at_3_mm_1=unknown,
         windows_left_out=None,
         conicity_by_amplitude=[],

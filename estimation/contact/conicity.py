@@ -73,6 +73,28 @@ def zero_crossing(lateral_displacement: npt.ArrayLike, rolling_radius_difference
     return float(_equilibrium(y, difference)[0])
 
 
+def middle_of_travel(
+    lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitude: float
+) -> float:
+    """Return the middle between the turning points at an amplitude, m; NaN where the curve does not cover it.
+
+    Parameters
+    ----------
+    lateral_displacement, rolling_radius_difference
+        (n,) m, as :func:`equivalent_conicity` takes them.
+    amplitude
+        m, positive.
+    """
+    y, difference = _curve(lateral_displacement, rolling_radius_difference)
+    (a,) = _amplitudes(amplitude)
+    crossing = _equilibrium(y, difference)[0]
+    if math.isnan(crossing):
+        return math.nan
+    points, values, potential, k = _potentials(y, difference, crossing)
+    highest = _peaks(points, values, potential, k)
+    return float(_turn(a, crossing, points, values, potential, highest, k) - a)
+
+
 def nonlinearity_parameter(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
     """Return NP = (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2, in 1/mm as EN 15302 gives it; NaN if not covered.
 
@@ -189,6 +211,28 @@ def _highest_at(x, points, values, potential, highest, k):  # type: ignore[no-un
 
 
 @compiled()
+def _turn(a, crossing, points, values, potential, highest, k):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return the outer turning point of the travel of amplitude a; NaN where it leaves the curve."""
+    low, high = max(crossing, points[0] + 2.0 * a), min(points[-1], crossing + 2.0 * a)
+    if low > high:
+        return math.nan
+    at_low = _highest_at(low, points, values, potential, highest, k)
+    at_low -= _highest_at(low - 2.0 * a, points, values, potential, highest, k)
+    at_high = _highest_at(high, points, values, potential, highest, k)
+    at_high -= _highest_at(high - 2.0 * a, points, values, potential, highest, k)
+    if at_low > 0.0 or at_high < 0.0:
+        return math.nan
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        right = _highest_at(middle, points, values, potential, highest, k)
+        if right < _highest_at(middle - 2.0 * a, points, values, potential, highest, k):
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@compiled()
 def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return tan(gamma_e) (k,) of a piecewise straight curve."""
     result = np.full(len(amplitudes), np.nan)
@@ -199,23 +243,9 @@ def _integrate(y, difference, amplitudes):  # type: ignore[no-untyped-def]  # no
     highest = _peaks(points, values, potential, k)
     for m in range(len(amplitudes)):
         a = amplitudes[m]
-        low, high = max(crossing, points[0] + 2.0 * a), min(points[-1], crossing + 2.0 * a)
-        if low > high:
+        turn = _turn(a, crossing, points, values, potential, highest, k)
+        if math.isnan(turn):
             continue
-        at_low = _highest_at(low, points, values, potential, highest, k)
-        at_low -= _highest_at(low - 2.0 * a, points, values, potential, highest, k)
-        at_high = _highest_at(high, points, values, potential, highest, k)
-        at_high -= _highest_at(high - 2.0 * a, points, values, potential, highest, k)
-        if at_low > 0.0 or at_high < 0.0:
-            continue
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            right = _highest_at(middle, points, values, potential, highest, k)
-            if right < _highest_at(middle - 2.0 * a, points, values, potential, highest, k):
-                low = middle
-            else:
-                high = middle
-        turn = 0.5 * (low + high)
         energy = _highest_at(turn, points, values, potential, highest, k)
         left_energy = _highest_at(turn - 2.0 * a, points, values, potential, highest, k)
         rests = _potential_at(turn, points, values, potential) < energy * (1.0 - _REST)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.contact.conicity import equivalent_conicity, zero_crossing
+from estimation.contact.conicity import equivalent_conicity, middle_of_travel, zero_crossing
+from estimation.geometry.rolling_line import FREE, held_difference_std, moved_off
 from estimation.geometry.sharpening import (
     Sharpening,
     edges_and_centres,
@@ -17,6 +18,7 @@ from estimation.geometry.sharpening import (
 )
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.geometry import Centre, CentreOrigin
 from estimation.values.intervals import NORMAL_95, jackknife_std, with_interval
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
@@ -56,6 +58,7 @@ class CurveReplicates:
     error: DisplacementError
     count: float  # windows
     band_limited: bool
+    held_shares: tuple[float, ...] = FREE  # of a difference of diameters, in R on average
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +71,7 @@ class CurveEstimates:
     at_reference: Estimate
     nonlinearity: Estimate
     zero_crossing: Estimate
+    centre: Centre | None = None
 
 
 _Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius difference (k,)
@@ -96,7 +100,17 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     at_reference, reported_amplitude = at_reference_amplitude(amplitude, conicity, parameters)
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
     crossing = _zero_crossing(rows, curve, groups)
-    return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing)
+    centre = None if at_reference.value is None else _centre(rows[0], curve, reported_amplitude, at_reference.value)
+    return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing, centre)
+
+
+def _centre(row: _Row, curve: CurveReplicates, amplitude: float, conicity: float) -> Centre:
+    """Return the middle of the travel, and how far from it both wheels may roll alike."""
+    middle = middle_of_travel(*row, amplitude)
+    if not curve.band_limited:
+        return Centre(middle, 0.0, CentreOrigin.TRACK_CENTRE)
+    held = held_difference_std(curve.held_shares, conicity)
+    return Centre(middle, held / (2.0 * conicity) if conicity > 0.0 else 0.0, CentreOrigin.MEAN_RUNNING_POSITION)
 
 
 def not_covered(amplitude: float) -> Reason:
@@ -172,10 +186,18 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
     conicity = np.stack([equivalent_conicity(*row, amplitude) for row in rows])
     plain = (1 - curve.error.excess) * edges_and_centres(low, high)
     others = _systematic(curve.error, sharp, rows[0], (plain, nodes[0]), amplitude)
-    lost = _lost_to_filters(*rows[0], amplitude) if curve.band_limited else np.zeros(len(amplitude))
+    lost, held = _lost_to_filters(*rows[0], amplitude), _held_off(rows[0], amplitude, conicity[0], curve.held_shares)
+    unseen = np.stack([lost, held]) if curve.band_limited else np.zeros((2, len(amplitude)))
     stretched = ((1 + curve.error.scale) * x, rows[0][1])
-    conicities = np.concatenate([conicity, conicity[0] + others, conicity[:1] + lost])
+    conicities = np.concatenate([conicity, conicity[0] + others, conicity[0] + unseen])
     return [*rows, (sharp.displacement, rows[0][1]), stretched], conicities
+
+
+def _held_off(row: _Row, amplitude: FloatArray, here: FloatArray, shares: tuple[float, ...]) -> FloatArray:
+    """Return what a difference of diameters that nobody knows of changes of the conicity (a,)."""
+    covered = here[np.isfinite(here)]
+    std = held_difference_std(shares, float(covered[-1])) if len(covered) else 0.0
+    return moved_off(*row, amplitude, std) if std > 0.0 else np.zeros(len(amplitude))
 
 
 def _lost_to_filters(x: FloatArray, curve: FloatArray, amplitude: FloatArray) -> FloatArray:

@@ -110,6 +110,7 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
         parameter_key=table.parameter_key,
         status=curve.at_reference.status,
         reason=curve.at_reference.reason,
+        centre=curve.centre,
     )
     fit = model_fit(table, bins)
     stds = (unc.stiffness, unc.creep)
@@ -155,6 +156,7 @@ def _curve(
         error=screening.error,
         count=float(table.windows),
         band_limited=bins.band_limited,
+        held_shares=unc.held_shares,
     )
 
 

@@ -13,6 +13,7 @@ from typing import Self
 
 import numpy as np
 
+from estimation.geometry.rolling_line import FREE, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 from estimation.vehicle.sensor_noise import USUAL_CUTOFF, displacement_noise
@@ -76,6 +77,7 @@ class ParameterUncertainty:
     expected_noise: float = 0.0  # m, std of the error of y - d by its sensors and the alignment
     scale: float = 0.0  # of rL - rR as a whole: by nominal radius, half contact distance and the yaw sensor
     of_bogie: tuple[float, float, float] = (0.02, 0.02, MOUNTING_STD)  # yaw sensor against the frame's, those, angle
+    held_shares: tuple[float, ...] = FREE  # of a difference of diameters, by ``rolling_line.SLOPES``
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
@@ -99,6 +101,7 @@ class ParameterUncertainty:
                 vehicle_class.sensors.yaw.scale_std,
             ),
             of_bogie=_sensors_of_bogie(vehicle_class),
+            held_shares=held_shares(vehicle_class),
         )
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:

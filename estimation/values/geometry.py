@@ -132,6 +132,23 @@ LEFT_OUT = "windows_left_out"
 PASSED_OVER = "windows_passed_over"
 """Key among the parameters of a geometry: windows that would be others today, and cannot be made again, by cause."""
 
+
+class CentreOrigin(StrEnum):
+    """From where the middle of the travel is counted that a conicity is about."""
+
+    MEAN_RUNNING_POSITION = "mean_running_position"  # signals carry no offset
+    TRACK_CENTRE = "track_centre"
+
+
+@dataclass(frozen=True, slots=True)
+class Centre:
+    """The middle of the travel that the conicity is about; in EN 15302 it is the one about equal rolling radii."""
+
+    displacement: float  # m, from the origin, at the reported amplitude
+    std: float  # m, of where the rolling radii are equal: a bogie holds wheels of different diameters off that line
+    origin: CentreOrigin
+
+
 COMBINATIONS = (
     "rolling_radius_sum",
     "rolling_radius_difference",
@@ -174,6 +191,7 @@ class WheelsetGeometry:
     parameter_key: str
     status: Status
     reason: Reason | None = None
+    centre: Centre | None = None  # of equivalent_conicity; None without one, or of an estimator that does not say it
 
     def __post_init__(self) -> None:
         b = len(self.samples)
@@ -209,6 +227,7 @@ class WheelsetGeometry:
             zero_crossing=unknown,
             status=Status.MODEL_MISMATCH,
             reason=reason,
+            centre=None,
         )
 
 

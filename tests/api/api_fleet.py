@@ -10,7 +10,7 @@ from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.dampers import GearDamper
-from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.geometry import BinStatus, BinValues, Centre, CentreOrigin, GeometryRecord, WheelsetGeometry
 from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
@@ -157,6 +157,7 @@ def geometry(conicity: float = 0.1875) -> WheelsetGeometry:
         windows=30,
         parameter_key="p" * 16,
         status=Status.ESTIMATED,
+        centre=Centre(0.125e-3, 0.25e-3, CentreOrigin.MEAN_RUNNING_POSITION),
     )
 
 

@@ -111,6 +111,8 @@ def test_numbers_come_with_their_uncertainty_and_unknown_ones_with_their_reason(
     }
     assert geometry["zero_crossing_mm"]["value"] == -0.25
     assert geometry["zero_crossing_mm"]["interval_95"] == pytest.approx([-20.25, 24.75])
+    centre = {"displacement_mm": 0.125, "rolling_line_std_mm": 0.25, "origin": "mean_running_position"}
+    assert geometry["centre"] == centre
     by_amplitude = geometry["conicity_by_amplitude"]
     assert [one["amplitude_mm"] for one in by_amplitude] == [1.0, 2.0, 3.0]
     assert [one["equivalent_conicity_1"]["value"] for one in by_amplitude] == [0.125, 0.25, None]

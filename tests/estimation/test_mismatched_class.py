@@ -140,12 +140,12 @@ def test_windows_that_cannot_speak_of_the_radius_do_not_contradict_it(sqlite_sto
 def test_of_the_right_class_the_same_windows_exceed_the_limit(sqlite_storage: SqlStorage, estimator: str) -> None:
     register(sqlite_storage, SOFT)
     run_jobs(sqlite_storage, estimator)
-    x = np.linspace(-10e-3, 10e-3, 2001)
     for serial, cone in (("W1", 0.1), ("W2", 0.14)):
         geometry = served(sqlite_storage, f"/v1/wheelsets/{serial}/geometry")
         assert (geometry["status"], geometry["estimator"]) == ("estimated", estimator)
         table = SmoothTable(cone)
-        (true,) = equivalent_conicity(x, table.left(x) - table.right(x), np.array([3e-3]))
+        x = table.lateral_displacement
+        (true,) = equivalent_conicity(table.standard_displacement, table.left(x) - table.right(x), np.array([3e-3]))
         assert sum(one is not None for one in numbers(geometry)) > 50
         assert geometry["equivalent_conicity_at_3_mm_1"]["value"] == pytest.approx(true, abs=0.01)
     assert kinds_of_alerts(sqlite_storage) == {("W1", "conicity_limit"), ("W2", "conicity_limit")}

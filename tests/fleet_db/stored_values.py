@@ -13,7 +13,15 @@ import numpy as np
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, Condition, Severity
-from estimation.values.geometry import BinStatus, BinTable, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.geometry import (
+    BinStatus,
+    BinTable,
+    BinValues,
+    Centre,
+    CentreOrigin,
+    GeometryRecord,
+    WheelsetGeometry,
+)
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
@@ -160,6 +168,7 @@ def geometry(seed: int = 0, bins: int = 9) -> WheelsetGeometry:
         np.linspace(-7e-3, 8e-3, bins + 1), samples, *combinations, np.array([1e-3, 2e-3, 3e-3]),
         (estimate(seed), Estimate.unknown(NOT_COVERED), estimate(seed + 1)), 3e-3, estimate(seed + 2),
         estimate(seed + 3), Estimate.unknown(NO_CROSSING, 3.0, Status.INVALID), 12, "parameters", Status.ESTIMATED,
+        centre=Centre(-0.0, seed * 1e-4, CentreOrigin.MEAN_RUNNING_POSITION) if seed else None,
     )  # fmt: skip
 
 

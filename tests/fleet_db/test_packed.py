@@ -166,7 +166,7 @@ def test_what_the_first_release_stored_is_still_read() -> None:
         surveyed, source=AlignmentSource.FLEET, cutoff_wavelength=120.0, scale_std=0.01, gauge_known=False,
         findings=TrackFindings({"V1": 1.01, "V2": 0.93}, 0.004, shifts),
     )  # fmt: skip
-    assert make.same(unpack_geometry(stored("wheelset_geometry"), where="here"), make.geometry(1))
+    assert make.same(unpack_geometry(stored("wheelset_geometry"), where="here"), replace(make.geometry(1), centre=None))
     assert make.same(unpack_trend(stored("wear_trend"), where="here"), make.trend(1))
     assert make.same(unpack_alignment(stored("surveyed"), 0, where="here"), surveyed)
     assert unpack_alignment(stored("of_fleet"), 0, where="here").source == AlignmentSource.FLEET

@@ -103,11 +103,17 @@ export function fitPanel({ geometry, trend }) {
       fact("Estimator", geometry.estimator), fact("Windows", number(geometry.n_windows)),
       fact("Left out", out.length ? out.map(([code, count]) => `${count} ${words(code)}`).join(", ") : "none"),
       fact("Nonlinearity NP", estimate(geometry.nonlinearity_parameter_per_mm, 3, " /mm"), why(geometry.nonlinearity_parameter_per_mm)),
+      fact("Conicity about", geometry.centre ? centre(geometry.centre) : "not said"),
       fact("Zero crossing", estimate(geometry.zero_crossing_mm, 2, " mm"), why(geometry.zero_crossing_mm)),
       fact("Trend", trend === null ? "none yet" : `${words(trend.status)}${trend.converged ? "" : ", the robust fit did not converge"}${trend.reason ? `: ${trend.reason}` : ""}`),
       fact("Alignments", versions.length ? versions.map(([section, of]) => el("a", { href: `#/tracks/${encodeURIComponent(section)}` }, `${section} version ${of.join(", ")} `)) : "none"),
       fact("Data", `${moment(geometry.measured_from)} to ${moment(geometry.measured_to)}`), fact("Mathematics", geometry.provenance.code_version)),
   );
+}
+
+/** The point a conicity is about, and how far from it both wheels may roll alike. */
+function centre({ displacement_mm: at, rolling_line_std_mm: std, origin }) {
+  return `${at === null ? "" : `${number(at, 2)} mm from `}the ${words(origin)}${std ? `; equal rolling radii within ${number(std, 2)} mm (std) of it` : ""}`;
 }
 
 const why = (found) => (found.value === null && found.reason ? el("span", { class: "second" }, found.reason) : null);

@@ -33,9 +33,11 @@ from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.geometry.conicity import (
     CurveReplicates,
 )
+from estimation.geometry.rolling_line import SLOPES, held_difference_std
 from estimation.geometry.sharpening import jumps_displaced, sharpen
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
+from estimation.values.geometry import CentreOrigin
 from estimation.values.intervals import jackknife_std
 
 
@@ -213,3 +215,20 @@ def test_where_nothing_fits_all_that_the_blur_changes_once_more_is_unknown() -> 
     stds = [std(estimate) for estimate in found]
     np.testing.assert_allclose(stds, np.hypot(again - here, np.max(moved, axis=0)), rtol=1e-5, atol=1e-9)
     assert max(stds) > 0.005
+
+
+def test_what_a_bogie_holds_off_the_rolling_line_widens_a_bent_curve_and_is_said() -> None:
+    shares = (0.5,) * len(SLOPES)
+    bent = curve(cubic(), *(cubic() for _ in range(6)), band_limited=True)
+    free, held = estimates(bent), estimates(replace(bent, held_shares=shares))
+    assert free.at_reference.value == held.at_reference.value
+    assert std(held.at_reference) > std(free.at_reference)
+    assert free.centre is not None
+    assert held.centre is not None
+    assert (free.centre.std, held.centre.origin) == (0.0, CentreOrigin.MEAN_RUNNING_POSITION)
+    expected = held_difference_std(shares, value(held.at_reference)) / (2.0 * value(held.at_reference))
+    assert held.centre.std == pytest.approx(expected)
+    assert held.centre.displacement == pytest.approx(0.0, abs=1e-6)
+    absolute = estimates(replace(bent, held_shares=shares, band_limited=False))
+    assert absolute.centre is not None
+    assert (absolute.centre.std, absolute.centre.origin) == (0.0, CentreOrigin.TRACK_CENTRE)

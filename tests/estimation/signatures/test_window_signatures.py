@@ -62,7 +62,7 @@ def test_a_run_against_the_section_has_the_same_places_and_nearly_the_same_power
     # the stretch that was run first is now the last of the section
     assert [one.place.cell for one in back if one.place] == sorted(one.place.cell for one in there if one.place)
     total = [np.mean([one.powers for one in group], axis=0) for group in (there, back)]
-    np.testing.assert_allclose(total[0], total[1], atol=0.25)
+    np.testing.assert_allclose(total[0], total[1], atol=0.3)
 
 
 def test_without_section_or_position_signatures_have_no_place(window: Window) -> None:
