@@ -1,8 +1,10 @@
 """How conicity goes on with amplitude: the curves of design pairs, new and worn, at several gauges.
 
-Each row is one wheelset on one track: a wheel of a standard on a rail of a standard, hollow and flange worn to some
-depth in one of three forms, at one gauge or blurred over several. The rows are computed once and kept in
-``worn_family.npy``; ``python -m bench.worn_family`` writes them again.
+Each row is one wheelset on one track: a wheel of a standard on a rail of a standard, new, worn hollow by a formula
+(depth, place and width of the hollow, wear of the flange and of the rail drawn over their ranges, both wheels alike or
+one less worn than the other), or worn by its contact and then run on that rail and on another; at one gauge or blurred
+over several.
+The rows are computed once and kept in ``worn_family.npy``; ``python -m bench.worn_family`` writes them again.
 """
 
 from __future__ import annotations
@@ -13,22 +15,43 @@ from functools import cache
 from importlib.resources import as_file, files
 
 import numpy as np
+from scipy.stats.qmc import Halton
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
-from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.natural_wear import Running, worn_by_contact
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
+from estimation.contact.rail_wear import RailWear, worn_rail
 from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, worn
+from estimation.errors import ContactError
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
 
 TABLE = "worn_family.npy"
 UNIT = 1e-4  # of a stored conicity
 AMPLITUDES: FloatArray = np.arange(2, 13, dtype=np.float64) * 0.25e-3  # m
-GAUGES = (-1e-3, 0.0, 1e-3, 3e-3)  # m, deviation from 1435 mm
-SINGLE_GAUGES = (0, 1, 3)
-BLURRED = ((0, 1, 2), (0.25, 0.5, 0.25))  # which gauges, and their shares
+GAUGES = (-1e-3, 0.0, 1e-3, 2e-3, 3e-3)  # m, deviation from 1435 mm
+GAUGE_SHARES = np.array(  # of the gauges: kept wide or narrow over the whole way, or varying
+    [
+        [0.0, 1.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 1.0],
+        [0.25, 0.5, 0.25, 0.0, 0.0],
+        [0.0, 0.0, 0.25, 0.5, 0.25],
+    ]
+)
 DISPLACEMENT = np.arange(-75, 76) * 1e-4  # m
-DEPTHS = np.arange(9) * 0.25e-3  # m
+HOLLOWS = 12  # of a pair
+DEEPEST = 2.2e-3  # m, of a hollow
+CENTRE_OFF = 7e-3  # m, of a hollow from its usual place, at most
+WIDTHS = (0.65, 1.1)  # of its usual width
+FLANGE_SHARE = 1.2  # greatest wear of the flange, in depths of the hollow
+LESS_WORN = 0.6  # wear of one wheel in that of the other
+UNLIKE = 0.4  # share of wheelsets with such wheels
+WORN_RAILS = 0.5  # share of hollow wheels that run on such
+RAIL_WORN, RAIL_CENTRE, RAIL_HALF_WIDTH = 1e-3, (-20e-3, 10e-3), 25e-3  # m, deepest band, where, and half its width
+RUNNING = (Running(1.5e-3, 6e-3, 0.05), Running(3e-3, 8e-3, 0.25))
+DEPTHS = (0.4e-3, 0.8e-3, 1.2e-3, 1.6e-3)  # m, of wear by contact
+OTHER_RAIL = 3  # entries on in ``RAILS``
 USUAL_CONICITY = (0.02, 0.8)  # at 3 mm; what is outside is no wheelset in service
 MOST_CONICITY = 1.2  # at any amplitude
 WHEELS = (  # with centre and half width of the hollow, m
@@ -36,6 +59,10 @@ WHEELS = (  # with centre and half width of the hollow, m
     ("S1002", 4e-3, 33e-3),
     ("EN13715-1/40/h28/e32.5", 3e-3, 38e-3),
     ("EN13715-S1002/h30/e29", 4e-3, 36e-3),
+    ("EN15302-A", 3e-3, 40e-3),
+    ("EN15302-B", 3e-3, 40e-3),
+    ("EN15302-H", 3e-3, 40e-3),
+    ("EN15302-I", 3e-3, 40e-3),
 )
 RAILS = (  # with the inclinations they are laid at
     ("56E1", (20,)),
@@ -82,15 +109,15 @@ class WornFamily:
         object.__setattr__(self, "conicity", frozen_array(self.conicity, (m, a), name="conicity"))
         object.__setattr__(self, "pair", frozen_array(self.pair, (m,), np.int64, name="pair"))
 
-    def without(self, pair: int) -> WornFamily:
-        """Return the family without one of its pairs.
+    def without(self, wheel: str) -> WornFamily:
+        """Return the family without one of its wheels, on whatever rail.
 
         Parameters
         ----------
-        pair
-            Index into ``PAIRS``.
+        wheel
+            Name, of ``WHEELS``.
         """
-        others = self.pair != pair
+        others = ~np.isin(self.pair, [i for i, pair in enumerate(PAIRS) if pair.wheel == wheel])
         return WornFamily(self.amplitude, self.conicity[others], self.pair[others])
 
 
@@ -102,32 +129,64 @@ def conicities_of(pair: Pair) -> FloatArray:
     pair
         Design profiles.
     """
-    wheel, rail = wheel_profile(pair.wheel), rail_profile(pair.rail)
-    found = []
-    for left, right in _wear(pair):
-        sides = worn(wheel, left), worn(wheel, right)
-        on_track = WheelsetOnTrack(*sides, rail, rail, 1.0 / pair.inclination, 1.435)
-        table = contact_table(on_track, DISPLACEMENT, GAUGES, method=ContactMethod.EN15302, outside="hold")
-        difference = table.rolling_radius_difference
-        curves = [difference[:, k] for k in SINGLE_GAUGES]
-        curves.append(difference[:, BLURRED[0]] @ np.array(BLURRED[1]))
-        found += [equivalent_conicity(DISPLACEMENT, curve, AMPLITUDES) for curve in curves]
-    rows = np.array(found)
+    found = [conicities_on_track(*wheels, rail, pair.inclination) for wheels, rail in _wheelsets(pair)]
+    rows = np.concatenate(found)
     low, high = USUAL_CONICITY
     with np.errstate(invalid="ignore"):
         usual = (rows[:, -1] >= low) & (rows[:, -1] <= high) & (rows.max(axis=1) <= MOST_CONICITY)
     return np.asarray(rows[usual])
 
 
-def _wear(pair: Pair) -> Iterator[tuple[TreadWear, TreadWear]]:
-    """Yield the wear of the left and the right wheel: both alike, one less than the other, and a narrower hollow."""
-    for step, depth in enumerate(DEPTHS):
-        usual = TreadWear(depth, pair.centre, pair.half_width, depth)
-        yield usual, usual
-        if step and step % 2 == 0:
-            yield usual, TreadWear(0.6 * depth, pair.centre, pair.half_width, 0.6 * depth)
-            narrow = TreadWear(depth, pair.centre - 2e-3, 0.8 * pair.half_width, 0.5 * depth)
-            yield narrow, narrow
+def conicities_on_track(left: Profile, right: Profile, rail: Profile, inclination: int) -> FloatArray:
+    """Return the conicities (g, a) of a wheelset at ``AMPLITUDES``, for each of the ``GAUGE_SHARES``.
+
+    Parameters
+    ----------
+    left, right
+        Wheels.
+    rail
+        Both rails.
+    inclination
+        1 : inclination.
+    """
+    on_track = WheelsetOnTrack(left, right, rail, rail, 1.0 / inclination, 1.435)
+    table = contact_table(on_track, DISPLACEMENT, GAUGES, method=ContactMethod.EN15302, outside="hold")
+    curves = GAUGE_SHARES @ table.rolling_radius_difference.T
+    return np.stack([equivalent_conicity(DISPLACEMENT, curve, AMPLITUDES) for curve in curves])
+
+
+def _wheelsets(pair: Pair) -> Iterator[tuple[tuple[Profile, Profile], Profile]]:
+    """Yield left and right wheel of each wheelset, with the rail it runs on."""
+    wheel, rail = wheel_profile(pair.wheel), rail_profile(pair.rail)
+    yield (wheel, wheel), rail
+    for left, right, band in _hollows(pair):
+        yield (worn(wheel, left), worn(wheel, right)), worn_rail(rail, band)
+    names = [name for name, _ in RAILS]
+    other = rail_profile(names[(names.index(pair.rail) + OTHER_RAIL) % len(names)])
+    for running in RUNNING:
+        try:
+            for shape in worn_by_contact(wheel, rail, 1.0 / pair.inclination, running, DEPTHS):
+                yield (shape, shape), rail
+                yield (shape, shape), other
+        except ContactError:
+            continue  # worn so that it no longer touches: no wheel in service
+
+
+def _hollows(pair: Pair) -> Iterator[tuple[TreadWear, TreadWear, RailWear]]:
+    """Yield the wear of left wheel, right wheel and rails, drawn over its ranges; each pair has draws of its own."""
+    draws = Halton(7, scramble=False)
+    draws.fast_forward(1 + HOLLOWS * PAIRS.index(pair))
+    for depth_share, place, width, flange, unlike, rail, band in draws.random(HOLLOWS):
+        depth, centre = DEEPEST * depth_share, pair.centre + CENTRE_OFF * (2.0 * place - 1.0)
+        half_width = pair.half_width * (WIDTHS[0] + (WIDTHS[1] - WIDTHS[0]) * width)
+        less = LESS_WORN if unlike < UNLIKE else 1.0
+        flange_wear = FLANGE_SHARE * flange * depth
+        at = RAIL_CENTRE[0] + (RAIL_CENTRE[1] - RAIL_CENTRE[0]) * band
+        yield (
+            TreadWear(depth, centre, half_width, flange_wear),
+            TreadWear(less * depth, centre, half_width, less * flange_wear),
+            RailWear(RAIL_WORN * max(0.0, rail - WORN_RAILS) / WORN_RAILS, at, RAIL_HALF_WIDTH),
+        )
 
 
 @cache

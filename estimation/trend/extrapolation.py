@@ -1,15 +1,21 @@
 """The conicity of a wheelset at the amplitude of its limit: as estimated where it moves as far, else extrapolated.
 
-A limit belongs to an amplitude (EN 15302 quotes 3 mm). Where the motion does not cover it, the worn design pairs of
-``estimation.contact.worn_family`` say how conicity goes on: of those whose conicity is like the wheelset's at the
-largest amplitude covered and half a millimetre below, the change up to 3 mm is fitted as linear in both, and what is
-left over is the spread. Where few of them are like the wheelset, or the spread is large, it is not known.
+A limit belongs to an amplitude (EN 15302 quotes 3 mm). Where the motion does not cover it, the new and worn wheelsets
+of ``estimation.contact.worn_family`` say how conicity goes on: of those that are like the wheelset at the largest
+amplitude covered and a quarter, a half and a whole millimetre below, the change up to 3 mm is fitted as linear in all
+of these, and what is left over is the spread. Where few are like it, wider differences count, and the spread grows.
+
+Where the motion ends is evidence too: a wheelset runs out until the energy of a deflection, which is as conicity times
+amplitude squared, is that of the track's irregularity. Of an energy of which only the order is not known, the share
+that ends between an amplitude and the next one is the logarithm of the ratio of both. So a member whose conicity rises
+beyond counts for more than one that stays flat, whose motion would have gone on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,16 +29,21 @@ from estimation.values.reasons import Reason, ReasonCode
 
 LIMIT_AMPLITUDE = 3e-3  # m, of every conicity limit (EN 15302, TSI)
 SAME_AMPLITUDE = 1e-6  # m
-LEAST_AMPLITUDE = 2e-3  # m, from which anything is extrapolated; from less, intervals of known pairs do not cover
-SLOPE_STEP = 0.5e-3  # m, from the largest amplitude covered to the one that shows the slope
+LEAST_AMPLITUDE = 1.5e-3  # m, from which anything is extrapolated; from less, intervals of known pairs do not cover
+BELOW = (0.25e-3, 0.5e-3, 1.0e-3)  # m, from the largest amplitude covered to those that show how it rises
 ALIKE = 0.06  # relative difference of conicities that are alike
 LEAST_ALIKE = 0.012  # and the least difference that counts
-SLOPE_ALIKE = 0.7  # of that, for the difference between the two amplitudes
-SHARED = 0.5  # correlation of the errors at two amplitudes
+SLOPE_ALIKE = 0.7  # of that, for the difference between two amplitudes
+WIDER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
+SHARED = 0.5  # part of the errors that all amplitudes have in common
+NEAR = 0.5e-3  # m, within which the rest of them is alike
 RIDGE = 2.0  # members' weight with which the fit is held flat
-LEAST_MEMBERS = 10.0  # weight of members that are like the wheelset
-SPREAD_FACTOR = 1.3  # real shapes differ more than the family
-LARGEST_STD = 0.1  # of an extrapolated conicity, as of any that is published
+LEAST_MEMBERS = 25.0  # weight of members that are like the wheelset
+NEXT_AMPLITUDE = 0.25e-3  # m, to the amplitude that is not covered
+FLAT = 0.02  # conicity below which nothing holds a wheelset
+STOPPED = (0.1, 4.0)  # least and most weight by where the motion ends, of a conicity that stays as it is
+LARGEST_STD = 0.15  # of an extrapolated conicity
+KEPT = 20_000  # extrapolations of intervals, which do not change
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,25 +139,51 @@ def extrapolated(known: Sequence[KnownConicity], family: WornFamily | None = Non
     known
         At amplitudes below the limit's, increasing.
     family
-        Curves of wheelsets like it; by default the worn design pairs.
+        Curves of wheelsets like it; by default the new and worn design pairs.
     """
-    family = family or worn_family()
+    return _of_design_pairs(tuple(known)) if family is None else _extrapolated(tuple(known), family)
+
+
+@lru_cache(KEPT)
+def _of_design_pairs(known: tuple[KnownConicity, ...]) -> Extrapolation | None:
+    return _extrapolated(known, worn_family())
+
+
+def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extrapolation | None:
     largest = known[-1]
     if largest.amplitude < LEAST_AMPLITUDE - SAME_AMPLITUDE:
         return None
-    wanted = largest.amplitude - SLOPE_STEP
-    lower = min(known[:-1], key=lambda one: abs(one.amplitude - wanted), default=None)
-    if lower is None or lower.amplitude < family.amplitude[0]:
+    shown = [largest, *_below(known, family.amplitude[0])]
+    if len(shown) == 1:
         return None
-    at_largest, at_lower = _at(family, largest.amplitude), _at(family, lower.amplitude)
-    own = np.array([largest.value, largest.value - lower.value])
-    error = np.column_stack([at_largest, at_largest - at_lower]) - own
-    found = _local_fit(error, _covariance(largest.std, lower.std), _width(largest.value), family, at_largest)
-    if found is None:
+    steps = _steps(len(shown))
+    members = np.stack([_at(family, one.amplitude) for one in shown], axis=1)
+    error = (members - [one.value for one in shown]) @ steps.T
+    covariance = steps @ _covariance(shown) @ steps.T
+    stopped = _stopped(family, largest.amplitude, members[:, 0])
+    weighed = _alike(error, covariance, _width(largest.value, len(shown)), stopped)
+    if weighed is None:
         return None
-    change, measured_std, spread = found
-    result = Extrapolation(largest.value + change, measured_std, spread)
+    weight, width = weighed
+    change = _at(family, LIMIT_AMPLITUDE) - members[:, 0]
+    level, measured_std, spread = _local_fit(error, covariance, width, weight, change)
+    result = Extrapolation(largest.value + level, measured_std, spread)
     return result if result.std <= LARGEST_STD and result.value > 0.0 else None
+
+
+def _below(known: Sequence[KnownConicity], least: float) -> list[KnownConicity]:
+    """Return the conicities that are nearest to those wanted below the largest amplitude, falling, none twice."""
+    lower = [one for one in known[:-1] if one.amplitude >= least - SAME_AMPLITUDE]
+    wanted = [known[-1].amplitude - below for below in BELOW] if lower else []
+    nearest = {min(lower, key=lambda one: abs(one.amplitude - amplitude)) for amplitude in wanted}
+    return sorted(nearest, key=lambda one: -one.amplitude)
+
+
+def _steps(count: int) -> FloatArray:
+    """Return what makes level and differences (n, n) of the conicities at falling amplitudes (n,)."""
+    steps = -np.eye(count) + np.eye(count, k=-1)
+    steps[0, 0] = 1.0
+    return steps
 
 
 def _at(family: WornFamily, amplitude: float) -> FloatArray:
@@ -157,36 +194,55 @@ def _at(family: WornFamily, amplitude: float) -> FloatArray:
     return np.asarray((1.0 - share) * family.conicity[:, upper - 1] + share * family.conicity[:, upper])
 
 
-def _width(conicity: float) -> FloatArray:
-    """Return by how much level and slope (2,) of a member may differ."""
+def _width(conicity: float, count: int) -> FloatArray:
+    """Return by how much level and slopes (n,) of a member may differ."""
     level = max(LEAST_ALIKE, ALIKE * conicity)
-    return np.array([level, SLOPE_ALIKE * level])
+    return level * np.array([1.0] + [SLOPE_ALIKE] * (count - 1))
 
 
-def _covariance(level_std: float, lower_std: float) -> FloatArray:
-    """Return the covariance (2, 2) of the errors of level and slope."""
-    shared = SHARED * level_std * lower_std
-    both = level_std**2 - shared
-    return np.array([[level_std**2, both], [both, level_std**2 + lower_std**2 - 2.0 * shared]])
+def _covariance(shown: Sequence[KnownConicity]) -> FloatArray:
+    """Return the covariance (n, n) of the errors of the conicities."""
+    amplitude, std = (np.array([getattr(one, name) for one in shown]) for name in ("amplitude", "std"))
+    near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / NEAR)
+    return np.asarray(np.outer(std, std) * (SHARED + (1.0 - SHARED) * near))
+
+
+def _stopped(family: WornFamily, amplitude: float, conicity: FloatArray) -> FloatArray:
+    """Return how likely (m,) the motion of the members ends before the next amplitude (m); 1 where conicity is even."""
+    beyond = np.maximum(_at(family, amplitude + NEXT_AMPLITUDE), FLAT)
+    ratio = 2.0 * np.log1p(NEXT_AMPLITUDE / amplitude)
+    return np.asarray(np.clip(1.0 + np.log(beyond / np.maximum(conicity, FLAT)) / ratio, *STOPPED))
+
+
+def _alike(
+    error: FloatArray, covariance: FloatArray, width: FloatArray, stopped: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the weights (m,) of the members and the width (n,) within which enough are alike; None where none is.
+
+    Members count by how far level and slopes (m, n) are from the wheelset's, in the errors of the estimate and the
+    width of what is alike, and by how likely their motion ends there (m,).
+    """
+    for wider in WIDER:
+        factor = np.linalg.cholesky(covariance + np.diag((wider * width) ** 2))
+        distance = np.square(np.linalg.solve(factor, error.T)).sum(axis=0)
+        weight = stopped * np.exp(-0.5 * distance)
+        if weight.sum() >= LEAST_MEMBERS:
+            return weight, wider * width
+    return None
 
 
 def _local_fit(
-    error: FloatArray, covariance: FloatArray, width: FloatArray, family: WornFamily, at_largest: FloatArray
-) -> tuple[float, float, float] | None:
+    error: FloatArray, covariance: FloatArray, width: FloatArray, weight: FloatArray, change: FloatArray
+) -> tuple[float, float, float]:
     """Return the change up to the limit's amplitude, its std from the estimate's error, and the spread of the members.
 
-    Members count by how far level and slope (m, 2) are from the wheelset's, in the errors of the estimate and the
-    width of what is alike.
+    The changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,).
     """
-    distance = np.einsum("mi,ij,mj->m", error, np.linalg.inv(covariance + np.diag(width**2)), error)
-    weight = np.exp(-0.5 * distance)
-    if weight.sum() < LEAST_MEMBERS:
-        return None
-    change = _at(family, LIMIT_AMPLITUDE) - at_largest
     design = np.column_stack([np.ones(len(error)), error / width])
-    normal = (design * weight[:, np.newaxis]).T @ design + np.diag([0.0, RIDGE, RIDGE])
+    normal = (design * weight[:, np.newaxis]).T @ design + RIDGE * np.diag([0.0] + [1.0] * len(width))
     level, *slopes = np.linalg.solve(normal, design.T @ (weight * change))
     left = change - design @ np.array([level, *slopes])
-    gradient = np.array(slopes) / width + np.array([1.0, 0.0])
-    spread = SPREAD_FACTOR * np.sqrt(weight @ left**2 / weight.sum())
+    gradient = np.array(slopes) / width
+    gradient[0] += 1.0
+    spread = np.sqrt(weight @ left**2 / weight.sum())
     return float(level), float(np.sqrt(gradient @ covariance @ gradient)), float(spread)
