@@ -142,6 +142,8 @@ class SuspensionChangeEvidence(Representation):
     vehicle: str | None = Field(description="Code of the vehicle.")
     change_1: Uncertain | None = Field(description="Relative change; -0.3 is softer by 30 %.")
     past_findings: int | None = Field(description="Findings of its own past.")
+    step_probability_1: float | None = Field(description="That it changed at once; null where it did not seem to.")
+    step_at: Timestamp | None = Field(description="First finding behind the step.")
     recent_findings: int | None = Field(description="Findings that count as now.")
     other_vehicles: int | None = Field(description="Vehicles on the same sections at the same time.")
     limit_1: float | None = Field(description="Change that raises the alert.")

@@ -171,6 +171,8 @@ def _suspension_change(stored: Stored) -> kinds.SuspensionChangeEvidence:
         vehicle=text(stored.get("vehicle")),
         change_1=estimate(stored.get("change")),
         past_findings=count(stored.get("past_findings")),
+        step_probability_1=number(stored.get("step_probability")),
+        step_at=moment(stored.get("step_ns")),
         recent_findings=count(stored.get("recent_findings")),
         other_vehicles=count(stored.get("other_vehicles")),
         limit_1=number(stored.get("limit")),

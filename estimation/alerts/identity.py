@@ -17,6 +17,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from estimation.alerts.mirrored import Parts, newest_mirrored
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
 
@@ -97,6 +98,10 @@ def identity_events(
         event = reversed_between(before, after, p)
         if event is not None:
             events[serial] = event
+    for serial in histories.keys() - events.keys():
+        event = _reversed_in(histories[serial], p)
+        if event is not None:
+            events[serial] = event
     pairs = []
     serials = sorted(jumps)
     for i, first in enumerate(serials):
@@ -132,7 +137,7 @@ def jumps(seen: Sequence[Observation], parameters: IdentityParameters) -> bool:
     parameters
         When a jump is one.
     """
-    return _first_jump(seen, parameters) is not None
+    return _first_jump(seen, parameters) is not None or _reversed_in(seen, parameters) is not None
 
 
 def _first_jump(seen: Sequence[Observation], p: IdentityParameters) -> tuple[Observation, Observation] | None:
@@ -184,6 +189,32 @@ def reversed_between(
     if same < p.least_jump or left > p.most_left or same < p.least_gain * mirrored:
         return None
     return _event(Mistake.REVERSED, None, (before, after), same, left)
+
+
+def _reversed_in(seen: Sequence[Observation], p: IdentityParameters) -> IdentityEvent | None:
+    """Return the event where the even part has changed its sign, by all of a history; None where it has not.
+
+    The intervals have to be on the same bins; what lies between the two sides is of neither.
+    """
+    usable = [item for item in seen if item.geometry.windows >= p.least_windows]
+    evens = [_even(_curve(item)) for item in usable]
+    if not evens or any(len(one.at) != len(evens[0].at) or not np.allclose(one.at, evens[0].at) for one in evens):
+        return None
+    near = evens[0].at <= p.reach
+    whole = np.array([_curve(item).value[_curve(item).at > 0.0] for item in usable])
+    even = np.array([one.value for one in evens])
+    found = newest_mirrored(
+        Parts(
+            np.array([item.mileage_km for item in usable]),
+            np.array([0.5 * (item.from_ns + item.to_ns) for item in usable]),
+            even[:, near],
+            (whole - even)[:, near],
+            np.array([one.std[near] for one in evens]),
+        )
+    )
+    if found is None:
+        return None
+    return _event(Mistake.REVERSED, None, (usable[found.last], usable[found.first]), found.jump, found.left)
 
 
 def swapped_between(

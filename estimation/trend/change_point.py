@@ -35,7 +35,7 @@ MAD_STD = 1.4826
 MOST_FLIPS = 12
 LEAST_GAIN = 1e-9  # of log evidence: rounding never flips an outlier to and fro
 FAR_FROM = 7.0  # log odds of a step at a place, below which its neighbours are not looked at
-AS_LIKELY = 2.0  # of the log odds: places that differ by less
+AS_LIKELY = 3.0  # of the log odds: places that differ by less
 WORTH_A_LOOK = 1.0  # of a median change over the least size, below which no hypothesis is computed
 
 
@@ -43,8 +43,8 @@ WORTH_A_LOOK = 1.0  # of a median change over the least size, below which no hyp
 class StepModel:
     """What an indicator does when nothing happens to it, and what a step is; by default equivalent conicity."""
 
-    slope_std: float = 2e-6  # per km
-    bend_std: float = 1e-6  # per km, change of slope
+    slope_std: float = 1.5e-6  # per km
+    bend_std: float = 7e-7  # per km, change of slope
     bend_km: float = 30_000.0  # over so much
     wander_std: float = 0.01  # of friction and weather, and of another version of the track
     wander_days: float = 30.0  # in which it changes

@@ -1,5 +1,7 @@
 """Has the suspension of a vehicle changed? Its ratio of yaw stiffness to creep coefficient, now against before.
 
+Now is what lies behind the newest step, however long ago that was, or else the newest findings.
+
 A ratio moves with the yaw spring and with the creep coefficient. Friction and running surface change the creep of all
 vehicles of a section at once, so what the others on the same section have in common is taken out; what is left of
 friction is a standard deviation, large where a vehicle was alone.
@@ -8,18 +10,28 @@ friction is a standard deviation, large where a vehicle was alone.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
 
+from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.suspension import SuspensionChange, SuspensionFinding
 
 MEDIAN_VARIANCE = np.pi / 2.0  # of that of a mean, of normal values
 MAD_STD = 1.4826  # standard deviations in a median absolute deviation
 DAY_NS = 86_400_000_000_000
+STEP = StepModel(
+    slope_std=0.0,
+    bend_std=0.0,
+    wander_days=2.0,  # of friction, which rain changes at once
+    step_std=0.3,
+    outlier_std=0.3,
+    noise_floor=0.005,
+    least_size=0.05,
+)  # of the logarithm of a ratio; how far it wanders is what is left of friction
 Findings = Annotated[int, Interval(ge=1, le=1000)]
 RelativeStd = Annotated[float, Interval(ge=0.001, le=1.0)]
 
@@ -166,7 +178,9 @@ def _change(code: str, series: _Series, sections: Mapping[str, _Section], p: Sus
         level[k] -= common
         friction[k] = common_variance
     weight = 1.0 / series.variance
-    sides = (slice(0, series.past), slice(series.past, None))
+    step = _step(series, level, float(np.sqrt(friction.mean())))
+    past, first = (series.past, series.past) if step is None else (step.last + 1, step.first)
+    sides = (slice(0, past), slice(first, None))
     before, now = (float(weight[side] @ level[side] / weight[side].sum()) for side in sides)
     # what is left of friction lasts as weather does: more findings of a side do not lessen it
     spread = float(np.sqrt(sum(1.0 / weight[side].sum() + friction[side].mean() for side in sides)))
@@ -175,11 +189,20 @@ def _change(code: str, series: _Series, sections: Mapping[str, _Section], p: Sus
         vehicle=code,
         change=change,
         std=(1.0 + change) * spread,
-        past=series.past,
-        recent=len(level) - series.past,
+        past=past,
+        recent=len(level) - first,
         others=len(seen),
         recent_ns=max(item.to_ns for item in series.findings),
+        step_probability=None if step is None else step.probability,
+        since_ns=None if step is None else series.findings[step.first].from_ns,
     )
+
+
+def _step(series: _Series, level: FloatArray, friction_std: float) -> ChangePoint | None:
+    """Return the newest step of the levels, less what is common; friction that is left makes them wander."""
+    at_ns = np.array([0.5 * (item.from_ns + item.to_ns) for item in series.findings])
+    points = Series(np.zeros(len(level)), at_ns, level, np.sqrt(series.variance))
+    return newest_change(points, replace(STEP, wander_std=friction_std))
 
 
 def _common(shifts: Sequence[float], p: SuspensionParameters) -> tuple[float, float]:

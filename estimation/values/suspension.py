@@ -34,6 +34,8 @@ class SuspensionChange:
     recent: int
     others: int  # vehicles on the same sections at the same time
     recent_ns: int  # end of the newest
+    step_probability: float | None = None  # of a sudden change, which the recent ones are behind; None without one
+    since_ns: int | None = None  # begin of the first finding behind it
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,10 +27,14 @@ class SuspensionChangeRule(AlertRule):
 
     kind: ClassVar[str] = "suspension_change"
     limit_unit: ClassVar[str] = "1"
-    relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_change", "<=", "raise_change"),)
+    relations: ClassVar[Sequence[tuple[str, str, str]]] = (
+        ("clear_change", "<=", "raise_change"),
+        ("raise_step", "<=", "raise_change"),
+    )
 
     raise_change: Change = 0.2
     clear_change: Change = 0.15
+    raise_step: Change = 0.1  # of a sudden change
     raise_probability: Probability = 0.9
     clear_probability: Probability = 0.8
     parameters: SuspensionParameters = field(default_factory=SuspensionParameters)
@@ -77,11 +81,13 @@ def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: 
     """
     over = _beyond(found, rule.raise_change)
     over_clear = _beyond(found, rule.clear_change)
+    sudden = found.step_probability is not None and _beyond(found, rule.raise_step) >= rule.raise_probability
+    breached = sudden or over >= rule.raise_probability
     return Finding(
         wheelset=wheelset,
         kind=SuspensionChangeRule.kind,
-        breached=over >= rule.raise_probability,
-        cleared=1.0 - over_clear >= rule.clear_probability,
+        breached=breached,
+        cleared=not breached and 1.0 - over_clear >= rule.clear_probability,
         severity=Severity.WARNING,
         probability=number_evidence(over, 3),
         evidence={
@@ -90,6 +96,8 @@ def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: 
             "past_findings": found.past,
             "recent_findings": found.recent,
             "other_vehicles": found.others,
+            "step_probability": number_evidence(found.step_probability, 3),
+            "step_ns": found.since_ns,
             "limit": rule.raise_change,
         },
         action="check_yaw_suspension",

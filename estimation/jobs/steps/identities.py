@@ -17,8 +17,8 @@ from estimation.values.registry import Mounting, WheelsetRecord
 
 _ALL = 1000
 STAGE = "identity"
-PAIR = 2  # intervals before the first that has changed: with these it is compared
-COMPARED = (4, 64)  # intervals read before it, at first and where too few of them are usable
+PAIR = 8  # intervals before the first that has changed: with these it is compared
+COMPARED = (16, 64)  # intervals read before it, at first and where too few of them are usable
 
 
 def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:

@@ -1,0 +1,199 @@
+"""Sudden changes: ``python -m bench steps [--lives 42] [--quiet-lives 300] [--seed 20000] [--write-docs]``.
+
+Every life is simulated (``steps_lives``) and goes through the code that trends are made with, one interval after the
+other. Constants were chosen on seeds below 10000; figures are of others.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.report import BenchRow, printed
+from bench.results_page import ended
+from bench.steps_lives import DAY_NS, HISTORIES, LIMIT, Case, Life, life
+from bench.steps_suspension import suspension_rows
+from estimation.jobs.refresh_trends import trend_of
+from estimation.trend.points import conicity_points
+from estimation.trend.steps import newest_step
+from estimation.trend.trend import TrendParameters
+from estimation.trend.wear_curve import fit_wear_curve
+from estimation.values.trend import TrendStep
+
+TITLE = "Sudden changes of conicity and suspension"
+SEED, LIVES, QUIET_LIVES, RIVAL_LIVES = 20_000, 42, 300, 40
+SIZES = (0.05, -0.05, 0.1, -0.1, 0.2, -0.2)
+REACH = {0.05: None, 0.1: 4, 0.2: 3}  # intervals
+BEHIND = 10  # intervals, after which a step counts as not found
+SAME_KM = 3.0  # intervals within which two findings are of one step
+TODAY_AFTER = (3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 80, 100)  # intervals behind
+NEVER = 999
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """When and how well the step of a life was found; ``after`` is ``NEVER`` where it was not."""
+
+    history: int
+    size: float
+    after: int  # intervals behind it
+    step: TrendStep | None
+    holds_place: bool
+    level_error: float  # of the fitted trend when it was found
+    level_error_without: float  # of that over all points
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the bench; return 1 when a row falls short.
+
+    Parameters
+    ----------
+    arguments
+        Of the command line.
+    """
+    options = _options(arguments)
+    rows = printed(_rows(options.seed, options.lives, options.quiet_lives))
+    return ended(rows, "steps", TITLE, "python -m bench steps --write-docs" if options.write_docs else None)
+
+
+def _rows(seed: int, lives: int, quiet_lives: int) -> Iterator[BenchRow]:
+    found = [
+        found_in(life(Case(history, size, BEHIND, mixed=bool(i % 2)), seed + 1000 * number + i), history)
+        for number, (history, size) in enumerate((h, s) for h in HISTORIES for s in SIZES)
+        for i in range(lives)
+    ]
+    yield from (row for size in REACH for row in _found_rows([one for one in found if abs(one.size) == size], size))
+    yield from _accuracy_rows(found)
+    yield from _rival_rows(seed, min(lives, RIVAL_LIVES))
+    yield from _quiet_rows(seed, quiet_lives)
+    yield from suspension_rows(seed, lives)
+
+
+def found_in(given: Life, history: int) -> Found:
+    """Return when the step of a life was found, looking after every interval behind it.
+
+    Parameters
+    ----------
+    given
+        With a step.
+    history
+        Intervals before it.
+    """
+    first = given.first or 0
+    for after in range(1, BEHIND + 1):
+        known = given.records[: first + after]
+        step = newest_step(known)
+        if step is None or step.after_km < given.records[history - 1].mileage_km:
+            continue
+        holds = given.event_km is not None and step.before_km <= given.event_km <= step.after_km
+        truth = given.level[first + after - 1]
+        fitted = trend_of(known, LIMIT, TrendParameters()).fitted.value or np.nan
+        without = _all_fitted(given, first + after)
+        return Found(history, given.size, after, step, holds, abs(fitted - truth), abs(without - truth))
+    return Found(history, given.size, NEVER, None, holds_place=False, level_error=np.nan, level_error_without=np.nan)
+
+
+def _all_fitted(given: Life, until: int) -> float:
+    points = conicity_points(given.records[:until]).points
+    curve = fit_wear_curve(*(np.array([getattr(p, name) for p in points]) for name in ("mileage_km", "value", "std")))
+    return float(curve.weight @ curve.level)
+
+
+def _found_rows(found: Sequence[Found], size: float) -> Iterator[BenchRow]:
+    reach = REACH[size]
+    groups = [("3", (3,)), ("6", (6,)), ("12 to 240", HISTORIES[2:])]
+    for name, histories in [("3 to 240", HISTORIES), *groups]:
+        after = np.array([one.after for one in found if one.history in histories])
+        within = float(np.mean(after <= (reach or 4)))
+        median, late = (_count(np.quantile(after, q, method="higher")) for q in (0.5, 0.95))
+        measured = f"{within:.1%} within {reach or 4} intervals; median {median}, 95 % {late}; {len(after)} lives"
+        wanted = "for information" if reach is None or name == "3" else f"95 % within {reach}"
+        met = reach is None or name == "3" or within >= 0.95
+        yield BenchRow(f"step of {size:g}, history of {name} intervals", measured, wanted, met)
+
+
+def _count(after: float) -> str:
+    return "more" if after >= NEVER else f"{after:.0f}"
+
+
+def _accuracy_rows(found: Sequence[Found]) -> Iterator[BenchRow]:
+    shown = [(one, one.step) for one in found if one.step is not None]
+    error = np.array([(step.size.value or 0.0) - one.size for one, step in shown])
+    std = np.array([step.size.std or np.nan for _, step in shown])
+    z, cover = float(np.sqrt(np.mean((error / std) ** 2))), float(np.mean(np.abs(error) <= 1.959964 * std))
+    text = f"rms error {np.sqrt(np.mean(error**2)):.4f}, z rms {z:.2f}, 95 % intervals hold {cover:.1%}"
+    yield BenchRow(f"size of {len(shown)} steps found", text, "92 to 98 %", 0.92 <= cover <= 0.98)
+    place = float(np.mean([one.holds_place for one, _ in shown]))
+    yield BenchRow("place: the mileage lies between those told", f"{place:.1%}", "95 %", place >= 0.95)
+    own, without = (
+        float(np.nanmedian([getattr(one, name) for one, _ in shown if abs(one.size) >= 0.1]))
+        for name in ("level_error", "level_error_without")
+    )
+    text = f"median error {own:.3f}; of a curve through all points {without:.3f}"
+    yield BenchRow("level when a step of 0.1 or 0.2 is found", text, "better", own < without)
+
+
+def _rival_rows(seed: int, lives: int) -> Iterator[BenchRow]:
+    """Yield when the curve through all points, which is all there was before, believes a step."""
+    for history in (12, 60, 240):
+        after = [_believed(life(Case(history, 0.2, TODAY_AFTER[-1], km=1000.0), seed + i)) for i in range(lives)]
+        median, late = (_count(np.quantile(after, q, method="higher")) for q in (0.5, 0.95))
+        text = f"after {median} intervals (median), {late} (95 %); {lives} lives"
+        what = f"a curve through all points believes a step of 0.2, history of {history}"
+        yield BenchRow(what, text, "for information", met=True)
+
+
+def _believed(given: Life) -> int:
+    first = given.first or 0
+    for after in TODAY_AFTER:
+        truth = given.level[first + after - 1]
+        if abs(_all_fitted(given, first + after) - truth) < 0.5 * abs(given.size):
+            return after
+    return NEVER
+
+
+def _quiet_rows(seed: int, lives: int) -> Iterator[BenchRow]:
+    """Yield false steps of lives without any, looked for after every interval."""
+    cases = {
+        "single outliers, seasons, all laws of wear": Case(120),
+        "the same with two outliers on end": Case(120, doubles=0.003),
+        "accelerating wear, turned and registered": Case(120, shape="accelerating"),
+    }
+    years, false = 0.0, 0
+    for number, (name, case) in enumerate(cases.items()):
+        counted = [false_steps(life(case, seed + 50_000 + 1000 * number + i)) for i in range(lives // len(cases))]
+        these, in_years = sum(one for one, _ in counted), sum(one for _, one in counted)
+        years, false = years + in_years, false + these
+        text = f"{these} in {in_years:.0f} wheelset-years"
+        yield BenchRow(f"false steps: {name}", text, "for information", met=True)
+    text = f"{false / years:.3f} a wheelset-year ({false} in {years:.0f} of {lives} wheelsets)"
+    yield BenchRow("false steps, all together", text, "at most 0.02", false / years <= 0.02)
+
+
+def false_steps(given: Life) -> tuple[int, float]:
+    """Return how many steps were found at any time in a life without one, and its years.
+
+    Parameters
+    ----------
+    given
+        Without a step.
+    """
+    records, told = given.records, list[float]()
+    width = records[1].mileage_km - records[0].mileage_km
+    for until in range(2, len(records) + 1):
+        step = newest_step(records[:until])
+        if step is not None and all(abs(step.after_km - km) > SAME_KM * width for km in told):
+            told.append(step.after_km)
+    return len(told), (records[-1].to_ns - records[0].from_ns) / DAY_NS / 365.25
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench steps", description=__doc__)
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of the first life (default: {SEED})")
+    parser.add_argument("--lives", type=int, default=LIVES, help=f"of each size and history (default: {LIVES})")
+    parser.add_argument("--quiet-lives", type=int, default=QUIET_LIVES, help=f"without a step ({QUIET_LIVES})")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/results/steps.md")
+    return parser.parse_args(arguments)
