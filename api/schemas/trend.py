@@ -254,6 +254,7 @@ def no_trend(
         baseline=baseline,
         recorded_at=None,
         points=TrendPoints(mileage_km=[], measured_at=[], value_1=[], std_1=[]),
+        step=None,
         current_1=uncertain(unknown if of_now is None else conicity_at_limit_amplitude(of_now.geometry)),
         current_mileage_km=None if of_now is None else finite(of_now.mileage_km),
         fitted_1=uncertain(unknown),
