@@ -13,7 +13,7 @@ from rich.table import Table
 from api.factory import open_store
 from api.schemas.worklist import WheelsetRow, row_of_document
 from api.settings import Settings
-from api.times import to_rfc3339
+from api.times import from_rfc3339, to_rfc3339
 from api.window_reasons import SHOWN, WindowReasons, same_reason
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -75,12 +75,12 @@ def fleet_reasons(unit: SqlUnitOfWork) -> FleetReasons:
 
 
 def _why(reasons: WindowReasons, row: WheelsetRow, most: int) -> WithoutEstimate:
-    """Return why a wheelset has no conicity at 3 mm: what its geometry says, or why it has none."""
-    found = row.state.conicity_1
-    of_geometry = None
-    if found.reason_code is not None and found.reason_code not in WITHOUT_GEOMETRY:
-        of_geometry = Reason(found.reason_code, found.reason or "")
-    return reasons.without_estimate(row.serial, of_geometry, most)
+    """Return why a wheelset has no conicity at 3 mm: what its geometry says, or where it has none its windows."""
+    code, text = row.state.conicity_1.reason_code, row.state.conicity_1.reason
+    if code is None or code in WITHOUT_GEOMETRY:
+        return reasons.without_estimate(row.serial, most=most)
+    last_ns = None if row.state.last_data_at is None else from_rfc3339(row.state.last_data_at)
+    return WithoutEstimate(Reason(code, text or code.meaning), code.remedy, (), None, last_ns)
 
 
 def print_each(settings: Settings) -> None:
@@ -122,16 +122,15 @@ def summary_lines(found: FleetReasons) -> list[str]:
 
 
 def _without_windows(wheelsets: Iterable[Unestimated]) -> list[str]:
-    """Return a line for those wheelsets without a window for which there is the same to do."""
+    """Return a line for those wheelsets, of which no window says why, for which there is the same to do."""
     found: dict[tuple[ReasonCode, str], list[Unestimated]] = {}
     for item in wheelsets:
         if not item.why.windows:
             found.setdefault((item.why.reason.code, item.why.what_to_do), []).append(item)
     lines = []
-    for items in sorted(found.values(), key=len, reverse=True)[:NAMED]:
-        first = items[0]
-        text = f"without a window: {len(items)}, such as {first.row.serial}: {first.why.reason}. {first.why.what_to_do}"
-        lines.append(text.rstrip(" "))
+    for (code, to_do), items in sorted(found.items(), key=lambda pair: -len(pair[1]))[:NAMED]:
+        what = "without a window" if code in WITHOUT_GEOMETRY else code.value
+        lines.append(f"{len(items)} {what}, such as {items[0].row.serial}: {items[0].why.reason}. {to_do}".rstrip())
     return lines
 
 

@@ -60,8 +60,8 @@ def test_all_wheelsets_without_an_estimate_are_summed_by_reason(deployment: SqlS
     assert head == "12 of 12 mounted wheelsets have no conicity at 3 mm; their newest windows, at most 1,000 of each:"
     assert clipped == f"  4 refused clipped: on {fleet.WHEELSETS[2]}. {ReasonCode.CLIPPED.remedy}"
     assert faulty.startswith("  2 refused sensor_fault: ")
-    assert silent.startswith("  without a window: 9, such as WS-001: no recording of V-0 has been received. Check")
-    assert covered.startswith("  without a window: 1, such as WS-000: ")
+    assert silent.startswith("  9 without a window, such as WS-001: no recording of V-0 has been received. Check")
+    assert covered.startswith("  1 amplitude_not_comparable, such as WS-000: ")
 
 
 def test_each_wheelset_is_listed_and_nothing_is_run(deployment: SqlStorage) -> None:
