@@ -155,8 +155,8 @@ def _km(distance_km: float) -> str:
 def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[Urgency, Reason]:
     hides = HIDING.get(alert.kind)
     if alert.kind == NoDataRule.kind and hides is not None:
-        what = "no usable data, for windows are refused," if refused else "no data"
-        text = f"{what} ever" if last_ns is None else f"{what} since {_day(last_ns)}"
+        since = "ever" if last_ns is None else f"since {_day(last_ns)}"
+        text = f"no usable data {since}: its windows are refused" if refused else f"no data {since}"
         return Urgency.UNKNOWN, Reason(hides.code, text)
     if hides is not None:
         return Urgency.UNKNOWN, hides
