@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 from api.schemas.quarantine import without_folders
@@ -26,7 +26,10 @@ from estimation.worklist.waiting import (
 )
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.window_reasons import COUNTED, CountedWindows, newest_by_reason
+from fleet_db.stores.window_reasons import COUNTED, CountedWindows, newest_by_reason, pending_by_place
+
+OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
+"""Codes whose sentence names a section and what it lacks."""
 
 SHOWN = 3
 """Reasons that the sentence on a wheelset names."""
@@ -99,6 +102,16 @@ class WindowReasons:
             last_ns=max(one.newest_end_ns for one in counted),
         )
 
+    def waiting(self, vehicles: Sequence[str]) -> list[WindowsOfReason]:
+        """Return the windows of vehicles that wait, by what they wait for, the most frequent first.
+
+        Parameters
+        ----------
+        vehicles
+            Codes.
+        """
+        return self._merged("", pending_by_place(self.unit.connection, vehicles), None)
+
     def _counted(self, record: WheelsetRecord, most: int) -> list[CountedWindows]:
         since_ns = max((one.at_ns for one in record.reprofilings), default=None)
         return list(newest_by_reason(self.unit.connection, record.serial, since_ns, most))
@@ -107,13 +120,13 @@ class WindowReasons:
         self, serial: str, counted: Iterable[CountedWindows], of_geometry: Reason | None
     ) -> list[WindowsOfReason]:
         """Return windows with their reasons, those of one state and sentence together."""
-        found: dict[tuple[str, ...], WindowsOfReason] = {}
+        found: dict[object, WindowsOfReason] = {}
         for one in counted:
             key = (serial, one.newest_start_ns)
             reason = self._reason(one.state, one.reason, one.section, one.vehicle, key, placed=one.placed)
             if one.state is WindowState.ESTIMATED:
                 reason = of_geometry or self._no_geometry_yet(serial)
-            same = _key(one, reason)
+            same = same_reason(one.state, reason)
             before = found.get(same)
             if before is None:
                 found[same] = WindowsOfReason(one.state, reason, one.windows, one.newest_end_ns)
@@ -215,12 +228,17 @@ class WindowReasons:
         )
 
 
-def _key(one: CountedWindows, reason: Reason | None) -> tuple[str, ...]:
-    """Return what windows share that are counted together: state and code, and the section that they wait for."""
+def same_reason(state: WindowState, reason: Reason | None) -> object:
+    """Return what windows share that are counted together: state and code, and which section they wait for.
+
+    Parameters
+    ----------
+    state, reason
+        Of a window.
+    """
     if reason is None:
-        return (one.state.value,)
-    of_section = reason.code in {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
-    return one.state.value, reason.code.value, (one.section or "") if of_section else ""
+        return state, None, None
+    return state, reason.code, reason.text if reason.code in OF_SECTION else None
 
 
 _DOES = {WindowState.PENDING: "wait", WindowState.REFUSED: "are refused", WindowState.ESTIMATED: "are estimated"}
@@ -229,6 +247,8 @@ _DOES = {WindowState.PENDING: "wait", WindowState.REFUSED: "are refused", Window
 def _sentence(found: list[WindowsOfReason]) -> str:
     """Return what became of windows in one sentence, the most frequent reasons first."""
     total = sum(one.windows for one in found)
+    if len(found) == 1:
+        return f"its newest {total} windows {_DOES[found[0].state]}: {found[0].reason}"
     parts = [f"{one.windows} {_DOES[one.state]}: {one.reason}" for one in found[:SHOWN]]
     more = sum(one.windows for one in found[SHOWN:])
     parts += [f"{more} for other reasons"] if more else []

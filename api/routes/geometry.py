@@ -120,35 +120,40 @@ def get_trend(
 
 
 def _trend_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type: str) -> bytes:
-    """Return the trend now; that there is none changes with the windows, and is not kept."""
+    """Return the trend now; why there is no geometry for one changes with the windows, and is not kept."""
     version = unit.trends.version(serial)
     if version[0] is not None:
         key = ("trend", serial, media_type, version)
-        return services.cache.get_or_make(key, partial(_trend_payload, unit, serial, media_type))
+        payload = services.cache.get_or_make(key, partial(_trend_of_geometry, unit, serial, media_type))
+        if payload != NOT_KEPT:
+            return payload
     baseline = len(unit.registry.wheelset(serial).reprofilings)
-    current = unit.geometries.current(serial)
-    if current is not None and current.geometry.windows:
-        body = trend.no_trend(serial, baseline, NO_TREND, current)
-    else:
-        why = WindowReasons(unit).without_estimate(serial)
-        body = trend.no_trend(serial, baseline, why.reason, current, why)
-    return table_payload(body, media_type, trend.table(body))
+    found, current = unit.trends.latest(serial), unit.geometries.current(serial)
+    has_windows = current is not None and current.geometry.windows > 0
+    why = None if has_windows else WindowReasons(unit).without_estimate(serial)
+    if found is not None:
+        return _trend_payload(trend.trend(found, current, why), media_type)
+    reason = NO_TREND if why is None else why.reason
+    return _trend_payload(trend.no_trend(serial, baseline, reason, current, why), media_type)
+
+
+def _trend_of_geometry(unit: SqlUnitOfWork, serial: str, media_type: str) -> bytes:
+    found, current = unit.trends.latest(serial), unit.geometries.current(serial)
+    if found is None or current is None or not current.geometry.windows:
+        return NOT_KEPT
+    return _trend_payload(trend.trend(found, current), media_type)
 
 
 def _trend_then(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int) -> bytes:
     wheelset = _answerable(unit, serial, as_of_ns)
-    if unit.trends.latest(serial, as_of_ns) is not None:
-        return _trend_payload(unit, serial, media_type, as_of_ns)
-    current = unit.geometries.current(serial, as_of_ns)
-    baseline = _baseline(wheelset, as_of_ns)
-    body = trend.no_trend(serial, baseline, _nothing_until("trend", as_of_ns), current)
-    return table_payload(body, media_type, trend.table(body))
+    found, current = unit.trends.latest(serial, as_of_ns), unit.geometries.current(serial, as_of_ns)
+    if found is not None:
+        return _trend_payload(trend.trend(found, current), media_type)
+    reason = _nothing_until("trend", as_of_ns)
+    return _trend_payload(trend.no_trend(serial, _baseline(wheelset, as_of_ns), reason, current), media_type)
 
 
-def _trend_payload(unit: SqlUnitOfWork, serial: str, media_type: str, as_of_ns: int | None = None) -> bytes:
-    found = unit.trends.latest(serial, as_of_ns)
-    assert found is not None
-    body = trend.trend(found, unit.geometries.current(serial, as_of_ns))
+def _trend_payload(body: trend.Trend, media_type: str) -> bytes:
     return table_payload(body, media_type, trend.table(body))
 
 

@@ -151,7 +151,7 @@ def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
     return DateForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
 
 
-def trend(record: TrendRecord, current: GeometryRecord | None) -> Trend:
+def trend(record: TrendRecord, current: GeometryRecord | None, without: WithoutEstimate | None = None) -> Trend:
     """Return the representation of a trend.
 
     Parameters
@@ -160,8 +160,11 @@ def trend(record: TrendRecord, current: GeometryRecord | None) -> Trend:
         The trend.
     current
         The current geometry of the wheelset; None where there is none.
+    without
+        Why there is none, by its windows; None where there is one, and of a time that has passed.
     """
     found = record.trend
+    reason = found.reason if without is None else without.reason
     of_now = None if current is None or current.baseline != record.baseline else current
     own = f"/v1/wheelsets/{segment(record.wheelset)}"
     recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
@@ -170,9 +173,9 @@ def trend(record: TrendRecord, current: GeometryRecord | None) -> Trend:
         wheelset=record.wheelset,
         quantity=found.quantity,
         status=found.status,
-        reason=text_of(found.reason),
-        reason_code=code_of(found.reason),
-        unestimated_because=None,
+        reason=text_of(reason),
+        reason_code=code_of(reason),
+        unestimated_because=None if without is None else unestimated_because(without),
         converged=found.converged,
         baseline=record.baseline,
         recorded_at=to_rfc3339(record.recorded_ns),

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -14,10 +15,12 @@ from rich.table import Table
 from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
 from api.settings import Settings
+from api.terminal.reasons import fleet_reasons, summary_lines
 from api.tracing import start_tracing
 from api.workers.choice import executor_of
 from estimation.errors import ParameterError
 from estimation.jobs.job import Job, JobContext, run_job
+from estimation.jobs.steps.refusals import REFUSED, refusals
 from estimation.jobs.stop_signals import stop_on_signals
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
@@ -49,7 +52,11 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
         context = replace(job_context(settings, storage), stopping=stopping.is_set, executor=executor)
         with storage.owned(JobTrigger.CLI, process_name(), context.clock.now_ns()) as owned:
             runs = run_in_order(jobs, replace(context, storage=owned), console)
+        with storage.read() as unit:
+            without = summary_lines(fleet_reasons(unit))
     Console().print(summary(runs))
+    for line in without:
+        typer.echo(line)
     return all(run.outcome is JobOutcome.SUCCEEDED for run in runs)
 
 
@@ -106,6 +113,12 @@ def summary(runs: Sequence[JobRun]) -> Table:
     table = Table("job", "outcome", "seconds", "what it did")
     for run in runs:
         seconds = "" if run.finished_ns is None else f"{(run.finished_ns - run.started_ns) / 1e9:.1f}"
-        counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in run.counts.items())
-        table.add_row(run.job, run.outcome, seconds, run.error or counts)
+        table.add_row(run.job, run.outcome, seconds, run.error or _counts(run.counts))
     return table
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    """Return what a run has counted in words; refused windows with their reasons behind them."""
+    why = ", ".join(f"{count} {code.value}" for code, count in refusals(counts).items())
+    named = [f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if not name.startswith(REFUSED)]
+    return ", ".join(f"{one}: {why}" if why and one.endswith(" refused") else one for one in named)

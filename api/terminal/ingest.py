@@ -17,9 +17,11 @@ from rich.table import Table
 from api import factory, logs
 from api.factory import SystemClock, open_store
 from api.settings import load_settings
+from api.terminal.reasons import line_of
 from api.times import to_rfc3339
 from api.topic import publishing
 from api.tracing import start_tracing
+from api.window_reasons import WindowReasons
 from estimation.errors import InputError, TreadwatchError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
@@ -96,10 +98,11 @@ def ingest_and_report(
             recordings, unnamed = recordings_of(source, vehicle)
             _say_left_out(source, console)
             outcomes += [*receive_with_progress(receiver, recordings, console), *unnamed]
-    print_outcomes(outcomes, console)
+        waiting = _waiting(storage, outcomes)
+    print_outcomes(outcomes, console, waiting)
 
 
-def print_outcomes(outcomes: Sequence[Outcome], console: Console) -> None:
+def print_outcomes(outcomes: Sequence[Outcome], console: Console, waiting: Sequence[str] = ()) -> None:
     """Print a summary, and what was not decoded or rejected.
 
     Parameters
@@ -108,6 +111,8 @@ def print_outcomes(outcomes: Sequence[Outcome], console: Console) -> None:
         Recordings with their receipts, or why they have none.
     console
         Where what is not as it should be is printed.
+    waiting
+        What windows of the vehicles wait for, as lines.
 
     Raises
     ------
@@ -115,6 +120,8 @@ def print_outcomes(outcomes: Sequence[Outcome], console: Console) -> None:
         Code 1: a recording was rejected.
     """
     Console().print(summary(outcomes))
+    for line in waiting:
+        console.print(f"windows: {line}", highlight=False, soft_wrap=True)
     for path, outcome in outcomes:
         if isinstance(outcome, ChunkReceipt) and outcome.record.reason:
             console.print(f"stored, not decoded yet: {path}: {outcome.record.reason}", highlight=False, soft_wrap=True)
@@ -229,6 +236,15 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
             marked,
         )
     return table
+
+
+def _waiting(storage: SqlStorage, outcomes: Sequence[Outcome]) -> list[str]:
+    """Return what the windows of the vehicles wait for of which something was received."""
+    vehicles = {outcome.record.vehicle for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)}
+    if not vehicles:
+        return []
+    with storage.read() as unit:
+        return [line_of(one) for one in WindowReasons(unit).waiting(sorted(vehicles))]
 
 
 def registry_lines(loaded: LoadedRegistry) -> list[str]:

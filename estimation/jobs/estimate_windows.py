@@ -6,6 +6,7 @@ it waits until that has looked at it; on a recording it does not.
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from estimation.jobs.steps.likely_chosen import likely_chosen
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.lost_windows import assemble_if_lost
 from estimation.jobs.steps.plausibility import judge_mileages
+from estimation.jobs.steps.refusals import count_of, refusals_text
 from estimation.jobs.steps.requeued_windows import requeued
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.steps.window_inputs import BatchInputs, WindowInputs, inputs_of_batch
@@ -45,6 +47,8 @@ from estimation.values.rolling_sums import RollingSums, WindowRollingSums
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window, WindowKey, WindowMark, WindowPosition, WindowRecord, WindowState
 
+_log = logging.getLogger(__name__)
+
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Estimate every pending window; each batch is claimed and committed together."""
@@ -60,6 +64,8 @@ def run(context: JobContext) -> Mapping[str, int]:
     waiting = [code for code, record in in_force.items() if _waits_for_place(record)]
     counts["quarantined"] = isolation.quarantined
     _hand_out(context, waiting, total, counts)
+    if refused := refusals_text(counts):
+        _log.info("%d windows estimated, %d refused: %s", counts["estimated"], counts["refused"], refused)
     return counts
 
 
@@ -176,7 +182,9 @@ def _stored(context: JobContext, found: Sequence[_Outcome]) -> list[str]:
         same = [(work, outcome) for work, outcome in found if not _changed(work, now.get(work.record.key), inputs)]
         _store(unit, same)
     changed = ["changed_meanwhile"] * (len(found) - len(same))
-    return changed + ["refused" if isinstance(outcome, Reason) else "estimated" for _, outcome in same]
+    stored = [in_place_of_quality(why, work.record.quality) for work, why in same if isinstance(why, Reason)]
+    refused = [count_of(reason) for reason in stored]
+    return changed + refused + ["refused" if isinstance(outcome, Reason) else "estimated" for _, outcome in same]
 
 
 def _changed(work: _Work, now: WindowRecord | None, inputs: BatchInputs) -> bool:

@@ -49,7 +49,7 @@ class ReasonCode(StrEnum):
     CLASS_UNKNOWN = "class_unknown", "The class of the vehicle is not on file. Register it; the window waits for it."
     ALIGNMENT_UNKNOWN = (
         "alignment_unknown",
-        "The alignment of the section is not known yet. Survey it, or wait for more passes; the window waits for it.",
+        "The alignment of the section is not known yet, and the window waits. Survey it, or wait for more passes.",
     )
     WAITS_FOR_ESTIMATION = (
         "waits_for_estimation",

@@ -60,7 +60,11 @@ def _state(inputs: WorklistInputs) -> WorklistState:
     ends = [inputs.last_window_ns, None if inputs.geometry is None else inputs.geometry.to_ns]
     last_data_ns = max((end for end in ends if end is not None), default=None)
     verdict = judged(
-        mounted=inputs.wheelset.mounting is not None, ahead=ahead.ahead, alerts=alerts, last_ns=last_data_ns
+        mounted=inputs.wheelset.mounting is not None,
+        ahead=ahead.ahead,
+        alerts=alerts,
+        last_ns=last_data_ns,
+        refused=bool(inputs.refused),
     )
     has_geometry = inputs.geometry is not None and code_of(conicity.reason) not in WITHOUT_GEOMETRY
     return WorklistState(

@@ -51,7 +51,9 @@ class Verdict:
     reasons: tuple[Reason, ...]
 
 
-def judged(*, mounted: bool, ahead: Ahead, alerts: Sequence[OpenAlert], last_ns: int | None) -> Verdict:
+def judged(
+    *, mounted: bool, ahead: Ahead, alerts: Sequence[OpenAlert], last_ns: int | None, refused: bool = False
+) -> Verdict:
     """Return how urgent a wheelset is.
 
     Parameters
@@ -63,14 +65,16 @@ def judged(*, mounted: bool, ahead: Ahead, alerts: Sequence[OpenAlert], last_ns:
     alerts
         Its open alerts, the worst first.
     last_ns
-        End of its newest data, ns UTC; None where there are none.
+        End of its newest usable data, ns UTC; None where there are none.
+    refused
+        Whether windows of it are received and refused.
     """
     standing = [alert for alert in alerts if alert.condition in {Condition.ACTIVE, Condition.UNKNOWN}]
     found: list[tuple[Urgency, Reason]] = []
     if not mounted:
         found.append((Urgency.NOT_MOUNTED, Reason(ReasonCode.NOT_MOUNTED, "runs under no vehicle")))
     found += _of_limit(ahead, [alert for alert in standing if alert.kind in OF_LIMIT])
-    found += [_of_alert(alert, last_ns) for alert in standing if alert.kind not in OF_LIMIT]
+    found += [_of_alert(alert, last_ns, refused=refused) for alert in standing if alert.kind not in OF_LIMIT]
     if not ahead.known and ahead.reason is not None:
         found.append((Urgency.UNKNOWN, ahead.reason))
     if not mounted:
@@ -148,10 +152,11 @@ def _km(distance_km: float) -> str:
     return f"{round(distance_km, -2) if distance_km >= 1000.0 else round(distance_km):,.0f} km"  # noqa: PLR2004
 
 
-def _of_alert(alert: OpenAlert, last_ns: int | None) -> tuple[Urgency, Reason]:
+def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[Urgency, Reason]:
     hides = HIDING.get(alert.kind)
     if alert.kind == NoDataRule.kind and hides is not None:
-        text = "no data ever" if last_ns is None else f"no data since {_day(last_ns)}"
+        since = "ever" if last_ns is None else f"since {_day(last_ns)}"
+        text = f"no usable data {since}: its windows are refused" if refused else f"no data {since}"
         return Urgency.UNKNOWN, Reason(hides.code, text)
     if hides is not None:
         return Urgency.UNKNOWN, hides

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, case, false, func, select
+from sqlalchemy import ColumnElement, Connection, Select, Subquery, bindparam, case, false, func, select, true
 
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowState
 from fleet_db.models import WindowRow
 from fleet_db.rows import stored_reason, table_of
-from fleet_db.stores.windows import PLACED
+from fleet_db.stores.windows import IS_PENDING, PLACED
 
 WINDOWS = table_of(WindowRow)
 COUNTED = 1000
@@ -87,6 +87,39 @@ def newest_by_reason(
     return sorted(counted, key=lambda one: (-one.windows, -one.newest_end_ns, one.state.value))
 
 
+def pending_by_place(connection: Connection, vehicles: Sequence[str]) -> Sequence[CountedWindows]:
+    """Return the windows of vehicles that wait, by vehicle, section, and whether their place is found.
+
+    Parameters
+    ----------
+    connection
+        Of any transaction.
+    vehicles
+        Codes, some hundreds at most.
+    """
+    placed = case((PLACED, true()), else_=false()).label("placed")
+    names = ("vehicle", "track_section", "start_ns")
+    end = (WINDOWS.c.start_ns + WINDOWS.c.length_ns).label("end_ns")
+    waiting = select(*(WINDOWS.c[name] for name in names), end, placed)
+    one = waiting.where(IS_PENDING, WINDOWS.c.vehicle.in_(vehicles)).subquery()
+    key = (one.c.vehicle, one.c.track_section, one.c.placed)
+    rows = connection.execute(select(*key, *_sums(one)).group_by(*key))
+    return [
+        CountedWindows(
+            WindowState.PENDING,
+            None,
+            row.track_section,
+            row.vehicle,
+            bool(row.placed),
+            row.windows,
+            row.first_ns,
+            row.newest_start_ns,
+            row.newest_end_ns,
+        )
+        for row in rows
+    ]
+
+
 def refused_by_code(
     connection: Connection, wheelset: str, since_ns: int | None = None, most: int = COUNTED
 ) -> dict[ReasonCode, int]:
@@ -114,13 +147,17 @@ def _grouped() -> Select[Any]:
     newest = select(*(WINDOWS.c[name] for name in names), end, placed).where(*of_key)
     one = newest.order_by(WINDOWS.c.start_ns.desc()).limit(bindparam("most")).subquery()
     key = (one.c.state, one.c.reason_code, one.c.track_section, one.c.vehicle, one.c.placed)
-    return select(
-        *key,
+    return select(*key, *_sums(one)).group_by(*key)
+
+
+def _sums(one: Subquery) -> tuple[ColumnElement[Any], ...]:
+    """Return what is counted of the windows of a group."""
+    return (
         func.count().label("windows"),
         func.min(one.c.start_ns).label("first_ns"),
         func.max(one.c.start_ns).label("newest_start_ns"),
         func.max(one.c.end_ns).label("newest_end_ns"),
-    ).group_by(*key)
+    )
 
 
 @cache

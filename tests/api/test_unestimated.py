@@ -144,7 +144,7 @@ def test_windows_wait_for_an_alignment_which_the_last_look_did_not_find(service:
         "the alignment of section KM4 is not known yet: no place with 3 passes: 1 at most, 2 to go;"
         " the survey is not used: it is mirrored"
     )
-    assert one["what_to_do"].startswith("Survey it, or wait for more passes")
+    assert one["what_to_do"].startswith("Survey it, or wait for more passes.")
     assert [window["reason_code"] for window in got(service, f"{AT}/windows")["items"]] == ["alignment_unknown"] * 4
 
 

@@ -59,6 +59,7 @@ def test_a_folder_is_received_once(deployment: SqlStorage, tmp_path: Path) -> No
     code, said = run(str(folder))
     assert code == 0, said
     assert VEHICLE in said
+    assert "windows: 8 pending " in said
     with deployment.read() as unit:
         assert unit.windows.counts()["pending"] == 8
     code, said = run(str(folder))

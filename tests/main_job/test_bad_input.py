@@ -19,6 +19,7 @@ from api.demo.service import free_port, serving_api
 from api.demo.table import ServiceAddress
 from api.demo.track import track_lines
 from api.factory import create_app
+from api.terminal.reasons import fleet_reasons, summary_lines
 from ingest.simulator.fleet import FleetReport, Recording
 from ingest.simulator.scenario_file import load_scenario
 
@@ -242,7 +243,17 @@ def test_a_section_that_too_few_have_passed_says_so_and_nothing_is_estimated(
     windows = asked(found, "/v1/wheelsets/U-A1/windows")["items"]
     assert {one["state"] for one in windows} == {"refused"}
     assert {one["reason_code"] for one in windows} == {"alignment_unknown"}
-    assert track_of(found) == "not surveyed, and the fleet has not estimated its alignment yet: no place with 3 passes"
+    few = "no place with 3 passes: 2 at most, 1 to go"
+    assert track_of(found) == f"not surveyed, and the fleet has not estimated its alignment yet: {few}"
+    for name in ("geometry", "trend"):
+        answer = asked(found, f"/v1/wheelsets/U-A1/{name}")
+        (refused,) = answer["unestimated_because"]["reasons"]
+        assert (answer["status"], refused["windows"]) == ("unestimated", len(windows))
+        assert refused["reason"] == f"the alignment of section U-1 is not known yet: {few}"
+        assert refused["what_to_do"] == "Survey it, or wait for more passes."
+    with found.storage.read() as unit:
+        lines = summary_lines(fleet_reasons(unit))
+    assert f" refused alignment_unknown: the alignment of section U-1 is not known yet: {few}. Survey it" in lines[1]
 
 
 def track_of(found: Deployment) -> str:

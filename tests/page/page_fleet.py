@@ -12,12 +12,15 @@ from estimation.values.adhesion import CellFriction, LeftOut, SectionAdhesion
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
+from estimation.values.windows import WindowState
 
 MARKUP = "<img src=x onerror=document.title='hacked'>"
 UNSEEN = "WS\u202e-7\u0007"
 FORMULA = "=1+1"
 KNOWN = "WS-002"
 """Has a conicity at 3 mm and a trend."""
+REFUSED, REFUSED_NAME = "R-1", "<b>12 %</b> of the samples"
+"""Has refused windows and one that waits, and no estimate."""
 EXTRA = [f"M-{number:04d}" for number in range(250)]
 
 
@@ -36,6 +39,13 @@ def populate(storage: Storage) -> None:
         )
         unit.geometries.put(replace(geometry, wheelset=KNOWN, baseline=0, geometry=at_3_mm))
         unit.trends.put(replace(api_fleet.trend_record(api_fleet.RECORDED, 0.25), wheelset=KNOWN, baseline=0))
+        unit.registry.add_wheelset(WheelsetRecord(REFUSED, "alpha", "P8", 0.4375, None, ()))
+        for index in range(5):
+            unit.windows.put(api_fleet.window(index, REFUSED), 100.0, api_fleet.RECORDED)
+            why = ReasonCode.CLIPPED if index < 3 else ReasonCode.POSITION_UNCERTAIN
+            if index < 4:
+                key = (REFUSED, api_fleet.window(index).start_ns)
+                unit.windows.mark(*key, WindowState.REFUSED, Reason(why, f"a sentence on {REFUSED_NAME}"))
         unit.adhesion.put_section(adhesion(), "test", api_fleet.RECORDED)
 
 

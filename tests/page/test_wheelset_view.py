@@ -7,6 +7,8 @@ from typing import Any
 
 import api_fleet as fleet
 import httpx
+import page_fleet
+import pytest
 from playwright.sync_api import Locator, Page, expect
 from service_process import ServiceProcess
 
@@ -107,13 +109,35 @@ def test_what_was_measured_is_beside_the_estimate_and_alerts_can_be_acted_on(
 
 def test_a_wheelset_without_data_says_so_and_one_that_is_none_too(page: Page, page_service: ServiceProcess) -> None:
     view = opened(page, page_service, fleet.NO_DATA_YET)
-    expect(view.locator('[data-state="empty"]')).to_contain_text("No data of it have been received.")
+    notice = view.locator('[data-panel="reasons"]')
+    expect(notice).to_contain_text("Nothing has been estimated of this wheelset yet.")
+    expect(notice).to_contain_text("it runs under no vehicle, and no window of it has been received")
+    expect(notice).to_contain_text("Register its mounting.")
     expect(view).to_contain_text("There is no trend yet")
     expect(view).to_contain_text("No profile of this wheelset has been measured")
     expect(view).to_contain_text("No window of data has been received yet.")
     assert view.locator('[data-chart="trend-mileage"]').count() == 0
     page.goto(f"{page_service.url}/#/wheelsets/none")
     expect(page.locator('[data-state="error"]')).to_contain_text("It does not exist")
+
+
+@pytest.mark.parametrize("width", [1440, 390])
+def test_a_wheelset_whose_windows_are_refused_says_why_and_what_to_do(
+    page: Page, page_service: ServiceProcess, width: int
+) -> None:
+    page.set_viewport_size({"width": width, "height": 900})
+    view = opened(page, page_service, page_fleet.REFUSED)
+    notice = view.locator('[data-panel="reasons"]')
+    because = got(page_service, f"/v1/wheelsets/{page_fleet.REFUSED}/geometry")["unestimated_because"]
+    rows = [row.locator("td").all_inner_texts() for row in notice.locator("tbody tr").all()]
+    assert [(row[0], row[1]) for row in rows] == [("3", "refused"), ("1", "pending"), ("1", "refused")]
+    for row, one in zip(rows, because["reasons"], strict=True):
+        assert one["reason"] in row[2], "as it is, not as markup"
+        assert row[3] == one["what_to_do"]
+    expect(notice).to_contain_text(because["what_to_do"])
+    expect(notice).to_contain_text("Its newest 5 windows since 2025-06-15 are counted: 4 refused, 1 pending.")
+    assert view.locator('[data-chart="trend-mileage"]').count() == 0
+    assert page.evaluate("document.documentElement.scrollWidth") == width, "nothing is cut off"
 
 
 def test_the_sheet_is_one_page_of_a4_with_the_whole_life(page: Page, page_service: ServiceProcess) -> None:

@@ -19,6 +19,7 @@ export async function wheelset({ params, signal, title }) {
 
 function whole(found, changed) {
   const { wheelset: one, geometry, trend, without } = found;
+  const drawn = trend?.points.value_1.length || found.intervals.length;
   return el(
     "div", { class: "wheelset" }, heading(one),
     el("div", { class: "grid" },
@@ -26,8 +27,8 @@ function whole(found, changed) {
     without ? noEstimate(without, geometry) : null,
     el("div", { class: "grid" },
       panel("conicity", "Conicity", conicityChart(found)), panel("difference", "Rolling radius difference", radiusChart(found, "rolling_radius_difference_mm")),
-      panel("trend-mileage", "Trend by mileage", trend || found.intervals.length ? trendChart(found, "mileage") : noTrend()),
-      panel("trend-date", "Trend by date", trend || found.intervals.length ? trendChart(found, "date") : noTrend())),
+      panel("trend-mileage", "Trend by mileage", drawn ? trendChart(found, "mileage") : noTrend()),
+      panel("trend-date", "Trend by date", drawn ? trendChart(found, "date") : noTrend())),
     opinionsPanel(found), measurementsPanel(found),
     el("div", { class: "grid" },
       panel("sum", "Rolling radius sum", radiusChart(found, "rolling_radius_sum_mm")),

@@ -8,10 +8,9 @@ const second = (text) => el("span", { class: "second" }, text);
 /** A notice in place of numbers: why, what to do, and how many windows there are of each reason. */
 export function noEstimate(without, geometry) {
   const title = geometry === null ? "Nothing has been estimated of this wheelset yet." : "Nothing is estimated of this wheelset now.";
-  const one = without.reasons.length === 1 ? without.reasons[0].reason : without.reason;
   return el(
     "section", { class: "state reasons", data: { state: "empty", panel: "reasons" } }, el("h2", {}, title),
-    without.reasons.length > 1 && geometry === null ? null : el("p", {}, one),
+    without.reasons.length && geometry === null ? null : el("p", {}, without.reason),
     without.what_to_do ? el("p", {}, el("b", {}, without.what_to_do)) : null,
     without.reasons.length ? table(without.reasons) : null, el("p", { class: "quiet" }, counted(without)),
   );
