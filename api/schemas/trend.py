@@ -66,7 +66,7 @@ class TrendStep(Representation):
     level_before_1: float | None = Field(description="The indicator before it.")
     amplitude_mm: float | None = Field(description="Amplitude that size and level are of.")
     probability_1: float | None = Field(description="That there is a step there.")
-    intervals_before: int = Field(description="Intervals before it, since the step before.")
+    intervals_before: int = Field(description="Intervals before it.")
     intervals_behind: int = Field(description="Intervals behind it.")
 
 

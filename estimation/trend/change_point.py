@@ -50,7 +50,7 @@ class StepModel:
     wander_days: float = 30.0  # in which it changes
     step_std: float = 0.15
     outlier_std: float = 0.1
-    step_chance: float = 5e-3  # before any point
+    step_chance: float = 1e-2  # before any point
     outlier_chance: float = 0.03
     outlier_lasts: float = 0.3  # chance of another one after it
     noise_floor: float = 5e-4
@@ -68,7 +68,7 @@ class ChangePoint:
     probability: float
     size: float
     std: float
-    before: int  # points up to ``last``, since the step before it
+    before: int  # points up to ``last``
     level: float  # median of the points before it
 
 

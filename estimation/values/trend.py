@@ -26,7 +26,7 @@ class TrendStep:
     level_before: float
     amplitude: float  # m
     probability: float
-    before: int  # intervals, since the step before it
+    before: int  # intervals
     behind: int  # intervals
 
 

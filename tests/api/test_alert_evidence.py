@@ -29,15 +29,17 @@ from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_findin
 from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
 from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
+from estimation.alerts.rules.unregistered_change import UnregisteredChangeRule, unregistered_change_finding
 from estimation.alerts.rules.weak_damper import WeakDamperRule, weak_damper_finding
 from estimation.alerts.rules.wheel_asymmetry import Asymmetry, WheelAsymmetryRule, wheel_asymmetry_finding
+from estimation.alerts.step_causes import StepSurroundings
 from estimation.values.adhesion import CellFriction, SectionAdhesion
 from estimation.values.alerts import AlertEventKind, Finding
 from estimation.values.dampers import GearDamper
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import Mounting
 from estimation.values.suspension import SuspensionChange
-from estimation.values.trend import WearTrend
+from estimation.values.trend import TrendStep, WearTrend
 
 AT = 1_767_225_600_123_456_789
 WHOLE = AT - AT % 10**9
@@ -54,6 +56,19 @@ DELAYS = {
     "clear_seen": 0,
     "counted_at": "2026-01-01T00:00:00.123456789Z",
 }
+STEP = TrendStep(
+    before_km=41_000.0,
+    after_km=42_000.0,
+    before_ns=AT - 10**9,
+    after_ns=AT,
+    found_ns=AT + 10**9,
+    size=Estimate(-0.2, 0.01, -0.22, -0.18, 4.0, Status.ESTIMATED),
+    level_before=0.3,
+    amplitude=2.5e-3,
+    probability=0.99,
+    before=30,
+    behind=4,
+)
 TREND = WearTrend(
     quantity="equivalent_conicity",
     mileage_km=np.arange(3.0),
@@ -197,6 +212,8 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
                 "interval_95": [-0.696, -0.304],
                 "n_windows": 3.0,
             },
+            "step_probability_1": None,
+            "step_at": None,
             "past_findings": 9,
             "recent_findings": 3,
             "other_vehicles": 4,
@@ -266,6 +283,36 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
             "limit_1": 0.5,
             "unknown_because": None,
             "unknown_because_code": None,
+        },
+    ),
+    (
+        unregistered_change_finding(UnregisteredChangeRule(), "W", STEP, StepSurroundings()),
+        {
+            "last_data_before_at": to_rfc3339(AT - 10**9),
+            "first_data_behind_at": to_rfc3339(AT),
+            "before_km": 41_000.0,
+            "after_km": 42_000.0,
+            "size_1": {
+                **ESTIMATE,
+                **UNEXPLAINED,
+                "value": -0.2,
+                "std": 0.01,
+                "interval_95": [-0.22, -0.18],
+                "n_windows": 4.0,
+            },
+            "level_before_1": 0.3,
+            "amplitude_mm": 2.5,
+            "intervals_before": 30,
+            "intervals_behind": 4,
+            "causes": [
+                {"cause": "turned", "share_1": 0.69, "left_1": 0.0},
+                {"cause": "exchanged", "share_1": 0.31, "left_1": 0.0},
+                {"cause": "sensor", "share_1": 0.0005, "left_1": 0.0},
+                {"cause": "damaged", "share_1": 7.7e-08, "left_1": 20.0},
+                {"cause": "turned_end_for_end", "share_1": 2.1e-08, "left_1": 8.9},
+            ],
+            "reason": "the conicity has fallen by 0.20 at 42,000 km, which no event on file explains: turned or "
+            "exchanged; register what happened",
         },
     ),
 ]

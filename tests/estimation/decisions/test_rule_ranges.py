@@ -110,6 +110,7 @@ RANGES: dict[str, dict[str, Range]] = {
     "suspension_change": {
         **DELAYS,
         "raise_change": Range(0.01, 10.0),
+        "raise_step": Range(0.01, 10.0),
         "clear_change": Range(0.01, 10.0),
         "raise_probability": PROBABILITY,
         "clear_probability": PROBABILITY,
@@ -139,6 +140,11 @@ RANGES: dict[str, dict[str, Range]] = {
         "raise_probability": PROBABILITY,
         "clear_probability": PROBABILITY,
         "minimum_windows": WINDOWS,
+    },
+    "unregistered_change": {
+        **DELAYS,
+        "warning_fall": Range(0.0, 2.0),
+        "critical_rise": Range(0.0, 2.0),
     },
     "alarm_flood": {"more_than": WINDOWS, "within_hours": Range(0.01, 87_600.0)},
 }  # fmt: skip

@@ -1,0 +1,76 @@
+"""A wheelset turned end for end is found by its history, where one interval against the next cannot show it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.alerts.identity import Mistake, identity_events
+from estimation.alerts.mirrored import COMMON, KEPT, SAME_SIZE, Parts, newest_mirrored
+
+AT = np.arange(0.125, 3.5, 0.25)
+SHAPE = (AT / 3.0) ** 2 - np.mean((AT / 3.0) ** 2)
+SHAPE = SHAPE / np.sqrt(np.mean(SHAPE**2))
+COUNT, TURNED = 20, 12
+
+
+def parts(
+    size: float, after: float, *, odd: float = 0.0, common: float = 0.08, seed: int = 0, count: int = COUNT
+) -> Parts:
+    """Return curves (mm) whose even part has one size before and another after, with errors that all share."""
+    rng = np.random.default_rng(seed)
+    behind = np.arange(count) >= TURNED
+    base = common * rng.standard_normal() * np.sin(AT)
+    even = np.where(behind, after, size)[:, None] * SHAPE + base + 0.005 * rng.standard_normal((count, len(AT)))
+    straight = 0.4 * AT / 3.0 + (odd * behind)[:, None] * SHAPE + 0.004 * rng.standard_normal((count, 1))
+    x = 8000.0 * np.arange(count)
+    return Parts(
+        x, x / 1e5 * 365.25 * 86_400e9, 1e-3 * even, 1e-3 * straight, np.full(even.shape, 1e-3 * max(common, 5e-3))
+    )
+
+
+@pytest.mark.parametrize("size", [0.04, -0.15])
+def test_a_sign_that_changes_is_seen_below_the_published_std_and_only_from_three_curves(size: float) -> None:
+    for seed in range(4):
+        found = newest_mirrored(parts(size, -size, seed=seed))
+        assert found is not None
+        assert (found.last, found.first) == (TURNED - 1, TURNED)
+        assert found.left < 1.5
+        assert newest_mirrored(parts(size, -size, seed=seed, count=TURNED + 2)) is None
+
+
+def test_wheels_that_hardly_differ_are_not_told_and_no_other_change_is_taken_for_it() -> None:
+    for seed in range(4):
+        for size, after in ((0.0, 0.0), (0.01, -0.01), (0.1, 0.1)):
+            assert newest_mirrored(parts(size, after, seed=seed)) is None
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.9, True), (1.1, False)])
+def test_the_odd_part_stays_as_it_is(share: float, told: bool) -> None:  # noqa: FBT001
+    found = newest_mirrored(parts(0.1, -0.1, odd=share * KEPT * 0.2))
+    assert (found is not None) is told
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.8, True), (1.2, False)])
+def test_the_size_stays_the_same_but_for_what_is_common(share: float, told: bool) -> None:  # noqa: FBT001
+    common = 0.005 * np.abs(SHAPE).sum() / len(AT) * COMMON
+    step = 0.4
+    unlike = share * (SAME_SIZE * step + common)
+    found = newest_mirrored(parts(0.5 * (step + unlike), -0.5 * (step - unlike), common=0.0))
+    assert (found is not None) is told
+
+
+def test_a_year_of_monthly_visits_shows_a_turned_wheelset_that_pairs_of_intervals_do_not() -> None:
+    from test_identity_alerts import life  # noqa: PLC0415 - the same wheelset by day
+
+    rng = np.random.default_rng(4)
+    seen = life("A", 0.2, 0.012, rng, days=14, reversed_from=8)
+    spread = [
+        replace(item, from_ns=30 * item.from_ns, to_ns=30 * item.to_ns, mileage_km=10.0 * item.mileage_km)
+        for item in seen
+    ]
+    event = identity_events({"A": spread})["A"]
+    assert event.mistake is Mistake.REVERSED
+    assert (event.before_ns, event.after_ns) == (spread[7].to_ns, spread[8].from_ns)

@@ -1,0 +1,124 @@
+"""A step is told from outliers, wear and weather, whatever the history, and from the first three points behind it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from estimation.trend.change_point import DAY_NS, Series, StepModel, newest_change
+from estimation.values.arrays import FloatArray
+
+MODEL = StepModel()
+
+
+def series(value: FloatArray, *, noise: float = 0.003, seed: int = 0, km: float = 1000.0, std: float = 0.04) -> Series:
+    """Return points that are measured with noise and stated with a std that they have in common."""
+    k = len(value)
+    x = km * np.arange(k, dtype=np.float64)
+    measured = value + noise * np.random.default_rng(seed).standard_normal(k)
+    return Series(x, x / 120_000.0 * 365.25 * DAY_NS, measured, np.full(k, std))
+
+
+def wear(k: int, per_km: float = 1e-6) -> FloatArray:
+    return np.asarray(0.15 + per_km * 1000.0 * np.arange(k))
+
+
+def stepped(history: int, behind: int, size: float) -> FloatArray:
+    value = wear(history + behind)
+    value[history:] += size
+    return value
+
+
+@pytest.mark.parametrize("history", [3, 6, 30, 240])
+@pytest.mark.parametrize("size", [0.2, -0.12])
+def test_three_points_behind_a_step_show_it_whatever_the_history(history: int, size: float) -> None:
+    for seed in range(5):
+        points = series(stepped(history, 3, size), seed=seed, noise=0.002)
+        found = newest_change(points)
+        assert found is not None, (history, seed)
+        assert (found.last, found.first, found.before) == (history - 1, history, history)
+        assert found.size == pytest.approx(size, abs=max(0.012, 3.0 * found.std))
+        assert found.probability >= MODEL.sure
+        assert newest_change(points.part(0, history + 2)) is None  # two points may be outliers
+
+
+def test_outliers_alone_or_two_on_end_are_no_step_however_large() -> None:
+    for seed in range(5):
+        for where, count in ((20, 1), (20, 2), (37, 2), (38, 2), (1, 2)):
+            value = wear(40)
+            value[where : where + count] += 0.2
+            assert newest_change(series(value, seed=seed)) is None, (seed, where)
+
+
+def test_three_points_of_which_one_is_an_outlier_are_too_few_and_four_are_enough() -> None:
+    value = stepped(20, 4, 0.2)
+    value[21] += 0.15
+    assert newest_change(series(value).part(0, 23)) is None
+    found = newest_change(series(value))
+    assert found is not None
+    assert found.first == 20
+
+
+def test_what_came_back_after_three_points_is_withdrawn() -> None:
+    value = wear(40)
+    value[20:23] -= 0.1
+    assert newest_change(series(value).part(0, 23)) is not None
+    assert newest_change(series(value)) is None
+
+
+def test_an_interval_that_is_of_both_sides_is_of_neither() -> None:
+    value = stepped(20, 6, 0.2)
+    value[20] -= 0.1
+    found = newest_change(series(value))
+    assert found is not None
+    assert (found.last, found.first) == (19, 21)
+
+
+@pytest.mark.parametrize(("size", "noticed"), [(0.02, False), (0.03, False), (0.06, True)])
+def test_a_step_has_to_be_larger_than_what_weather_does(size: float, noticed: bool) -> None:  # noqa: FBT001
+    found = [newest_change(series(stepped(40, 12, size), seed=seed, noise=0.002)) for seed in range(6)]
+    assert [one is not None for one in found] == [noticed] * 6
+    assert MODEL.least_size == 0.03
+
+
+def test_a_bend_and_fast_wear_are_no_steps() -> None:
+    bent = wear(60)
+    bent[30:] += 4e-3 * np.arange(30)  # wear that is five times as fast from one interval on
+    for seed in range(4):
+        assert newest_change(series(bent, seed=seed)) is None
+        assert newest_change(series(0.05 + 2e-3 * np.arange(60.0), seed=seed)) is None
+
+
+def test_of_two_steps_the_newest_is_told() -> None:
+    value = stepped(30, 30, 0.2)
+    value[45:] -= 0.15
+    found = newest_change(series(value))
+    assert found is not None
+    assert (found.first, found.before) == (45, 45)
+    assert found.size == pytest.approx(-0.15, abs=0.02)
+
+
+def test_points_that_are_as_noisy_as_the_step_do_not_show_it() -> None:
+    assert all(newest_change(series(stepped(20, 3, 0.06), noise=0.04, seed=seed)) is None for seed in range(6))
+
+
+def test_a_step_is_told_where_its_probability_and_its_size_are_sure_and_not_just_below() -> None:
+    points = series(stepped(12, 4, 0.1), noise=0.006)
+    found = newest_change(points)
+    assert found is not None
+    assert MODEL.sure == 0.9
+    assert newest_change(points, replace(MODEL, sure=min(1.0, found.probability + 1e-9))) is None
+    beyond = found.size - 1.2815515 * found.std  # the size that is exceeded with nine tenths
+    assert newest_change(points, replace(MODEL, least_size=beyond * 0.99)) is not None
+    assert newest_change(points, replace(MODEL, least_size=beyond * 1.01)) is None
+
+
+def test_a_size_is_as_uncertain_as_it_is_wrong() -> None:
+    z = []
+    for seed in range(60):
+        found = newest_change(series(stepped(25, 5, 0.15), seed=seed, noise=0.006))
+        assert found is not None
+        z.append((found.size - 0.15) / found.std)
+    assert 0.4 < float(np.sqrt(np.mean(np.square(z)))) < 1.3
