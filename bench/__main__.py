@@ -44,6 +44,7 @@ WITH_OPTIONS = (
     "rails",
     "dampers",
     "steps",
+    "limits",
 )
 LONG = (
     "signals",

@@ -50,6 +50,18 @@ class ConicityLimitEvidence(_OfRule):
     limit_1: float | None = Field(description="The raise limit.")
 
 
+class MeasureEvidence(_OfRule):
+    """Evidence of `measure`: the conicity may be over its limit, and only a measurement of the profiles decides."""
+
+    kind: Literal["measure"]
+    quantity: str | None = Field(description="What is compared with the limit.", examples=["equivalent_conicity"])
+    conicity_1: Uncertain | None = Field(description="Equivalent conicity at 3 mm; its reason says if extrapolated.")
+    reached_mm: float | None = Field(description="Largest amplitude that the motion covers, at most 3 mm.")
+    reached_1: Uncertain | None = Field(description="Equivalent conicity at that amplitude.")
+    windows: int | None = Field(description="Windows behind the geometry.")
+    limit_1: float | None = Field(description="Limit of the conicity at 3 mm.")
+
+
 class LimitForecastEvidence(_OfRule):
     """Evidence of `limit_forecast`: when the trend reaches the limit."""
 
@@ -253,6 +265,7 @@ class OtherEvidence(Representation):
 
 Evidence = Annotated[
     ConicityLimitEvidence
+    | MeasureEvidence
     | LimitForecastEvidence
     | WheelAsymmetryEvidence
     | NoDataEvidence

@@ -74,6 +74,19 @@ def _conicity_limit(stored: Stored) -> kinds.ConicityLimitEvidence:
     )
 
 
+def _measure(stored: Stored) -> kinds.MeasureEvidence:
+    return kinds.MeasureEvidence(
+        kind="measure",
+        quantity=text(stored.get("quantity")),
+        conicity_1=estimate(stored.get("conicity")),
+        reached_mm=number(stored.get("reached_mm")),
+        reached_1=estimate(stored.get("reached")),
+        windows=count(stored.get("windows")),
+        limit_1=number(stored.get("limit")),
+        **_of_rule(stored),
+    )
+
+
 def _limit_forecast(stored: Stored) -> kinds.LimitForecastEvidence:
     of_rule = _of_rule(stored)
     because = of_rule["unknown_because"]
@@ -294,6 +307,7 @@ def _leaves(value: JsonValue, name: str = "") -> Iterator[tuple[str, JsonValue]]
 
 _READERS: Mapping[str, Callable[[Stored], kinds.Evidence]] = {
     "conicity_limit": _conicity_limit,
+    "measure": _measure,
     "limit_forecast": _limit_forecast,
     "wheel_asymmetry": _wheel_asymmetry,
     "no_data": _no_data,

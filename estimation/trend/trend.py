@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from estimation.trend.wear_curve import WearCurve, fit_wear_curve
+from estimation.trend.recent import fit_recent
+from estimation.trend.wear_curve import WearCurve
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Forecast, Status
@@ -156,7 +157,7 @@ def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason) 
 def _estimated(
     points: _Columns, limit: float, params: TrendParameters, quantity: str, note: Reason | None, shared_std: float
 ) -> WearTrend:
-    by_distance = fit_wear_curve(points.mileage_km, points.value, points.std).shifted(shared_std)
+    by_distance = fit_recent(points.mileage_km, points.value, points.std).shifted(shared_std)
     count = float(by_distance.share.sum())
     by_date = _fit_by_date(points, shared_std)
     slope_per_year, date = Estimate.unknown(ONE_DATE, count), NO_FORECAST
@@ -190,7 +191,7 @@ def _fit_by_date(points: _Columns, shared_std: float) -> WearCurve | None:
     since = points.measured_ns[order] - points.measured_ns.max()
     if since[0] == 0:
         return None
-    return fit_wear_curve(since / YEAR_NS, points.value[order], points.std[order]).shifted(shared_std)
+    return fit_recent(since / YEAR_NS, points.value[order], points.std[order]).shifted(shared_std)
 
 
 def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:

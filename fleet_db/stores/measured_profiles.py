@@ -22,6 +22,13 @@ def measured_profiles_of(connection: Connection, wheelset: str) -> Sequence[Meas
     return [_to_measured(row) for row in connection.execute(statement)]
 
 
+def newest_measurement_of(connection: Connection, wheelset: str) -> tuple[int, float] | None:
+    """Return time (ns UTC) and mileage (km) of the newest measurement of a wheelset; None where there is none."""
+    statement = select(MEASURED.c.at_ns, MEASURED.c.mileage_km).where(MEASURED.c.wheelset == wheelset)
+    row = connection.execute(statement.order_by(MEASURED.c.at_ns.desc()).limit(1)).one_or_none()
+    return None if row is None else (int(row.at_ns), float(row.mileage_km))
+
+
 def newest_measurements(
     connection: Connection, fleet: str | None, from_ns: int | None, to_ns: int | None, limit: int
 ) -> tuple[int, list[tuple[str, int]]]:

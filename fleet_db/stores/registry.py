@@ -26,7 +26,12 @@ from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of, upsert
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
-from fleet_db.stores.measured_profiles import measured_profiles_of, store_measured_profiles, stored_measurement
+from fleet_db.stores.measured_profiles import (
+    measured_profiles_of,
+    newest_measurement_of,
+    store_measured_profiles,
+    stored_measurement,
+)
 from fleet_db.stores.mountings import (
     MOUNTINGS,
     add_mounting,
@@ -158,6 +163,10 @@ class RegistryStore:
             What was stored of one is damaged.
         """
         return measured_profiles_of(self.connection, wheelset)
+
+    def newest_measurement(self, wheelset: str) -> tuple[int, float] | None:
+        """Return time (ns UTC) and mileage (km) of the newest measurement of the profiles of a wheelset, or None."""
+        return newest_measurement_of(self.connection, wheelset)
 
     def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
         """Return the newest version of a class, or the one given; of the package where none is registered."""

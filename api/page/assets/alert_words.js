@@ -3,7 +3,7 @@ import { date, number, roundKm, words } from "./format.js";
 
 /** Kinds of alerts of wheelsets and track sections; a test compares them with the rules. */
 export const KINDS = [
-  "conicity_limit", "limit_forecast", "wheel_asymmetry", "no_data", "sensor_fault", "identity", "hunting",
+  "conicity_limit", "measure", "limit_forecast", "wheel_asymmetry", "no_data", "sensor_fault", "identity", "hunting",
   "suspension_change", "data_quality", "low_adhesion", "weak_damper", "unregistered_change",
 ];
 
@@ -25,7 +25,14 @@ const counted = (reasons) => Object.entries(reasons ?? {}).map(([name, count]) =
 
 const OF_KIND = {
   conicity_limit: (e, alert) => [
-    ...part(estimated(e.conicity_1), () => `equivalent conicity ${uncertain(e.conicity_1, 3)}${have(e.amplitude_mm) ? ` at ${number(e.amplitude_mm, 1)} mm` : ""}`),
+    ...part(estimated(e.conicity_1), () => `equivalent conicity ${uncertain(e.conicity_1, 3)}${have(e.amplitude_mm) ? ` at ${number(e.amplitude_mm, 2)} mm` : ""}`),
+    ...part(have(e.limit_1 ?? alert.raise_limit), () => `limit ${number(e.limit_1 ?? alert.raise_limit, 3)}`),
+    ...part(have(alert.probability_1), () => `exceeded with a probability of ${number(100 * alert.probability_1, 1)} %`),
+  ],
+  measure: (e, alert) => [
+    "may be beyond its limit: measure",
+    ...part(estimated(e.conicity_1), () => `equivalent conicity ${uncertain(e.conicity_1, 3)} at 3 mm${have(e.reached_mm) && e.reached_mm < 3 ? ", extrapolated" : ""}`),
+    ...part(estimated(e.reached_1) && have(e.reached_mm) && e.reached_mm < 3, () => `${uncertain(e.reached_1, 3)} at ${number(e.reached_mm, 2)} mm, as far as it moves`),
     ...part(have(e.limit_1 ?? alert.raise_limit), () => `limit ${number(e.limit_1 ?? alert.raise_limit, 3)}`),
     ...part(have(alert.probability_1), () => `exceeded with a probability of ${number(100 * alert.probability_1, 1)} %`),
   ],

@@ -19,6 +19,7 @@ from estimation.alerts.rules.hunting import HuntingRule
 from estimation.alerts.rules.identity import IdentityRule
 from estimation.alerts.rules.limit_forecast import LimitForecastRule
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
+from estimation.alerts.rules.measure import MeasureRule
 from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
@@ -34,6 +35,7 @@ Rule = TypeVar("Rule", bound=AlertRule)
 
 ALERT_RULES: tuple[type[AlertRule], ...] = (
     ConicityLimitRule,
+    MeasureRule,
     LimitForecastRule,
     WheelAsymmetryRule,
     NoDataRule,

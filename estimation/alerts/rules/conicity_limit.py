@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 from annotated_types import Interval
 
 from estimation.alerts.rules.intervals import with_standing
+from estimation.alerts.rules.limit_state import Against, LimitState, limit_state
 from estimation.alerts.rules.rule import (
     AlertRule,
     Probability,
@@ -21,9 +22,8 @@ from estimation.alerts.rules.rule import (
 )
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_at_limit_amplitude
 from estimation.trend.points import QUANTITY
-from estimation.trend.trend import probability_above
 from estimation.values.alerts import Finding, Severity
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason
 from estimation.values.registry import VehicleRecord
 
@@ -100,36 +100,43 @@ class ConicityLimitRule(AlertRule):
         return sorted((b for b in self.bands if b.vehicle_class == vehicle_class), key=lambda b: b.up_to_km_h)
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
-        """Return the finding on the limit, by the conicity at 3 mm.
+        """Return the finding on the limit, by the conicity at 3 mm, or at the amplitude reached where that is less.
 
-        It is that of the fitted trend, or of the current geometry where no trend is comparable with the limit. An
-        alert stands by all intervals of mileage.
+        At 3 mm it is that of the fitted trend, or of the current geometry where no trend is comparable with the limit.
+        An alert stands by all intervals of mileage.
         """
         return with_standing(self._find, facts, self.delays)
 
     def _find(self, facts: WheelsetFacts) -> Finding | None:
-        limit = None if facts.vehicle is None else self.limit_for(facts.vehicle)
-        if facts.geometry is None or limit is None:
+        limit, state = self.limit_of(facts), limit_state(facts)
+        if facts.geometry is None or limit is None or state is None:
             return None
-        geometry, trend = facts.geometry.geometry, facts.current_trend
-        current = conicity_at_limit_amplitude(geometry)
-        fitted = None if trend is None or trend.trend.not_comparable else trend.trend.fitted
         return conicity_limit_finding(
             self,
             facts.wheelset.serial,
-            current if fitted is None or fitted.status is not Status.ESTIMATED else fitted,
-            geometry.windows,
+            state,
+            facts.geometry.geometry.windows,
             limit,
             facts.geometry.to_ns,
-            current=current,
+            current=conicity_at_limit_amplitude(facts.geometry.geometry),
             not_assessable_reason=facts.not_assessable_reason,
         )
+
+    def limit_of(self, facts: WheelsetFacts) -> float | None:
+        """Return the limit of a wheelset; None in no vehicle, or where no band applies.
+
+        Parameters
+        ----------
+        facts
+            Of one wheelset.
+        """
+        return None if facts.vehicle is None else self.limit_for(facts.vehicle)
 
 
 def conicity_limit_finding(
     rule: ConicityLimitRule,
     wheelset: str,
-    conicity: Estimate,
+    state: LimitState,
     windows: int,
     limit: float,
     measured_ns: int,
@@ -145,8 +152,8 @@ def conicity_limit_finding(
         Probabilities and margins.
     wheelset
         Serial.
-    conicity
-        At 3 mm now: what is compared with the limit.
+    state
+        The conicity at 3 mm now, and what else is compared with the limit.
     windows
         Windows behind it.
     limit
@@ -154,30 +161,31 @@ def conicity_limit_finding(
     measured_ns
         Time of the newest data behind the conicity.
     current
-        That of the current geometry, where ``conicity`` is of the trend.
+        That of the current geometry, where the conicity is of the trend.
     not_assessable_reason
         Why the data do not describe the present wheelset (silent, sensor fault, reprofiled since); None where they do.
     """
-    unknown = None if conicity.status is Status.ESTIMATED else conicity.reason
-    reason = not_assessable_reason or unknown or too_few_windows(windows, rule.minimum_windows)
-    over = None if reason else probability_above(conicity, limit)
+    against = state.against(limit)
+    reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)
+    if reason is None and against is None:
+        reason = state.conicity.reason
+    over = None if reason or against is None else against.probability
     clear_limit = limit - rule.clear_margin
-    above_clear = probability_above(conicity, clear_limit)
     severity = Severity.WARNING
-    if (probability_above(conicity, limit + rule.critical_margin) or 0.0) >= rule.raise_probability:
+    if _probability(state.against(limit + rule.critical_margin)) >= rule.raise_probability:
         severity = Severity.CRITICAL
     return Finding(
         wheelset=wheelset,
         kind=ConicityLimitRule.kind,
         breached=None if over is None else over >= rule.raise_probability,
-        cleared=None if over is None or above_clear is None else 1.0 - above_clear >= rule.clear_probability,
+        cleared=None if over is None else _is_clear(rule, state, clear_limit),
         severity=severity,
         probability=number_evidence(over, 3),
         evidence={
             "quantity": QUANTITY,
-            "amplitude_mm": number_evidence(1e3 * LIMIT_AMPLITUDE),
-            "conicity": estimate_evidence(conicity),
-            "current": estimate_evidence(conicity if current is None else current),
+            "amplitude_mm": number_evidence(1e3 * (LIMIT_AMPLITUDE if against is None else against.amplitude)),
+            "conicity": estimate_evidence(state.conicity if against is None else against.conicity),
+            "current": estimate_evidence(state.conicity if current is None else current),
             "windows": windows,
             "limit": number_evidence(limit),
             **unknown_evidence(reason),
@@ -187,3 +195,15 @@ def conicity_limit_finding(
         clear_limit=clear_limit,
         measured_ns=measured_ns,
     )
+
+
+def _is_clear(rule: ConicityLimitRule, state: LimitState, clear_limit: float) -> bool | None:
+    """Return whether the conicity is below the clear limit at every amplitude that is known; None where 3 mm is not."""
+    at_limit, at_reached = state.at_limit(clear_limit), state.at_reached(clear_limit)
+    if _probability(at_reached) >= rule.raise_probability:
+        return False
+    return None if at_limit is None else 1.0 - at_limit.probability >= rule.clear_probability
+
+
+def _probability(against: Against | None) -> float:
+    return 0.0 if against is None else against.probability

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.alerts.rules.identity import IdentityRule, mounting_corrected
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.values.alerts import Alert, CloseReason, Finding
@@ -69,6 +70,7 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
     """
     if facts.wheelset.mounting is None:
         return []
+    facts = replace(facts, limit_rule=book.rule(ConicityLimitRule))
     first = [(rule, rule.find(facts, now_ns)) for rule in book.rules if not rule.of_wear]
     facts = replace(facts, not_assessable_reason=_not_assessable_reason(facts, first))
     if any(rule.kind == IdentityRule.kind and finding is not None and finding.breached for rule, finding in first):

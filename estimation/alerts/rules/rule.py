@@ -74,6 +74,8 @@ class WheelsetFacts:
     damper: GearDamper | None = None  # of the running gear whose first axle it is at
     trend_parameters: TrendParameters = field(default_factory=TrendParameters)  # of the trend
     rejected_recordings: Mapping[str, int] = field(default_factory=dict)  # of its vehicle, by code, as the one before
+    limit_rule: AlertRule | None = None  # that of the conicity limit, of the same book
+    profiles_measured_km: float | None = None  # mileage at which its profiles were last measured, since reprofiling
     sensors_changed_ns: int | None = None  # when the sensors of its axle were last exchanged or calibrated
     not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now
 

@@ -68,8 +68,16 @@ def facts_of(
         open_alerts=alerts,
         trend_parameters=settings.trend,
         damper=unit.dampers.gear(mounting.vehicle, mounting.axle),
+        profiles_measured_km=_profiles_measured_km(unit, wheelset),
         sensors_changed_ns=max(unit.sensor_changes.at_axle(mounting.vehicle, mounting.axle), default=None),
     )
+
+
+def _profiles_measured_km(unit: UnitOfWork, wheelset: WheelsetRecord) -> float | None:
+    """Return the mileage at which the profiles were last measured; None if not since the last reprofiling."""
+    newest = unit.registry.newest_measurement(wheelset.serial)
+    turned_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
+    return None if newest is None or (turned_ns is not None and newest[0] < turned_ns) else newest[1]
 
 
 def _conicities(unit: UnitOfWork, wheelset: WheelsetRecord, since_ns: int) -> Sequence[IntervalConicities]:

@@ -1,0 +1,150 @@
+"""Alerts at the conicity limit: ``python -m bench limits [--shapes 300] [--wheelsets 1500] [--seed 11] [--write-docs]``.
+
+Worn wheelsets of shapes that the extrapolation does not hold run over irregular track; those that cover 1.5 to 2.25 mm
+live for some intervals and are judged by the real trend and the real rules. Beside them the rule before, in the same
+run: the smooth trend at 3 mm alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from itertools import product
+
+import numpy as np
+
+from bench.limits_lives import Judged, Worn, judged
+from bench.limits_running import amplitude_reached
+from bench.limits_shapes import CLASSES, curve_of
+from bench.report import BenchRow, printed
+from bench.results_page import ended
+from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.worn_family import AMPLITUDES, DISPLACEMENT
+
+TITLE = "Alerts at the conicity limit"
+SHAPES, WHEELSETS, SEED = 300, 1500, 11
+IRREGULARITIES = (0.4e-3, 0.55e-3, 0.7e-3, 0.9e-3, 1.2e-3)  # m
+YAW_SPRINGS = (0.15, 0.6)  # kappa, 1/m
+SPEEDS = tuple(v / 3.6 for v in (120.0, 160.0, 200.0, 250.0, 300.0))  # with limits of 0.40 to 0.20
+LEAST, MOST = 0.05, 0.8  # conicity at 3 mm
+COVERED = (1.5e-3, 2.25e-3)  # m
+ASKED = (1.75e-3, 2.0e-3)  # m
+MARGIN = 0.03
+BANDS_BELOW = ((0.03, 0.1), (0.1, 0.2), (0.2, 1.0))
+
+_Kept = Callable[[Worn], bool]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run what was asked for; return 1 when a row falls short.
+
+    Parameters
+    ----------
+    arguments
+        Of the command line.
+    """
+    parser = argparse.ArgumentParser(prog="python -m bench limits", description=__doc__)
+    parser.add_argument("--shapes", type=int, default=SHAPES, help="drawn of each class")
+    parser.add_argument("--wheelsets", type=int, default=WHEELSETS, help="that are judged, at most")
+    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--write-docs", action="store_true")
+    options = parser.parse_args(arguments)
+    found = [judged(worn) for worn in worn_wheelsets(options.shapes, options.wheelsets, options.seed)]
+    command = f"python -m bench limits --shapes {options.shapes} --wheelsets {options.wheelsets} --seed {options.seed}"
+    return ended(printed(rows(found)), "limits", TITLE, f"{command} --write-docs" if options.write_docs else None)
+
+
+def worn_wheelsets(shapes: int, most: int, seed: int) -> list[Worn]:
+    """Return worn wheelsets that cover less than 3 mm, each on some track under some vehicle.
+
+    Parameters
+    ----------
+    shapes
+        How many are drawn of each class.
+    most
+        How many wheelsets are returned at most.
+    seed
+        Of all that is drawn.
+    """
+    random = np.random.default_rng(seed)
+    drawn = [(kind, curve_of(kind, random)) for _, kind in product(range(shapes), CLASSES)]
+    kinds, curves = zip(*[(kind, curve) for kind, curve in drawn if curve is not None], strict=True)
+    conicity = np.stack([equivalent_conicity(DISPLACEMENT, curve, AMPLITUDES) for curve in curves])
+    with np.errstate(invalid="ignore"):
+        usual = np.flatnonzero((conicity[:, -1] > LEAST) & (conicity[:, -1] < MOST) & np.isfinite(conicity).all(axis=1))
+    of_shape, on_track = (np.array(one) for one in zip(*product(usual, IRREGULARITIES), strict=True))
+    springs = random.uniform(*YAW_SPRINGS, len(of_shape))
+    reached = amplitude_reached(np.stack(curves)[of_shape], on_track, springs, seed)
+    covered = np.floor(reached / 0.25e-3 + 1e-9) * 0.25e-3
+    kept = np.flatnonzero((covered >= COVERED[0] - 1e-9) & (covered <= COVERED[1] + 1e-9))
+    return [
+        Worn(
+            kinds[of_shape[i]],
+            conicity[of_shape[i]],
+            float(covered[i]),
+            SPEEDS[int(random.integers(len(SPEEDS)))],
+            int(i),
+        )
+        for i in random.permutation(kept)[:most]
+    ]
+
+
+def rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
+    """Yield the rows of the table.
+
+    Parameters
+    ----------
+    found
+        Wheelsets as they were judged.
+    """
+    asked = [one for one in found if ASKED[0] - 1e-9 <= one.worn.covered <= ASKED[1] + 1e-9]
+    beyond = [one for one in asked if one.worn.above >= MARGIN]
+    raised, over = _share(beyond, lambda one: one.over or one.measure), _share(beyond, lambda one: one.over)
+    yield BenchRow(
+        f"beyond the limit by {MARGIN:g} or more at 3 mm, 1.75 or 2 mm covered, {len(beyond)} wheelsets: raised",
+        f"{raised:.1%} (`conicity_limit` {over:.1%}); {_former(beyond)}",
+        "98 % or more",
+        raised >= 0.98,
+    )
+    share = over / raised if raised else 0.0
+    yield BenchRow("of those raised: `conicity_limit`", f"{share:.1%}", "60 % or more", share >= 0.6)
+    below = [one for one in found if one.worn.above <= -MARGIN]
+    quiet = [one for one in below if one.worn.above_reached <= 0.0]
+    for name, group in (("at 3 mm", below), ("at 3 mm and at or below it at the amplitude reached", quiet)):
+        false = _share(group, lambda one: one.over)
+        yield BenchRow(
+            f"below the limit by {MARGIN:g} or more {name}, {len(group)} wheelsets: `conicity_limit`",
+            f"{false:.2%}; {_former(group)}",
+            "1 % or less",
+            false <= 0.01,
+        )
+    yield from _for_information(found)
+
+
+def _for_information(found: Sequence[Judged]) -> Iterator[BenchRow]:
+    groups: list[tuple[str, _Kept]] = [
+        (
+            f"beyond by 0.03 or more, {1e3 * a:g} mm covered",
+            lambda w, a=a: w.above >= MARGIN and abs(w.covered - a) < 1e-6,
+        )
+        for a in (1.5e-3, 1.75e-3, 2e-3, 2.25e-3)
+    ]
+    groups += [(f"beyond by {a:g} to {b:g}", lambda w, a=a, b=b: a <= w.above < b) for a, b in BANDS_BELOW]
+    groups += [
+        (f"beyond by 0.03 or more, {kind}", lambda w, k=kind: w.above >= MARGIN and w.kind == k) for kind in CLASSES
+    ]
+    groups += [(f"below by {a:g} to {b:g}", lambda w, a=a, b=b: a <= -w.above < b) for a, b in BANDS_BELOW]
+    for name, kept in groups:
+        group = [one for one in found if kept(one.worn)]
+        if group:
+            text = f"`conicity_limit` {_share(group, lambda one: one.over):.1%}, `measure`"
+            text += f" {_share(group, lambda one: one.measure and not one.over):.1%}; {_former(group)}"
+            yield BenchRow(f"{name}, {len(group)} wheelsets", text, "for information", True)  # noqa: FBT003 - nothing to be reached
+
+
+def _former(group: Sequence[Judged]) -> str:
+    return f"rule before {_share(group, lambda one: one.former):.1%}"
+
+
+def _share(group: Sequence[Judged], holds: Callable[[Judged], bool]) -> float:
+    return float(np.mean([holds(one) for one in group])) if group else 0.0
