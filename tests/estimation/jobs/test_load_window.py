@@ -39,7 +39,7 @@ def window(axle: int, **changes: object) -> Window:
         lateral_acceleration=np.full(n, 0.125),
         yaw_acceleration=np.zeros(n),
         roll_acceleration=np.zeros(n),
-        mass_lateral_acceleration=np.full(n, frame),
+        mass_lateral_acceleration=frame + 0.5 * np.sin(np.arange(n)),
         speed=np.full(n, 20.0),
         distance=20.0 * 4e-3 * np.arange(n),
         valid=np.ones(n, dtype=bool),
