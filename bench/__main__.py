@@ -26,6 +26,7 @@ WITH_OPTIONS = (
     "world",
     "signatures",
     "vehicles",
+    "refusals",
     "mutants",
     "house",
     "chaos",

@@ -18,7 +18,7 @@ from estimation.geometry.uncertainty import DisplacementError, ParameterUncertai
 from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.geometry import BinStatus, BinTable, BinValues, WheelsetGeometry
+from estimation.values.geometry import BinStatus, BinTable, BinValues, Contradiction, WheelsetGeometry
 from estimation.values.intervals import jackknife_std, leave_one_out, normal_equivalent
 from estimation.vehicle.regressors import (
     LATERAL_TARGETS,
@@ -112,10 +112,24 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
         reason=curve.at_reference.reason,
         centre=curve.centre,
     )
-    fit = model_fit(table, bins)
-    stds = (unc.stiffness, unc.creep)
-    reason = None if fit is None else mismatch(fit, *stds, in_bogie=bins.wheelbase is not None)
-    return geometry if reason is None else geometry.mismatched(reason)
+    return geometry.against(class_contradicted(table, bins, unc))
+
+
+def class_contradicted(table: BinTable, bins: BinParameters, uncertainty: ParameterUncertainty) -> Contradiction | None:
+    """Return what of a vehicle's class the samples of a table contradict; None where they do not or are too few.
+
+    Parameters
+    ----------
+    table
+        Statistics made with ``bins``.
+    bins
+        Parameters of the table.
+    uncertainty
+        Of the class, the sensors and the track.
+    """
+    fit = model_fit(table, bins, uncertainty.expected_noise)
+    stds = (uncertainty.stiffness, uncertainty.creep)
+    return None if fit is None else mismatch(fit, *stds, in_bogie=bins.wheelbase is not None)
 
 
 def _screened(

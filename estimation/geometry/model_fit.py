@@ -2,8 +2,9 @@
 
 Two numbers say it. The *spring error* is the moment in proportion to the yaw of the wheelset that the equations lack,
 as a share of the yaw spring: zero but for what is not known of the stiffness, of the creep coefficients and of the
-scales of the sensors. Another class, another wheelbase, and nodes in the wrong order make it large. The *misfit* is
-what the curve leaves of rL - rR inside the bins, sensor noise taken off, over the curve itself.
+scales of the sensors, and for what noise leaves in the yaw. Another class, another wheelbase, and nodes in the wrong
+order make it large. The *misfit* is what the curve leaves of rL - rR inside the bins, sensor noise taken off, over all
+of rL - rR. An error of the displacement leaves as much of it as of the displacement is error.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ import numpy as np
 from estimation.geometry.shared_scale import solve_with_shared_scales
 from estimation.geometry.uncertainty import MOUNTING_STD
 from estimation.tables.bin_table import BinParameters
-from estimation.values.geometry import BinTable
+from estimation.tables.least_squares import unpack
+from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.geometry import BinTable, Contradiction
 from estimation.values.intervals import jackknife_std, leave_one_out
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
@@ -24,8 +27,13 @@ from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 SENSOR_SCALE = 0.02  # std of the spring error by the scales of the sensors
 SENSORS_IN_BOGIE = 0.06  # the same in a bogie: scales, angles and clocks of three sensors, and creep near saturation
 SHARE_IN_BOGIE = 0.5  # of an error of stiffness or creep that shows as spring error; the curve takes up the rest
-STDS = 2.2  # of the spring error, beyond which the class is another
-MOST_MISFIT = 0.65  # right classes on measured wheels and on gauge that varies unknown have up to 0.6
+SEEN_IN_BOGIE = 0.4  # of an error of the conicity by a class that is wrong: the curve takes up more the larger it is
+UNSEEN_SHARE = 0.06  # of the power of noise over that of a yaw that no curve explains: std of the spring error by it
+DOUBTED_STDS = 1.8  # of the spring error, beyond which the class is in doubt: right ones have 0.5 rms, at most 1.6
+CERTAIN_STDS = 2.2  # beyond which it is another: four times the rms of right ones
+DOUBTED_MISFIT = 0.55  # right classes on measured wheels and on gauge that varies unknown have up to 0.51
+CERTAIN_MISFIT = 0.65
+MISFIT_SHARE = 0.5  # of the square of the misfit: by how much it may spoil the conicity
 NOISE_DOUBT = 0.5  # of the variance that sensor noise makes: sensors may be as much worse than on file
 LEAST_SAMPLES = 200.0  # of a bin
 FEWEST_BINS = 5
@@ -39,11 +47,14 @@ class ModelFit:
     """How well the samples of a wheelset follow the equations of its class."""
 
     spring_error: float  # moment in proportion to yaw that the equations lack, over that of the yaw spring
-    spring_error_std: float  # from blocks of data
-    misfit: float  # rms of rL - rR that neither curve nor sensor noise explain, over the rms of the curve
+    spring_error_std: float  # from blocks of data, and by what noise and an uncertain track leave in the yaw
+    misfit: float  # rms of rL - rR that neither curve nor sensor noise explain, over that of rL - rR
+    displacement_error: float = 0.0  # share of the power of y - d that sensors and track make: so much is no misfit
 
 
-def model_fit(table: BinTable, bins: BinParameters, angle_std: float = MOUNTING_STD) -> ModelFit | None:
+def model_fit(
+    table: BinTable, bins: BinParameters, expected_noise: float = 0.0, angle_std: float = MOUNTING_STD
+) -> ModelFit | None:
     """Return how well a table follows the yaw equation; None where there are too few samples.
 
     Parameters
@@ -52,6 +63,8 @@ def model_fit(table: BinTable, bins: BinParameters, angle_std: float = MOUNTING_
         Statistics made with ``bins``.
     bins
         Parameters of the table.
+    expected_noise
+        Std of the error of y - d by its sensors and the alignment, m.
     angle_std
         Of the yaw sensor about the lateral axis, rad, known beforehand.
     """
@@ -72,17 +85,37 @@ def model_fit(table: BinTable, bins: BinParameters, angle_std: float = MOUNTING_
     of_spring = solve_with_shared_scales(*moments, (*priors[:2], STRAIGHT)).solution.theta if in_bogie else solved.theta
     errors = unit * np.nanmedian(of_spring.reshape(theta.shape)[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
-    of_noise = (1.0 + NOISE_DOUBT) * theta[0, :, shared, _NOISE]
-    unexplained = solved.residual_variance[: int(used.sum())] / per_metre**2 - of_noise
-    curve = theta[0, :, shared, 0]
-    left, size = (float(np.average(part, weights=weight[0, used])) for part in (unexplained, curve**2))
-    if not (math.isfinite(left) and size > 0.0):
+    counts = weight[0, used]
+    of_noise = float(np.average(theta[0, :, shared, _NOISE], weights=counts))
+    left = float(np.average(solved.residual_variance[: int(used.sum())], weights=counts)) / per_metre**2
+    whole = float(sums[0, used, -1].sum() / counts.sum()) / per_metre**2 - of_noise
+    if not (math.isfinite(left) and whole > 0.0):
         return None
-    return ModelFit(float(errors[0]), float(jackknife_std(errors)), math.sqrt(max(left, 0.0) / size))
+    error = _displacement_error(table, used, expected_noise)
+    alone = _alone(sums[0, used], regressors, shared) / counts.sum() / (unit * per_metre) ** 2
+    unseen = UNSEEN_SHARE * (max(of_noise, 0.0) + error * whole) / max(alone, np.finfo(np.float64).tiny)
+    unexplained = max(left - (1.0 + NOISE_DOUBT) * of_noise, 0.0)
+    std = math.hypot(float(jackknife_std(errors)), unseen)
+    return ModelFit(float(errors[0]), std, math.sqrt(unexplained / whole), error)
 
 
-def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Reason | None:
-    """Return what of the class does not fit; None where it fits.
+def _displacement_error(table: BinTable, used: BoolArray, expected_noise: float) -> float:
+    """Return which share of the power of y - d its error makes up, 0 to 1."""
+    weight, centre = table.weight.sum(axis=0)[used], table.centres[used]
+    variance = float(np.average((centre - np.average(centre, weights=weight)) ** 2, weights=weight))
+    return min(expected_noise**2 / variance, 1.0) if variance > 0.0 else 1.0
+
+
+def _alone(packed: FloatArray, regressors: int, shared: int) -> float:
+    """Return the sum of squares of the first regressor that curves over the bins leave, packed moments (b, k)."""
+    gram, _, _ = unpack(packed, regressors, len(YAW_TARGETS))
+    curve, coupling = gram[:, shared:, shared:], gram[:, 0, shared:]
+    explained = np.einsum("bi,bij,bj->b", coupling, np.linalg.pinv(curve, hermitian=True), coupling)
+    return float(np.maximum(gram[:, 0, 0] - explained, 0.0).sum())
+
+
+def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Contradiction | None:
+    """Return what of the class does not fit, and how sure that is; None where it fits.
 
     Parameters
     ----------
@@ -93,19 +126,32 @@ def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie:
     in_bogie
         Whether the yaw spring is tied to the frame of a bogie.
     """
+    return _spring_differs(fit, stiffness_std, creep_std, in_bogie=in_bogie) or _unexplained(fit)
+
+
+def _spring_differs(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Contradiction | None:
     share, of_sensors = (SHARE_IN_BOGIE, SENSORS_IN_BOGIE) if in_bogie else (1.0, SENSOR_SCALE)
+    seen = SEEN_IN_BOGIE if in_bogie else 1.0
     of_class = share * math.hypot(stiffness_std, creep_std)
-    most = STDS * float(np.linalg.norm([fit.spring_error_std, of_sensors, of_class]))
-    if abs(fit.spring_error) > most:
-        text = (
-            f"a moment of {fit.spring_error:+.0%} of the yaw spring's is not in the equations of the vehicle's class,"
-            f" {most:.0%} may be; check class, wheelbase, order and scale of the nodes"
-        )
-        return Reason(ReasonCode.YAW_SPRING_DIFFERS, text)
-    if fit.misfit > MOST_MISFIT:
-        text = (
-            f"{fit.misfit:.0%} of the rolling radius difference follow neither the lateral displacement nor the noise"
-            f" of the sensors, {MOST_MISFIT:.0%} may; check class, track and sensors"
-        )
-        return Reason(ReasonCode.MOTION_UNEXPLAINED, text)
-    return None
+    std = float(np.linalg.norm([fit.spring_error_std, of_sensors, of_class]))
+    if abs(fit.spring_error) <= DOUBTED_STDS * std:
+        return None
+    certain = abs(fit.spring_error) > CERTAIN_STDS * std
+    text = (
+        f"a moment of {fit.spring_error:+.0%} of the yaw spring's is not in the equations of the vehicle's class,"
+        f" {DOUBTED_STDS * std:.0%} may be, {CERTAIN_STDS * std:.0%} cannot be by chance;"
+        " check class, wheelbase, order and scale of the nodes"
+    )
+    return Contradiction(Reason(ReasonCode.YAW_SPRING_DIFFERS, text), certain, min(abs(fit.spring_error) / seen, 1.0))
+
+
+def _unexplained(fit: ModelFit) -> Contradiction | None:
+    doubted, certain = (math.sqrt(most**2 + fit.displacement_error) for most in (DOUBTED_MISFIT, CERTAIN_MISFIT))
+    if fit.misfit <= doubted:
+        return None
+    text = (
+        f"{fit.misfit:.0%} of the rolling radius difference follow neither the lateral displacement nor the noise"
+        f" of the sensors, {doubted:.0%} may; check class, track and sensors"
+    )
+    reason = Reason(ReasonCode.MOTION_UNEXPLAINED, text)
+    return Contradiction(reason, fit.misfit > certain, MISFIT_SHARE * fit.misfit**2)

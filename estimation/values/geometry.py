@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -9,6 +10,7 @@ from enum import StrEnum
 import numpy as np
 
 from estimation.values.arrays import FloatArray, IntArray, bin_centres, frozen_array
+from estimation.values.intervals import NORMAL_95
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
@@ -172,6 +174,15 @@ class BinValues:
 
 
 @dataclass(frozen=True, slots=True)
+class Contradiction:
+    """What of the registry the data contradict, how sure that is, and how far off the conicity may be by it."""
+
+    reason: Reason
+    certain: bool  # nothing is published; else the number stands, wider, with the reason beside it
+    relative: float  # std of the conicity, over itself
+
+
+@dataclass(frozen=True, slots=True)
 class WheelsetGeometry:
     """Contact geometry of one wheelset, estimated from its bin table."""
 
@@ -204,6 +215,30 @@ class WheelsetGeometry:
         """Bin centres (b,), m."""
         return bin_centres(self.bin_edges)
 
+    def against(self, found: Contradiction | None) -> WheelsetGeometry:
+        """Return the geometry beside what contradicts its class: without numbers where that is certain, else wider.
+
+        Parameters
+        ----------
+        found
+            What contradicts it; None changes nothing.
+        """
+        if found is None or self.status is Status.MODEL_MISMATCH:
+            return self
+        return self.mismatched(found.reason) if found.certain else self._doubted(found)
+
+    def _doubted(self, found: Contradiction) -> WheelsetGeometry:
+        radius = self.rolling_radius_difference
+        wider = np.hypot(radius.std, found.relative * np.abs(radius.value))
+        return replace(
+            self,
+            rolling_radius_difference=replace(radius, std=wider),
+            conicity=tuple(_doubted(one, found) for one in self.conicity),
+            equivalent_conicity=_doubted(self.equivalent_conicity, found),
+            nonlinearity=_doubted(self.nonlinearity, found),
+            reason=self.reason or found.reason,
+        )
+
     def mismatched(self, reason: Reason) -> WheelsetGeometry:
         """Return the geometry of a wheelset that does not follow the equations: no number is published.
 
@@ -229,6 +264,20 @@ class WheelsetGeometry:
             reason=reason,
             centre=None,
         )
+
+
+def _doubted(estimate: Estimate, found: Contradiction) -> Estimate:
+    """Return a number with the std and the reason of a doubt; one that is not known stays as it is."""
+    if estimate.value is None or estimate.std is None or estimate.low is None or estimate.high is None:
+        return estimate
+    more = found.relative * abs(estimate.value)
+    return replace(
+        estimate,
+        std=math.hypot(estimate.std, more),
+        low=estimate.value - math.hypot(estimate.value - estimate.low, NORMAL_95 * more),
+        high=estimate.value + math.hypot(estimate.high - estimate.value, NORMAL_95 * more),
+        reason=estimate.reason or found.reason,
+    )
 
 
 @dataclass(frozen=True, slots=True)

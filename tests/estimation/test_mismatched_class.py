@@ -26,6 +26,7 @@ from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.jobs.steps.rolling_radius import RadiusOnFile
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import Storage
+from estimation.values.geometry import Contradiction
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobTrigger
@@ -126,13 +127,14 @@ def test_windows_that_cannot_speak_of_the_radius_do_not_contradict_it(sqlite_sto
         assumed = ClassLookup(unit, EstimationSettings()).assumed("V1", "W1")
         assert isinstance(assumed, Assumed)
         radius = RadiusOnFile(unit, "W1")
-        reason = radius.contradicted(chosen, assumed)
-        assert reason is not None
+        contradiction = radius.contradicted(chosen, assumed)
+        assert contradiction is not None
+        reason = contradiction.reason
         assert radius.contradicted(chosen[:1], assumed) is None
         assert radius.contradicted(lost, assumed) is None
-        assert (
-            radius.contradicted(lost, assumed, lambda: reason) == reason
-        )  # what was found remains when samples are gone
+        # what was found remains when samples are gone
+        remains = Contradiction(reason, certain=True, relative=0.0)
+        assert radius.contradicted(lost, assumed, lambda: reason) == remains
         assert radius.contradicted(lost, assumed, lambda: Reason(ReasonCode.NO_CONICITY, "other")) is None
 
 

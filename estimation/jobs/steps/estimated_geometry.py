@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from_motion
-from estimation.geometry.estimate import estimate_geometry
+from estimation.geometry.estimate import class_contradicted, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.vehicle_classes import Assumed
@@ -17,7 +17,6 @@ from estimation.tables.bin_table import BinParameters, bin_parameters
 from estimation.values.geometry import BinTable, WheelsetGeometry
 from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
-from estimation.values.quantities import Status
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 WeightedMotions = Iterable[tuple[float, Motion]]
@@ -61,14 +60,12 @@ def estimated_geometry(
         Returns weight and motion of the windows, oldest first, where the estimator needs them.
     """
     bins, settings = bin_parameters(used.assumed.windows), used.settings
-    shipped = estimate_geometry(table, bins, replace(settings.geometry, uncertainty=used.uncertainty))
     if settings.estimator == SHIPPED:
-        return shipped
+        return estimate_geometry(table, bins, replace(settings.geometry, uncertainty=used.uncertainty))
     published = PublishedBins(bins.edges, settings.geometry_key(bins.key))
     other = _from_motions(motions(), settings, used.assumed.windows.vehicle, used.uncertainty, published)
-    if shipped.status is Status.MODEL_MISMATCH and shipped.reason is not None:
-        return other.mismatched(shipped.reason)  # whatever the estimator, the data do not follow the class
-    return other
+    # whatever the estimator, the data follow the class or not
+    return other.against(class_contradicted(table, bins, used.uncertainty))
 
 
 def no_geometry(settings: EstimationSettings, parameter_key: str) -> WheelsetGeometry:

@@ -10,7 +10,7 @@ import numpy as np
 from estimation.errors import DamagedError, NotFoundError, PurgedError
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.motion.axle_distance import check_axle_distance
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.bogie_frame import check_frame_sensors, with_frame_yaw
 from estimation.motion.travel import bogie_runs_backwards, runs_backwards, turned_over
 from estimation.motion.without_blows import without_blows
 from estimation.storage import UnitOfWork
@@ -116,8 +116,9 @@ class WindowLoader:
         ahead = offsets[partner.axle - 1] - behind
         backwards = bogie_runs_backwards(window, partner, ahead)
         contradiction = check_axle_distance(window, partner, -ahead if backwards else ahead)
-        if contradiction is not None:
-            return contradiction
+        refusal = contradiction or check_frame_sensors(window, partner)
+        if refusal is not None:
+            return refusal
         framed = with_frame_yaw(window, partner, ahead)
         return turned_over(framed, behind) if backwards else framed
 

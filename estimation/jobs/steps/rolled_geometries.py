@@ -243,12 +243,15 @@ class RolledGeometries:
         forgotten_from = last.last_km if current else None
         geometry = estimated_geometry(table, used, lambda: self._motions(parts, assumed, forgotten_from))
         if geometry.status is not Status.MODEL_MISMATCH:
-            contradicted = against or self.radius.contradicted(
-                _chosen(roll_ups), assumed, partial(self._stored_reason, place)
-            )
             if any(self._passed_over.contradicted(one) for one in roll_ups):
-                contradicted = CONTRADICTED
-            geometry = geometry if contradicted is None else geometry.mismatched(contradicted)
+                against = CONTRADICTED
+            geometry = (
+                geometry.against(
+                    self.radius.contradicted(_chosen(roll_ups), assumed, partial(self._stored_reason, place))
+                )
+                if against is None
+                else geometry.mismatched(against)
+            )
         made = GeometryRecord(
             wheelset=self.rules.wheelset,
             baseline=place[0],

@@ -10,6 +10,7 @@ from estimation.geometry.rolling_radius import check_radius
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
+from estimation.values.geometry import Contradiction
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.rolling_sums import RollingSums, WindowRollingSums
 
@@ -34,11 +35,11 @@ class RadiusOnFile:
     wheelset: str
     fresh: dict[tuple[int, str], WindowRollingSums] = field(default_factory=dict)
     _known: dict[tuple[int, str, str], tuple[RollingSums, ...]] = field(default_factory=dict)
-    _checked: dict[tuple[str, ...], Reason | None] = field(default_factory=dict)
+    _checked: dict[tuple[str, ...], Contradiction | None] = field(default_factory=dict)
 
     def contradicted(
         self, chosen: Sequence[tuple[str, int]], assumed: Assumed, stored: Callable[[], Reason | None] | None = None
-    ) -> Reason | None:
+    ) -> Contradiction | None:
         """Return that windows contradict the radius on file; None where they do not or are silent.
 
         A window whose samples are missing or damaged takes no part. Where none has samples any more, what was found
@@ -56,12 +57,14 @@ class RadiusOnFile:
         found = self._sums({start_ns: digest for digest, start_ns in chosen}, assumed)
         before = None if found or stored is None else stored()
         if before is not None and before.code is ReasonCode.ROLLING_RADIUS_DIFFERS:
-            return before
+            return Contradiction(before, certain=True, relative=0.0)
         same = (assumed.digest, *(f"{start_ns} {digest}" for digest, start_ns in chosen if start_ns in found))
         if same not in self._checked:
             parts = [part for start_ns in sorted(found) for part in found[start_ns]]
-            radius = assumed.windows.vehicle_class.parameters.nominal_radius
-            self._checked[same] = check_radius(parts, radius)
+            of_class = assumed.windows.vehicle_class
+            radius, std = of_class.parameters.nominal_radius, of_class.std_of("nominal_radius")
+            measured = "nominal_radius" in of_class.relative_std
+            self._checked[same] = check_radius(parts, radius, std, measured=measured)
         return self._checked[same]
 
     def _sums(self, chosen: Mapping[int, str], assumed: Assumed) -> dict[int, tuple[RollingSums, ...]]:

@@ -16,7 +16,7 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.model_fit import ModelFit, mismatch, model_fit
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
-from estimation.values.geometry import BinTable
+from estimation.values.geometry import BinTable, Contradiction
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.windows import Window
@@ -44,7 +44,8 @@ def fit_of(found: list[Window], vehicle_class: VehicleClass) -> ModelFit:
 
 def verdict(found: list[Window], vehicle_class: VehicleClass) -> ReasonCode | None:
     in_bogie = vehicle_class.bogie is not None
-    return code_of(mismatch(fit_of(found, vehicle_class), STIFFNESS_STD, CREEP_STD, in_bogie=in_bogie))
+    said = mismatch(fit_of(found, vehicle_class), STIFFNESS_STD, CREEP_STD, in_bogie=in_bogie)
+    return None if said is None else said.reason.code
 
 
 def swapped(yaw_stiffness: float, axle: int) -> list[Window]:
@@ -106,30 +107,52 @@ def test_a_mismatch_ends_the_geometry() -> None:
 
 
 def code(error: float, std: float = 0.0, misfit: float = 0.0, *, stiffness: float = 0.0, creep: float = 0.0,
-         in_bogie: bool = True) -> ReasonCode | None:  # fmt: skip
-    return code_of(mismatch(ModelFit(error, std, misfit), stiffness, creep, in_bogie=in_bogie))
+         displaced: float = 0.0, in_bogie: bool = True) -> tuple[ReasonCode, bool] | None:  # fmt: skip
+    """Return what is contradicted, and whether that is certain."""
+    found = mismatch(ModelFit(error, std, misfit, displaced), stiffness, creep, in_bogie=in_bogie)
+    return None if found is None else (found.reason.code, found.certain)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_spring_error_is_bounded_by_its_stds(sign: float) -> None:
     """Its own, 2 % of the sensors (6 % in a bogie), and that of stiffness and creep: half of it in a bogie."""
-    for most, given in (
-        (2.2 * 0.06, {}),
-        (2.2 * np.hypot(0.1, 0.06), {"std": 0.1}),
-        (2.2 * np.hypot(0.06, 0.5 * 0.2), {"stiffness": 0.2}),
-        (2.2 * np.hypot(0.06, 0.5 * 0.2), {"creep": 0.2}),
-        (2.2 * np.hypot(0.02, 0.2), {"stiffness": 0.2, "in_bogie": False}),
+    for total, given in (
+        (0.06, {}),
+        (np.hypot(0.1, 0.06), {"std": 0.1}),
+        (np.hypot(0.06, 0.5 * 0.2), {"stiffness": 0.2}),
+        (np.hypot(0.06, 0.5 * 0.2), {"creep": 0.2}),
+        (np.hypot(0.02, 0.2), {"stiffness": 0.2, "in_bogie": False}),
     ):
-        assert code(sign * 0.98 * most, **given) is None
-        assert code(sign * 1.02 * most, **given) is ReasonCode.YAW_SPRING_DIFFERS
+        assert code(sign * 1.75 * total, **given) is None
+        assert code(sign * 1.85 * total, **given) == (ReasonCode.YAW_SPRING_DIFFERS, False)
+        assert code(sign * 2.15 * total, **given) == (ReasonCode.YAW_SPRING_DIFFERS, False)
+        assert code(sign * 2.25 * total, **given) == (ReasonCode.YAW_SPRING_DIFFERS, True)
 
 
-def test_a_misfit_of_two_thirds_is_too_much() -> None:
-    assert code(0.0, misfit=0.64) is None
-    assert code(0.0, misfit=0.66) is ReasonCode.MOTION_UNEXPLAINED
+@pytest.mark.parametrize("displaced", [0.0, 0.3])
+def test_a_misfit_may_be_what_the_displacement_is_wrong_by_and_more(displaced: float) -> None:
+    for most, below, beyond in (
+        (0.55, None, (ReasonCode.MOTION_UNEXPLAINED, False)),
+        (0.65, (ReasonCode.MOTION_UNEXPLAINED, False), (ReasonCode.MOTION_UNEXPLAINED, True)),
+    ):
+        limit = np.sqrt(most**2 + displaced)
+        assert code(0.0, misfit=limit - 0.01, displaced=displaced) == below
+        assert code(0.0, misfit=limit + 0.01, displaced=displaced) == beyond
     found = mismatch(ModelFit(1.0, 0.0, 2.0), 0.0, 0.0, in_bogie=True)
-    assert isinstance(found, Reason)
-    assert "+100%" in found.text
+    assert found is not None
+    assert "+100%" in found.reason.text
+    assert found.relative == 1.0
+
+
+def test_an_uncertain_track_may_explain_what_it_spoils() -> None:
+    bins = bin_parameters(bogie_run.parameters(of_bogie(SOFT)))
+    known, open_track = (model_fit(soft_table(), bins, noise) for noise in (0.0, 1e-3))
+    assert known is not None
+    assert open_track is not None
+    assert known.displacement_error == 0.0
+    assert 0.1 < open_track.displacement_error < 1.0
+    assert open_track.spring_error_std > 5.0 * known.spring_error_std
+    assert open_track.spring_error == known.spring_error
 
 
 def only(bins: int, samples: float, groups: int = 16) -> BinTable:
@@ -156,3 +179,27 @@ def test_the_noise_of_the_sensors_is_no_misfit() -> None:
     noisy = of_bogie(COACH)
     quiet = replace(noisy, sensors=replace(noisy.sensors, yaw=replace(noisy.sensors.yaw, noise_density=0.0)))
     assert fit_of(joined(COACH, 1), noisy).misfit < 0.5 * fit_of(joined(COACH, 1), quiet).misfit
+
+
+def test_a_doubt_stands_beside_a_number_that_is_wider_by_it() -> None:
+    bins = bin_parameters(bogie_run.parameters(of_bogie(SOFT)))
+    plain = estimate_geometry(soft_table(), bins, GeometryParameters(uncertainty=ParameterUncertainty()))
+    reason = Reason(ReasonCode.YAW_SPRING_DIFFERS, "in doubt")
+    doubted = plain.against(Contradiction(reason, certain=False, relative=0.1))
+    before, after = plain.equivalent_conicity, doubted.equivalent_conicity
+    assert (doubted.status, doubted.reason, after.reason) == (Status.ESTIMATED, reason, reason)
+    assert before.value is not None
+    assert before.std is not None
+    assert before.low is not None
+    assert after.low is not None
+    assert after.value == before.value
+    assert after.std == pytest.approx(np.hypot(before.std, 0.1 * before.value))
+    assert before.value - after.low == pytest.approx(
+        np.hypot(before.value - before.low, 1.96 * 0.1 * before.value), rel=1e-4
+    )
+    widened = doubted.rolling_radius_difference.std**2 - plain.rolling_radius_difference.std**2
+    np.testing.assert_allclose(widened, (0.1 * plain.rolling_radius_difference.value) ** 2, rtol=1e-6, atol=1e-16)
+    assert plain.against(None) is plain
+    withheld = plain.against(Contradiction(reason, certain=True, relative=0.1))
+    assert withheld.equivalent_conicity.status is Status.MODEL_MISMATCH
+    assert withheld.against(Contradiction(reason, certain=False, relative=0.1)) is withheld

@@ -13,7 +13,7 @@ from estimation.geometry.rolling_radius import check_radius, rolling_radius
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_sums import BANDS, TERMS, RollingSums, rolling_sums
 from estimation.values.arrays import FloatArray
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import ReasonCode
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass
 
@@ -44,9 +44,10 @@ def test_the_radius_is_found_whatever_is_on_file(stiffness: float, radius: float
     reason = check_radius(parts, radius)
     assert (reason is None) == (radius == TRUE)
     if reason is not None:
-        assert reason.code is ReasonCode.ROLLING_RADIUS_DIFFERS
-        assert f"of {1e3 * found.value:.0f} mm radius" in reason.text
-        assert f"on file are {1e3 * radius:.0f} mm" in reason.text
+        assert reason.reason.code is ReasonCode.ROLLING_RADIUS_DIFFERS
+        assert f"of {1e3 * found.value:.0f} mm radius" in reason.reason.text
+        assert f"on file are {1e3 * radius:.0f} mm" in reason.reason.text
+        assert reason.relative == pytest.approx(abs(found.value - radius) / radius)
 
 
 def test_the_noise_on_file_keeps_the_radius_from_being_too_small() -> None:
@@ -111,15 +112,36 @@ def made(
     return found
 
 
-def test_a_radius_is_contradicted_from_2_5_standard_deviations() -> None:
+def test_a_radius_is_in_doubt_from_2_standard_deviations_and_wrong_from_4() -> None:
     parts = made()
     found = rolling_radius(parts)
     assert found is not None
     assert found.value == pytest.approx(TRUE, abs=1e-3)
     assert found.std == pytest.approx(9e-3, rel=0.02)
     for side in (-1.0, 1.0):
-        assert check_radius(parts, found.value + side * 2.45 * found.std) is None
-        assert isinstance(check_radius(parts, found.value + side * 2.55 * found.std), Reason)
+        for stds, certain in ((1.95, None), (2.05, False), (3.95, False), (4.05, True)):
+            on_file = found.value + side * stds * found.std
+            said = check_radius(parts, on_file)
+            assert (None if said is None else said.certain) is certain
+            measured = check_radius(parts, on_file, measured=True)
+            assert (None if measured is None else measured.certain) is (None if certain is None else False)
+    assert check_radius(parts, found.value + 2.05 * found.std, relative_std=0.01) is None
+
+
+def test_what_varies_from_wavelength_to_wavelength_widens_the_interval() -> None:
+    """A band in which the radius seems 10 % smaller moves it by a sixth of that; the jackknife of bands says so."""
+    plain, parts = made(error=50.0), []
+    for one in plain:
+        products = one.products.copy()
+        products[0, 0] -= 0.1 * TRUE * products[0, 2]
+        products[0, :, 0] -= 0.1 * TRUE * products[0, :, 2]
+        parts.append(replace(one, products=products))
+    found, before = rolling_radius(parts), rolling_radius(plain)
+    assert found is not None
+    assert before is not None
+    moved = abs(found.value - before.value)
+    assert moved == pytest.approx(0.1 * TRUE / BANDS, rel=0.1)
+    assert found.std == pytest.approx(math.hypot(before.std, moved), rel=0.1)
 
 
 def test_too_little_data_say_nothing() -> None:

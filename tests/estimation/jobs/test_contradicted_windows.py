@@ -1,4 +1,4 @@
-"""What is left of windows of which most contradict how their vehicle is registered says nothing either."""
+"""What is left of windows of which many contradict how their vehicle is registered says nothing either."""
 
 from __future__ import annotations
 
@@ -47,9 +47,11 @@ def test_three_of_five_are_against_the_two_that_are_left(sqlite_storage: SqlStor
     assert found(sqlite_storage, [101, 103]) == Reason(code, "why")
 
 
-def test_half_of_them_are_not(sqlite_storage: SqlStorage) -> None:
-    put(sqlite_storage, [100, 102], [101, 103], ReasonCode.AXLE_DISTANCE)
-    assert found(sqlite_storage, [101, 103]) is None
+@pytest.mark.parametrize(("left", "against"), [(6, True), (7, False)])
+def test_a_third_of_them_are_and_three_in_ten_are_not(sqlite_storage: SqlStorage, left: int, *, against: bool) -> None:
+    hours = [103 + k for k in range(left)]
+    put(sqlite_storage, [100, 101, 102], hours, ReasonCode.AXLE_DISTANCE)
+    assert (found(sqlite_storage, hours) is not None) == against
 
 
 def test_other_reasons_and_other_vehicles_are_not(sqlite_storage: SqlStorage) -> None:
@@ -66,6 +68,7 @@ def test_those_of_another_vehicle_are_not(sqlite_storage: SqlStorage) -> None:
 def test_what_was_more_than_a_day_earlier_has_been_repaired(
     sqlite_storage: SqlStorage, hour: int, *, against: bool
 ) -> None:
-    """At 127 h one of the two is out of sight, and one of two is not most."""
-    put(sqlite_storage, [102, 103], [hour], ReasonCode.SENSOR_TURNED)
-    assert (found(sqlite_storage, [hour]) is not None) == against
+    """At 127 h one of the two is out of sight, and one of four is not enough."""
+    left = [hour, hour + 1, hour + 2]
+    put(sqlite_storage, [102, 103], left, ReasonCode.SENSOR_TURNED)
+    assert (found(sqlite_storage, left) is not None) == against

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bogie_run import of_bogie
+from bogie_run import SOFT, of_bogie, windows
 from paper_class import PAPER_CLASS
 from smooth_wheelset import GOOD
 
 from estimation.errors import DamagedError
 from estimation.jobs.steps.load_window import load_window
+from estimation.motion.bogie_frame import check_frame_sensors
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.windows import Window
@@ -39,7 +40,7 @@ def window(axle: int, **changes: object) -> Window:
         lateral_acceleration=np.full(n, 0.125),
         yaw_acceleration=np.zeros(n),
         roll_acceleration=np.zeros(n),
-        mass_lateral_acceleration=np.full(n, frame),
+        mass_lateral_acceleration=frame + 0.5 * np.sin(np.arange(n)),
         speed=np.full(n, 20.0),
         distance=20.0 * 4e-3 * np.arange(n),
         valid=np.ones(n, dtype=bool),
@@ -160,3 +161,51 @@ def test_the_window_that_the_other_wheelset_has_elsewhere_is_no_partner(sqlite_s
         unit.registry.add_vehicle(VehicleRecord("X", "F", "bogie", 2, 40.0, (1.0, 3.5)))
         unit.windows.put(window(2, vehicle="X"), 10.0, 1)
     assert "has no window of this time of wheelset W2" in why(sqlite_storage)
+
+
+def rear_first(one: Window) -> Window:
+    """Return what a node measures whose vehicle runs with its rear end first."""
+    names = ("lateral_acceleration", "roll_acceleration", "mass_lateral_acceleration")
+    return replace(one, **{name: -getattr(one, name) for name in names})
+
+
+def measured(axle: int, *, back: bool) -> Window:
+    """Return a window of a bogie that runs forward, or back with its axle 2 first."""
+    (one, *_) = windows(SOFT, axle if not back else 3 - axle)
+    placed = replace(one, wheelset=f"W{axle}", vehicle="V", axle=axle, start_ns=60 * SECOND, track_section=None)
+    return rear_first(placed) if back else placed
+
+
+@pytest.mark.parametrize("back", [False, True])
+def test_a_bogie_is_an_ordinary_one_whichever_end_goes_first(sqlite_storage: SqlStorage, *, back: bool) -> None:
+    node = measured(1, back=back)
+    register(sqlite_storage, [node, measured(2, back=back)])
+    found = loaded(sqlite_storage, BOGIE_CLASS)
+    assert isinstance(found, Window)
+    assert found.backwards is back
+    np.testing.assert_allclose(found.distance, node.distance + (2.0 * 1.0 if back else 0.0))
+    np.testing.assert_array_equal(found.yaw_acceleration, (-1.0 if back else 1.0) * node.yaw_acceleration)
+
+
+@pytest.mark.parametrize(("other_back", "backwards"), [(True, True), (False, False)])
+def test_a_single_node_that_alone_says_backwards_is_the_wrong_way_round(
+    sqlite_storage: SqlStorage, *, other_back: bool, backwards: bool
+) -> None:
+    register(sqlite_storage, [measured(1, back=True), measured(2, back=other_back)])
+    found = loaded(sqlite_storage, PAPER_CLASS)
+    assert isinstance(found, Window)
+    assert found.backwards is backwards
+
+
+def test_of_a_frame_sensor_that_measures_nothing_the_frame_is_unknown(sqlite_storage: SqlStorage) -> None:
+    node = measured(2, back=False)
+    for share, refused in ((0.15, True), (0.35, False)):
+        quiet = replace(node, mass_lateral_acceleration=share * node.mass_lateral_acceleration)
+        assert (check_frame_sensors(measured(1, back=False), quiet) is not None) is refused
+    register(
+        sqlite_storage, [measured(1, back=False), replace(node, mass_lateral_acceleration=np.zeros(len(node.valid)))]
+    )
+    found = loaded(sqlite_storage, BOGIE_CLASS)
+    assert isinstance(found, Reason)
+    assert found.code is ReasonCode.FRAME_UNKNOWN
+    assert "check the sensor of axle 2" in found.text
