@@ -43,6 +43,7 @@ WITH_OPTIONS = (
     "adhesion",
     "rails",
     "dampers",
+    "flats",
 )
 LONG = (
     "signals",

@@ -5,6 +5,7 @@ import { date, number, roundKm, words } from "./format.js";
 export const KINDS = [
   "conicity_limit", "limit_forecast", "wheel_asymmetry", "no_data", "sensor_fault", "identity", "hunting",
   "suspension_change", "data_quality", "low_adhesion", "weak_damper",
+  "wheel_flat",
 ];
 
 const ACTIONS = { reprofile: "Turn the wheelset, or measure its profiles." };
@@ -41,6 +42,8 @@ const OF_KIND = {
   no_data: (e, alert) => [
     have(e.last_usable_at) ? `no usable data since ${date(e.last_usable_at)}` : "no usable data ever",
     ...part(have(e.limit_days ?? alert.raise_limit), () => `limit ${number(e.limit_days ?? alert.raise_limit)} days`),
+    ...part(e.refused_windows > 0, () => `data arrive, and cannot be used: ${counted(e.reasons)}`),
+    ...part(have(e.reason), () => e.reason),
   ],
   sensor_fault: (e) => [
     ...part(have(e.faulty_windows, e.windows), () => `${e.faulty_windows} of the latest ${e.windows} windows are of a faulty sensor`),
@@ -76,6 +79,11 @@ const OF_KIND = {
     ...part(estimated(e.damping_share_1), () => `${uncertain(e.damping_share_1, 2)} of its damping is left`),
     ...part(have(e.limit_1), () => `limit ${number(e.limit_1, 2)}`),
     ...part(have(e.vehicle, e.first_axle), () => `vehicle ${e.vehicle}, running gear from axle ${e.first_axle}`),
+  ],
+  wheel_flat: (e) => [
+    ...part(have(e.striking_windows, e.windows), () => `${have(e.wheel) ? `the ${e.wheel} wheel` : "a wheel"} strikes once a turn in ${e.striking_windows} of the latest ${e.windows} windows`),
+    ...part(have(e.blow_m_s2), () => `blows of ${number(e.blow_m_s2)} m/s2`),
+    ...part(have(e.speed_max_m_s), () => `up to ${number(3.6 * e.speed_max_m_s)} km/h`),
   ],
   fleet_alert: (e) => [
     ...part(have(e.member_count), () => `stands for ${e.member_count} alerts, ${e.open_member_count} of them open`),

@@ -73,6 +73,7 @@ class WheelsetFacts:
     trend_parameters: TrendParameters = field(default_factory=TrendParameters)  # of the trend
     rejected_recordings: Mapping[str, int] = field(default_factory=dict)  # of its vehicle, by code, as the one before
     sensors_changed_ns: int | None = None  # when the sensors of its axle were last exchanged or calibrated
+    hunted: frozenset[int] = frozenset()  # starts of windows in which a wheelset of its vehicle hunts
     not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now
 
     @property

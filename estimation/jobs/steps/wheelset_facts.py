@@ -50,12 +50,14 @@ def facts_of(
     if mounting is None:
         return WheelsetFacts(wheelset=wheelset, vehicle=None, geometry=None, trend=None, windows=(), open_alerts=alerts)
     conicities = _conicities(unit, wheelset, mounting.from_ns)
+    windows = _latest_windows(unit, wheelset.serial, mounting.from_ns, *windows_wanted(book))
     return WheelsetFacts(
         wheelset=wheelset,
         vehicle=vehicle,
         geometry=unit.geometries.current(wheelset.serial),
         trend=unit.trends.latest(wheelset.serial),
-        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, *windows_wanted(book)),
+        windows=windows,
+        hunted=hunted_beside(unit, mounting.vehicle, windows),
         intervals=_newest(unit, wheelset.serial, conicities, book),
         conicities=conicities,
         open_alerts=alerts,
@@ -63,6 +65,22 @@ def facts_of(
         damper=unit.dampers.gear(mounting.vehicle, mounting.axle),
         sensors_changed_ns=max(unit.sensor_changes.at_axle(mounting.vehicle, mounting.axle), default=None),
     )
+
+
+def hunted_beside(unit: UnitOfWork, vehicle: str, windows: Sequence[WindowRecord]) -> frozenset[int]:
+    """Return in which windows a wheelset of the vehicle hunts; empty where nothing clips that it could explain.
+
+    Parameters
+    ----------
+    unit
+        Windows are read.
+    vehicle
+        Its code.
+    windows
+        Of a wheelset.
+    """
+    clipped = [window.start_ns for window in windows if window.quality.clipped > 0.0]
+    return unit.windows.hunted(vehicle, min(clipped)) if clipped else frozenset()
 
 
 def _conicities(unit: UnitOfWork, wheelset: WheelsetRecord, since_ns: int) -> Sequence[IntervalConicities]:
