@@ -46,6 +46,7 @@ WITH_OPTIONS = (
     "dampers",
     "steps",
     "limits",
+    "flats",
 )
 LONG = (
     "signals",

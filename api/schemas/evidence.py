@@ -97,6 +97,11 @@ class NoDataEvidence(Representation):
     last_usable_at: Timestamp | None = Field(description="End of the newest usable window; null where there is none.")
     in_service_since: Timestamp | None = Field(description="When the wheelset was mounted.")
     limit_days: float | None = Field(description="Limit in days that the silence has passed.")
+    refused_windows: int | None = Field(
+        description="Windows since then, of the latest, that cannot be used."
+    )
+    reasons: dict[str, int] = Field(description="These windows by reason code.")
+    reason: str | None = Field(description="Why the newest of the most frequent reason cannot be used.")
     delays: Delays | None = Field(description="The delays that it was raised with.")
 
 
@@ -236,6 +241,18 @@ class UnregisteredChangeEvidence(Representation):
     delays: Delays | None = Field(description="The delays that it was raised with.")
 
 
+class WheelFlatEvidence(_OfRule):
+    """Evidence of `wheel_flat`: a wheel strikes once a turn in many of the latest windows."""
+
+    kind: Literal["wheel_flat"]
+    striking_windows: int | None = Field(description="Windows in which it strikes, of the latest.")
+    windows: int | None = Field(description="How many windows were looked at.")
+    blow_m_s2: float | None = Field(description="Median lateral acceleration; at least that where the sensor clips.")
+    wheel: Literal["left", "right"] | None = Field(description="Of the wheelset itself; null where it is not known.")
+    turn_m: float | None = Field(description="Distance between two blows.")
+    speed_max_m_s: float | None = Field(description="Greatest speed of those windows.")
+
+
 class FleetAlertEvidence(Representation):
     """Evidence of a fleet alert of any kind: how many alerts it stands for. They themselves are under `members`."""
 
@@ -277,6 +294,7 @@ Evidence = Annotated[
     | LowAdhesionEvidence
     | WeakDamperEvidence
     | UnregisteredChangeEvidence
+    | WheelFlatEvidence
     | FleetAlertEvidence
     | OtherEvidence,
     Field(discriminator="kind"),

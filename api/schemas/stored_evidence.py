@@ -126,6 +126,9 @@ def _no_data(stored: Stored) -> kinds.NoDataEvidence:
         last_usable_at=moment(stored.get("last_usable_ns")),
         in_service_since=moment(stored.get("in_service_since_ns")),
         limit_days=number(stored.get("limit_days")),
+        refused_windows=count(stored.get("refused_windows")),
+        reasons=counted(stored.get("reasons")),
+        reason=text(stored.get("reason")),
         delays=_delays(stored),
     )
 
@@ -261,6 +264,20 @@ def _unregistered_change(stored: Stored) -> kinds.UnregisteredChangeEvidence:
     )
 
 
+def _wheel_flat(stored: Stored) -> kinds.WheelFlatEvidence:
+    wheel = stored.get("wheel")
+    return kinds.WheelFlatEvidence(
+        kind="wheel_flat",
+        striking_windows=count(stored.get("striking_windows")),
+        windows=count(stored.get("windows")),
+        blow_m_s2=number(stored.get("blow_m_s2")),
+        wheel="left" if wheel == "left" else "right" if wheel == "right" else None,
+        turn_m=number(stored.get("turn_m")),
+        speed_max_m_s=number(stored.get("speed_max_m_s")),
+        **_of_rule(stored),
+    )
+
+
 def _fleet_alert(alert: Alert) -> kinds.FleetAlertEvidence:
     stored = as_counted(alert.evidence)
     listed = stored.get(WHEELSETS)
@@ -319,4 +336,5 @@ _READERS: Mapping[str, Callable[[Stored], kinds.Evidence]] = {
     "low_adhesion": _low_adhesion,
     "weak_damper": _weak_damper,
     "unregistered_change": _unregistered_change,
+    "wheel_flat": _wheel_flat,
 }

@@ -25,7 +25,7 @@ from estimation.alerts.rules.suspension_change import SuspensionChangeRule
 from estimation.alerts.rules.weak_damper import WeakDamperRule
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
-from estimation.jobs.steps.wheelset_facts import windows_wanted
+from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted
 from estimation.storage import UnitOfWork
 from estimation.trend.steps import behind_step
 from estimation.trend.trend import TrendParameters
@@ -58,6 +58,7 @@ class History:
     window_ends: Sequence[int] = field(default=())
     interval_ends: Sequence[int] = field(default=())
     conicities: Sequence[IntervalConicities] = field(default=())
+    hunted: Mapping[str, frozenset[int]] = field(default_factory=dict)  # by vehicle, starts of windows
 
 
 def history_of(unit: UnitOfWork, serial: str) -> History:
@@ -97,6 +98,7 @@ def history_of(unit: UnitOfWork, serial: str) -> History:
         window_ends=[one.start_ns + one.length_ns for one in windows],
         interval_ends=[one.to_ns for one in intervals],
         conicities=[interval_conicities(one) for one in intervals],
+        hunted={one.vehicle: hunted_beside(unit, one.vehicle, windows) for one in mountings},
     )
 
 
@@ -206,6 +208,7 @@ def _facts(
         intervals=[one for one in own if one.to_ns > mounting.from_ns],
         conicities=[one for one in conicities if one.to_ns > mounting.from_ns],
         open_alerts=[one for one in history.raised if one.kind == IDENTITY and _open_at(one, at_ns)],
+        hunted=history.hunted.get(mounting.vehicle, frozenset()),
     )
 
 

@@ -25,6 +25,7 @@ from sqlalchemy import (
 from estimation.errors import NotFoundError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import (
+    HUNTING_SHARE,
     NO_BLOWS,
     NOT_HUNTING,
     Hunting,
@@ -336,6 +337,15 @@ class WindowStore:
         statement = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset).order_by(WINDOWS.c.start_ns.desc()).limit(1)
         found = self._records(statement)
         return found[0] if found else None
+
+    def hunted(self, vehicle: str, from_ns: int) -> frozenset[int]:
+        """Return the starts, from ``from_ns`` on, of windows in which a wheelset of a vehicle hunts."""
+        statement = select(WINDOWS.c.start_ns).where(
+            WINDOWS.c.vehicle == vehicle,
+            WINDOWS.c.start_ns >= from_ns,
+            WINDOWS.c.hunting_share >= HUNTING_SHARE,
+        )
+        return frozenset(self.connection.scalars(statement))
 
     def page(self, wheelset: str, after_start_ns: int | None, limit: int) -> Sequence[WindowRecord]:
         """Return at most ``limit`` windows of a wheelset that start after ``after_start_ns``, oldest first."""

@@ -20,7 +20,7 @@ from estimation.motion.turn_blows import find_turn_blows
 from estimation.values.arrays import BoolArray, IntArray
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
-from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
+from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlows, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
 from ingest.align.samples import (
     NO_SECTION,
@@ -267,10 +267,10 @@ def _found(
     """Return what all samples of the node show of hunting and of blows, those that clip too."""
     every = np.ones(len(slot), np.bool_)
     lateral, yaw, roll = gridded(node.saturated[span], slot, every, len(motion.speed), len(OF_WHEELSET))
-    return (
-        find_hunting(lateral, yaw, motion.speed, interval_s),
-        find_turn_blows(lateral, roll, motion.speed, interval_s),
-    )
+    hunting = find_hunting(lateral, yaw, motion.speed, interval_s)
+    if hunting.sustained:  # its flanges strike at its own wavelength, which may be that of a turn
+        return hunting, NO_BLOWS
+    return hunting, find_turn_blows(lateral, roll, motion.speed, interval_s)
 
 
 def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:

@@ -4,7 +4,7 @@ import { date, number, roundKm, words } from "./format.js";
 /** Kinds of alerts of wheelsets and track sections; a test compares them with the rules. */
 export const KINDS = [
   "conicity_limit", "measure", "limit_forecast", "wheel_asymmetry", "no_data", "sensor_fault", "identity", "hunting",
-  "suspension_change", "data_quality", "low_adhesion", "weak_damper", "unregistered_change",
+  "suspension_change", "data_quality", "low_adhesion", "weak_damper", "unregistered_change", "wheel_flat",
 ];
 
 const ACTIONS = {
@@ -51,6 +51,8 @@ const OF_KIND = {
   no_data: (e, alert) => [
     have(e.last_usable_at) ? `no usable data since ${date(e.last_usable_at)}` : "no usable data ever",
     ...part(have(e.limit_days ?? alert.raise_limit), () => `limit ${number(e.limit_days ?? alert.raise_limit)} days`),
+    ...part(e.refused_windows > 0, () => `data arrive, and cannot be used: ${counted(e.reasons)}`),
+    ...part(have(e.reason), () => e.reason),
   ],
   sensor_fault: (e) => [
     ...part(have(e.faulty_windows, e.windows), () => `${e.faulty_windows} of the latest ${e.windows} windows are of a faulty sensor`),
@@ -93,6 +95,11 @@ const OF_KIND = {
     ...part(have(e.first_data_behind_at), () => `before ${date(e.first_data_behind_at)}`),
     ...part(e.causes?.length, () => e.causes.filter((one) => one.share_1 >= 0.1).map((one) => `${words(one.cause)} ${number(100 * one.share_1)} %`).join(", ")),
     ...part(have(e.intervals_behind), () => `${e.intervals_behind} intervals since`),
+  ],
+  wheel_flat: (e) => [
+    ...part(have(e.striking_windows, e.windows), () => `${have(e.wheel) ? `the ${e.wheel} wheel` : "a wheel"} strikes once a turn in ${e.striking_windows} of the latest ${e.windows} windows`),
+    ...part(have(e.blow_m_s2), () => `blows of ${number(e.blow_m_s2)} m/s2`),
+    ...part(have(e.speed_max_m_s), () => `up to ${number(3.6 * e.speed_max_m_s)} km/h`),
   ],
   fleet_alert: (e) => [
     ...part(have(e.member_count), () => `stands for ${e.member_count} alerts, ${e.open_member_count} of them open`),

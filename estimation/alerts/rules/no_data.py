@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
-from estimation.alerts.rules.rule import AlertDelays, AlertRule, Days, WheelsetFacts
+from estimation.alerts.rules.rule import AlertDelays, AlertRule, Days, WheelsetFacts, newest_windows
 from estimation.values.alerts import Finding, Severity
+from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import WindowRecord
 
 DAY_NS = 86_400_000_000_000
+LATEST = 20  # windows whose reasons are told
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +35,9 @@ class NoDataRule(AlertRule):
         mounting = facts.wheelset.mounting
         if mounting is None:
             return None
-        return no_data_finding(self, facts.wheelset.serial, facts.last_usable_ns, mounting.from_ns, now_ns)
+        found = no_data_finding(self, facts.wheelset.serial, facts.last_usable_ns, mounting.from_ns, now_ns)
+        since_ns = silent_since_ns(facts.last_usable_ns, mounting.from_ns)
+        return _with_refused(found, newest_windows(facts.windows, LATEST), since_ns)
 
 
 def no_data_finding(
@@ -81,6 +87,20 @@ def no_data_finding(
         measured_ns=(critical_ns if critical else raised_ns) if breached else since,
         since_ns=raised_ns if breached else None,
     )
+
+
+def _with_refused(found: Finding, windows: Sequence[WindowRecord], since_ns: int) -> Finding:
+    """Return the finding with what arrives all the same, and for which reason most of it cannot be used."""
+    refused = [one.reason for one in windows if one.reason is not None and one.start_ns >= since_ns]
+    codes = Counter(reason.code for reason in refused)
+    usual = codes.most_common(1)[0][0] if codes else None
+    evidence: dict[str, JsonValue] = {
+        **found.evidence,
+        "refused_windows": len(refused),
+        "reasons": {code.value: codes[code] for code in sorted(codes)},
+        "reason": next((reason.text for reason in reversed(refused) if reason.code is usual), None),
+    }
+    return replace(found, evidence=evidence, action="check_refused_windows" if refused else found.action)
 
 
 def silent_since_ns(last_usable_ns: int | None, in_service_since_ns: int) -> int:

@@ -77,6 +77,7 @@ class WheelsetFacts:
     limit_rule: AlertRule | None = None  # that of the conicity limit, of the same book
     profiles_measured_km: float | None = None  # mileage at which its profiles were last measured, since reprofiling
     sensors_changed_ns: int | None = None  # when the sensors of its axle were last exchanged or calibrated
+    hunted: frozenset[int] = frozenset()  # starts of windows in which a wheelset of its vehicle hunts
     not_assessable_reason: Reason | None = None  # why the data do not show how the wheelset is now
 
     @property

@@ -57,23 +57,38 @@ class SensorFaultRule(AlertRule):
             return None
 
         def find(windows: Sequence[WindowRecord]) -> Finding:
-            return sensor_fault_finding(self, facts.wheelset.serial, windows, mounting.from_ns)
+            return sensor_fault_finding(self, facts.wheelset.serial, windows, mounting.from_ns, facts.hunted)
 
         changed_ns = facts.sensors_changed_ns
         if changed_ns is not None:  # what was before is of other sensors
             facts = replace(facts, windows=[one for one in facts.windows if one.start_ns >= changed_ns])
-        return of_windows(find, facts, lambda window: bool(faulty(self, window)), self.latest_windows, self.delays)
+
+        def suspect(window: WindowRecord) -> bool:
+            return bool(faulty(self, window, facts.hunted))
+
+        return of_windows(find, facts, suspect, self.latest_windows, self.delays)
 
 
-def faulty(rule: SensorFaultRule, window: WindowRecord) -> str:
+def faulty(rule: SensorFaultRule, window: WindowRecord, hunted: frozenset[int] = frozenset()) -> str:
     """Return what is wrong with the sensor in this window; empty where nothing is.
 
-    A sensor that clips because its wheelset hunts is sound.
+    A sensor that clips because its wheelset hunts, or another one that shakes its vehicle, is sound; so is one that a
+    wheel with a flat strikes.
+
+    Parameters
+    ----------
+    rule
+        Shares of samples.
+    window
+        Stored window.
+    hunted
+        Starts of windows in which a wheelset of the vehicle hunts.
     """
     quality = window.quality
     if quality.sensor_fault:
         return "self_test_or_emergency"
-    if quality.clipped > rule.clipped_share and not quality.hunting.sustained:
+    explained = quality.hunting.sustained or quality.blows.sustained or window.start_ns in hunted
+    if quality.clipped > rule.clipped_share and not explained:
         return "clipping"
     if quality.invalid > rule.invalid_share:
         return "invalid_values"
@@ -81,7 +96,11 @@ def faulty(rule: SensorFaultRule, window: WindowRecord) -> str:
 
 
 def sensor_fault_finding(
-    rule: SensorFaultRule, wheelset: str, windows: Sequence[WindowRecord], measured_ns: int
+    rule: SensorFaultRule,
+    wheelset: str,
+    windows: Sequence[WindowRecord],
+    measured_ns: int,
+    hunted: frozenset[int] = frozenset(),
 ) -> Finding:
     """Return the finding of the latest windows on the sensor.
 
@@ -98,9 +117,11 @@ def sensor_fault_finding(
         Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
     measured_ns
         Used where there is no window.
+    hunted
+        Starts of windows in which a wheelset of the vehicle hunts.
     """
     latest = newest_windows(windows, rule.latest_windows)
-    reasons = [r for r in (faulty(rule, w) for w in latest) if r]
+    reasons = [r for r in (faulty(rule, w, hunted) for w in latest) if r]
     n, k = len(latest), len(reasons)
     enough = n >= rule.minimum_windows
     over = float(1.0 - betainc(k + 1, n - k + 1, rule.raise_share))

@@ -56,13 +56,15 @@ def facts_of(
     step = step_of(trend, wheelset)
     conicities = behind_step(_conicities(unit, wheelset, mounting.from_ns), step)
     around = StepSurroundings() if step is None else surroundings(unit, wheelset, mounting.vehicle, conicities)
+    windows = _latest_windows(unit, wheelset.serial, mounting.from_ns, *windows_wanted(book))
     return WheelsetFacts(
         wheelset=wheelset,
         vehicle=vehicle,
         geometry=unit.geometries.current(wheelset.serial),
         trend=trend,
         step_surroundings=around,
-        windows=_latest_windows(unit, wheelset.serial, mounting.from_ns, *windows_wanted(book)),
+        windows=windows,
+        hunted=hunted_beside(unit, mounting.vehicle, windows),
         intervals=_newest(unit, wheelset.serial, conicities, book),
         conicities=conicities,
         open_alerts=alerts,
@@ -78,6 +80,22 @@ def _profiles_measured_km(unit: UnitOfWork, wheelset: WheelsetRecord) -> float |
     newest = unit.registry.newest_measurement(wheelset.serial)
     turned_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
     return None if newest is None or (turned_ns is not None and newest[0] < turned_ns) else newest[1]
+
+
+def hunted_beside(unit: UnitOfWork, vehicle: str, windows: Sequence[WindowRecord]) -> frozenset[int]:
+    """Return in which windows a wheelset of the vehicle hunts; empty where nothing clips that it could explain.
+
+    Parameters
+    ----------
+    unit
+        Windows are read.
+    vehicle
+        Its code.
+    windows
+        Of a wheelset.
+    """
+    clipped = [window.start_ns for window in windows if window.quality.clipped > 0.0]
+    return unit.windows.hunted(vehicle, min(clipped)) if clipped else frozenset()
 
 
 def _conicities(unit: UnitOfWork, wheelset: WheelsetRecord, since_ns: int) -> Sequence[IntervalConicities]:

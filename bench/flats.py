@@ -1,0 +1,48 @@
+"""Wheel flats: ``python -m bench flats [--wheelsets 320] [--first-seed 100] [--write-docs]``.
+
+Wheelsets of drawn class, wear, speed and vibration run for a minute each on drawn track. Every one is measured without
+a flat, with flats of several sizes, and with what resembles flats: joints, switches, wheels with polygons, flange
+contact. The window is judged as ingest judges it (``flats_case``). Constants were chosen on seed 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from bench.flats_case import Judged, judged_windows
+from bench.flats_table import HEADER, TITLE, bench_rows, page_body, table
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run what was asked for; return 1 when a row falls short.
+
+    Parameters
+    ----------
+    arguments
+        Of the command line.
+    """
+    options = _options(arguments)
+    console, found, seed = Console(width=None if Console().is_terminal else 200), list[Judged](), options.first_seed
+    while len({one.window for one in found}) < options.wheelsets:
+        found += judged_windows(seed)
+        seed += 1
+    rows = list(bench_rows(found))
+    for cells in (HEADER, *table(found), *(row.cells for row in rows)):
+        console.print("  ".join(cells), highlight=False, soft_wrap=True)
+    if options.write_docs:
+        from bench.results_page import write_page  # noqa: PLC0415 - only where it is asked for
+
+        page = write_page("flats", TITLE, "python -m bench flats --write-docs", page_body(found))
+        console.print(f"wrote {page}", highlight=False)
+    return 0 if all(row.met for row in rows) else 1
+
+
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench flats", description=__doc__)
+    parser.add_argument("--wheelsets", type=int, default=320, help="windows of wheelsets (default: 320)")
+    parser.add_argument("--first-seed", type=int, default=100, help="seeds go up from here (default: 100)")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/results/flats.md")
+    return parser.parse_args(arguments)
