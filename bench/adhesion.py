@@ -1,9 +1,10 @@
 """Creep forces and friction: ``python -m bench adhesion [--seeds 0-2] [--rows low,...] [--out FILE] [--write-docs]``.
 
 Every row is a scenario file in ``bench/adhesion_scenarios``; every seed of it is simulated and estimated by the pure
-functions that the jobs use (``adhesion_case``). ``wrong_file`` stands for the rows of ``adhesion_wrong``. Results are
-appended to ``--out`` after every case, a line of JSON each, and what is there is not run again. The passes of each case
-stay in ``--sums``: ``--again`` pools them, which judges a change of pooling or decision in seconds.
+functions that the jobs use (``adhesion_case``). ``wrong_file`` stands for the rows of ``adhesion_wrong``,
+``quiet_rows`` for those of ``adhesion_quiet``. Results are appended to ``--out`` after every case, a line of JSON each,
+and what is there is not run again. The passes of each case stay in ``--sums``: ``--again`` pools them, which judges a
+change of pooling or decision in seconds.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from bench.adhesion_quiet import QUIET, as_seen, quiet_scenario
 from bench.adhesion_stored import path_of, read_passes, write_passes
 from bench.adhesion_table import CHOICE_COLUMNS, FRICTION_COLUMNS, choice_rows, friction_rows, summary
 from bench.adhesion_wrong import OF, ONE, WRONG, as_on_file, first_vehicle, with_others
@@ -28,9 +30,9 @@ from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
 
 SCENARIOS = Path(__file__).parent / "adhesion_scenarios"
-FILES = tuple(sorted(path.stem for path in SCENARIOS.glob("*.toml")))
-ROWS = (*FILES, *WRONG, *ONE)  # a row of one vehicle comes behind those that it is put together from
-GROUPS = {"wrong_file": (*WRONG, *ONE)}
+FILES = tuple(sorted({path.stem for path in SCENARIOS.glob("*.toml")} - set(QUIET)))
+ROWS = (*FILES, *QUIET, *WRONG, *ONE)  # a row of one vehicle comes behind those that it is put together from
+GROUPS = {"wrong_file": (*WRONG, *ONE), "quiet_rows": tuple(QUIET)}
 TITLE = "Creep forces and friction"
 COLUMNS = ("what", "measured", "reach", "met")
 
@@ -90,10 +92,16 @@ def _cases(rows: Sequence[str], seed: int, sums: Path) -> Iterator[dict[str, Any
     from bench.adhesion_case import score, vehicle_km  # noqa: PLC0415 - compiled code is loaded where it runs
     from bench.adhesion_fleet import simulate  # noqa: PLC0415 - as above
 
+    for row in rows:
+        if row in QUIET:
+            quiet = as_seen(simulate(with_seed(quiet_scenario(SCENARIOS, QUIET[row]), seed)), QUIET[row])
+            yield score(quiet, row, sums, left_out_too=False).as_json()
     for file in FILES:
         own = [row for row in rows if row == file or (file == OF and row in WRONG | ONE)]
-        fleet = simulate(with_seed(load_scenario(SCENARIOS / f"{file}.toml"), seed)) if own else None
-        for row in own if fleet is not None else ():
+        if not own:
+            continue
+        fleet = simulate(with_seed(load_scenario(SCENARIOS / f"{file}.toml"), seed))
+        for row in own:
             if row in ONE:
                 case = score(as_on_file(first_vehicle(fleet), ONE[row]), row, sums, left_out_too=False).as_json()
                 yield case | _with_others(row, seed, sums) | {"vehicle_km": vehicle_km(fleet)}

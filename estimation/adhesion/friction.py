@@ -3,9 +3,10 @@
 Over all passes of a place c the sum of squares of e - a_w x - b_v q - g(mu_c) is least. a_w is what the slope of the
 curve of a wheelset is off by; b_v, common to all places of a vehicle, is by how much its linear creep differs from that
 of its class: known beforehand with the std of creep coefficient and yaw spring, and of what the filter makes of the
-moment. What no b explains is saturation, whose share of the creep grows with the force. Of a place 1/mu is known
-beforehand as ``usual`` with a wide std: on the whole the rails are as rails are, which is what b is measured against.
-With a and b known, what the passes say of each place is put together along the track (``along_track``).
+moment, and measured against usual rails (``creep_levels``). What no b explains is saturation, whose share of the creep
+grows with the force. Of a place 1/mu is known beforehand as ``usual`` with a wide std. With a and b known, what the
+passes say of each place, and what all of them have wrong (``place_errors``), is put together along the track
+(``along_track``).
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from estimation.adhesion.along_track import Along, AlongParameters, along_track
+from estimation.adhesion.creep_levels import RailsBefore, creep_levels
 from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.pass_sums import PassSums, pass_sums
+from estimation.adhesion.place_errors import common_std
 from estimation.adhesion.scales import Agreed, contradicting
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.arrays import FloatArray
@@ -37,16 +40,19 @@ class FrictionParameters:
     """When friction is published, and when it is low."""
 
     low: float = 0.15  # limit of low adhesion
-    likely: float = 0.6  # probability of a friction below the limit from which a place has low adhesion
+    likely: float = 0.45  # probability of a friction below the limit from which a place has low adhesion
     at_ends: float = 0.3  # the same of the places around it, to which its stretch reaches
+    certain: float = 0.9  # that probability where a vehicle is alone, and from which samples are left out elsewhere
+    fewest_vehicles: int = 2  # that agree, where the probability is less
     fewest_passes: int = 3  # of wheelsets
     creep_error_std: float = 0.1  # of b, relative
     usual: float = 3.3  # 1/mu of rails that nothing is known of: a friction of 0.3
-    usual_std: float = 3.0  # of it
-    most_usual: float = 5.0  # 1/mu of places that show b: where creep is far from linear its law matters more
+    usual_std: float = 3.0  # of it, at a place
+    most_usual: float = 6.7  # 1/mu of a place that is usual yet
+    level_std: float = 1.0  # of it, of the middle one of all places of a section
     law_std: float = 0.1  # of 1/mu, relative: creep laws differ
     file: FileErrors = field(default_factory=FileErrors)  # what file and sensors leave open of all vehicles alike
-    track_std: float = 0.45  # of 1/mu of a place: the error of the alignment is the same in all passes
+    track_std: float = 0.45  # of 1/mu of a place, at least: the error of the alignment is the same in all passes
     smoothed_std: float = 1.0  # the same of what forces have lost with the vibration of axle boxes
     change_std: float = 0.2  # of the logarithm of 1/mu from a place to the next
     fresh: float = 0.05  # share of places whose friction has nothing to do with that of the place before
@@ -76,9 +82,15 @@ def section_adhesion(
     if not cells:
         return None
     starts = [one.start_ns for one in known]
-    stretches = low_stretches(cells, parameters)
     return SectionAdhesion(
-        track_section, min(starts), max(starts), len(_staying(known, left_out)), cells, stretches, left_out
+        track_section,
+        min(starts),
+        max(starts),
+        len(_staying(known, left_out)),
+        cells,
+        low_stretches(cells, parameters),
+        left_out,
+        certain_stretches(cells, parameters),
     )
 
 
@@ -117,7 +129,7 @@ def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) ->
     along = _along(sums, found, left, scatter, parameters)
     slope = _slope(sums, along.mean)
     by_creep, by_scale = found.creep_std * slope, parameters.file.creep_std * _everywhere(slope, along.mean, parameters)
-    smoothed = sums.by_place(sums.smoothed) > 0.0
+    smoothed, vehicles = sums.by_place(sums.smoothed) > 0.0, sums.vehicles_of_places
     places = zip(sums.cells, sums.counts, left, strict=True)
     found_here = (
         _cell(
@@ -129,7 +141,8 @@ def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) ->
         )
         for c, (cell, n, own) in enumerate(places)
     )
-    return tuple(_two_sided(one) if smoothed[c] else one for c, one in enumerate(found_here))
+    counted = (replace(one, vehicles=int(vehicles[c])) for c, one in enumerate(found_here))
+    return tuple(_two_sided(one) if smoothed[c] else one for c, one in enumerate(counted))
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,24 +154,25 @@ class _Solution:
     slope: FloatArray  # (w,) a
     noise: float  # m2: variance of e times the samples that say as much as one
     creep_std: float  # that a b of all vehicles is left
+    common_std: FloatArray  # (c,) of 1/mu: by what all passes of a place have wrong
 
 
 def _solved(sums: PassSums, parameters: FrictionParameters) -> _Solution:
     """Return 1/mu of the places, b of the vehicles, a of the wheelsets, and the noise, in turn until they hold."""
-    creep, slope = np.zeros(int(sums.vehicle.max()) + 1), np.zeros(int(sums.wheelset.max()) + 1)
-    inverse = np.full(len(sums.cells), parameters.usual)
+    creep, slope = np.zeros(len(sums.vehicles)), np.zeros(len(sums.wheelsets))
+    before = RailsBefore(parameters.usual, parameters.level_std, parameters.creep_error_std)
     noise = sums.squares[:, 0].sum() / len(sums.place)
+    inverse, common = np.full(len(sums.cells), parameters.usual), np.zeros(len(sums.cells))
     for _ in range(parameters.rounds):
+        level = creep_levels(sums, slope, inverse > parameters.most_usual + common, before)
+        creep = level.creep
         inverse = _least(sums.by_place(_misfits(sums, creep, slope, noise, parameters)))
         at = sums.at(inverse)
         noise = _noise(sums, at, creep, slope)
-        usual = (inverse < parameters.most_usual)[sums.place]
-        left = (sums.squares[:, 1] - at[2] - slope[sums.wheelset] * sums.squares[:, 4]) * usual
-        own = np.bincount(sums.vehicle, sums.squares[:, 2] * usual) + noise / parameters.creep_error_std**2
-        creep = np.bincount(sums.vehicle, left) / own
         left = sums.squares[:, 3] - at[3] - creep[sums.vehicle] * sums.squares[:, 4]
         slope = np.bincount(sums.wheelset, left) / (np.bincount(sums.wheelset, sums.squares[:, 5]) + TINY)
-    return _Solution(inverse, creep, slope, noise, _creep_std(sums, inverse, noise, parameters))
+        common = common_std(sums, inverse, creep, slope, parameters.usual)
+    return _Solution(inverse, creep, slope, noise, level.std, common)
 
 
 def _noise(sums: PassSums, at: FloatArray, creep: FloatArray, slope: FloatArray) -> float:
@@ -170,14 +184,6 @@ def _noise(sums: PassSums, at: FloatArray, creep: FloatArray, slope: FloatArray)
     left = ge - gg - creep[sums.vehicle] * gq - slope[sums.wheelset] * gx
     there = gg > 0.0
     return float(np.median(left[there] ** 2 / gg[there]) / MEDIAN_SQUARE) if there.any() else 0.0
-
-
-def _creep_std(sums: PassSums, inverse: FloatArray, noise: float, parameters: FrictionParameters) -> float:
-    """Return the std of a b that all vehicles share, every 1/mu unknown: about 1/mu, g is in proportion to it."""
-    _, gg, gq, _ = sums.by_place(sums.at(inverse).T).T
-    own = gg / inverse**2 + noise / parameters.usual_std**2
-    left = sums.squares[:, 2].sum() - ((gq / inverse) ** 2 / own).sum()
-    return float(1.0 / np.sqrt(max(left, 0.0) / noise + 1.0 / parameters.creep_error_std**2))
 
 
 def _misfits(
@@ -235,7 +241,8 @@ def _along(
     """Return 1/mu of the places, each from all; passes that scatter by more than the noise say less of their place."""
     widened = (left / np.maximum(scatter, left)) ** 2
     misfits = sums.by_place(_own_misfits(sums, found.creep, found.slope))
-    place_std = np.hypot(parameters.track_std, parameters.smoothed_std * sums.by_place(sums.smoothed) / sums.counts)
+    smoothed = parameters.smoothed_std * sums.by_place(sums.smoothed) / sums.counts
+    place_std = np.hypot(np.maximum(parameters.track_std, found.common_std), smoothed)
     known = AlongParameters(parameters.usual, parameters.usual_std, parameters.change_std, parameters.fresh)
     return along_track(sums.cells, misfits * widened[:, None] / max(found.noise, TINY), place_std, known)
 
@@ -248,7 +255,7 @@ def _slope(sums: PassSums, inverse: FloatArray) -> FloatArray:
 
 def _everywhere(slope: FloatArray, inverse: FloatArray, parameters: FrictionParameters) -> FloatArray:
     """Return by how much 1/mu (c,) falls as the scale of a sensor makes a b: at every friction as at usual places."""
-    usual = slope[inverse < parameters.most_usual]
+    usual = slope[inverse < 1.0 / parameters.low]
     return np.maximum(slope, np.median(usual)) if len(usual) else slope
 
 
@@ -299,8 +306,8 @@ def _two_sided(found: CellFriction) -> CellFriction:
 def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters) -> tuple[tuple[float, float], ...]:
     """Return where friction is low: (begin, end) in m of adjoining places, in order of distance.
 
-    One place of a stretch, at least, is likely to be low; the stretch reaches as far as that is not unlikely. One other
-    place may be between.
+    One place of a stretch, at least, is likely to be low by what vehicles agree on, or near to certain by what one
+    shows; the stretch reaches as far as that is not unlikely. One other place may be between.
 
     Parameters
     ----------
@@ -310,13 +317,38 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
         The probabilities from which places count.
     """
     reached = min(parameters.at_ends, parameters.likely)
-    found: list[tuple[float, float, float]] = []
+    found: list[tuple[float, float, bool]] = []
     for one in cells:
         if one.friction.value is None or one.low_probability < reached:
             continue
+        agreed = one.vehicles >= parameters.fewest_vehicles
+        shows = one.low_probability >= (parameters.likely if agreed else max(parameters.likely, parameters.certain))
         if found and one.from_m - found[-1][1] <= CELL_LENGTH:
-            begin, _, likeliest = found.pop()
-            found.append((begin, one.to_m, max(likeliest, one.low_probability)))
+            begin, _, before = found.pop()
+            found.append((begin, one.to_m, before or shows))
         else:
-            found.append((one.from_m, one.to_m, one.low_probability))
-    return tuple((begin, end) for begin, end, likeliest in found if likeliest >= parameters.likely)
+            found.append((one.from_m, one.to_m, shows))
+    return tuple((begin, end) for begin, end, shows in found if shows)
+
+
+def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters) -> tuple[tuple[float, float], ...]:
+    """Return where friction is certainly low: (begin, end) in m of adjoining places, in order of distance.
+
+    A vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own.
+
+    Parameters
+    ----------
+    cells
+        Of one section, in order of distance.
+    parameters
+        The probability from which a place is certain.
+    """
+    certain = max(parameters.certain, parameters.likely)
+    found: list[tuple[float, float]] = []
+    for one in cells:
+        agreed = one.vehicles >= parameters.fewest_vehicles and one.friction.value is not None
+        if not agreed or one.low_probability < certain:
+            continue
+        begin = found.pop()[0] if found and found[-1][1] == one.from_m else one.from_m
+        found.append((begin, one.to_m))
+    return tuple(found)

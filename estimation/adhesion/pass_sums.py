@@ -15,7 +15,8 @@ from estimation.values.arrays import FloatArray, IntArray, frozen_array
 class PassSums:
     """n entries at c places, of v vehicles and w wheelsets."""
 
-    squares: FloatArray  # (n, 6) as in ``FrictionSums``
+    samples: FloatArray  # (n,) as in ``FrictionSums``
+    squares: FloatArray  # (n, 6)
     saturated: FloatArray  # (n, 4, k)
     place: IntArray  # (n,) index of the place, rising
     vehicle: IntArray  # (n,) index
@@ -29,6 +30,7 @@ class PassSums:
         n = len(self.place)
         object.__setattr__(self, "squares", frozen_array(self.squares, (n, 6), name="squares"))
         object.__setattr__(self, "saturated", frozen_array(self.saturated, (n, 4, len(INVERSE)), name="saturated"))
+        object.__setattr__(self, "samples", frozen_array(self.samples, (n,), name="samples"))
         object.__setattr__(self, "smoothed", frozen_array(self.smoothed, (n,), name="smoothed"))
         for name in ("place", "vehicle", "wheelset"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), np.int64, name=name))
@@ -38,6 +40,12 @@ class PassSums:
     def counts(self) -> IntArray:
         """How many passes there are of each place, (c,)."""
         return np.bincount(self.place, minlength=len(self.cells)).astype(np.int64)
+
+    @property
+    def vehicles_of_places(self) -> IntArray:
+        """How many vehicles have passed each place, (c,)."""
+        passed = np.unique(self.place * len(self.vehicles) + self.vehicle) // len(self.vehicles)
+        return np.bincount(passed, minlength=len(self.cells)).astype(np.int64)
 
     def by_place(self, values: FloatArray) -> FloatArray:
         """Return the sums of values of entries, (n,) or (n, k), over each place, (c,) or (c, k).
@@ -94,6 +102,7 @@ def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
     vehicles, vehicle = np.unique([one.vehicle for one, _ in known], return_inverse=True)
     wheelsets, wheelset = np.unique([one.wheelset for one, _ in known], return_inverse=True)
     return PassSums(
+        np.concatenate([sums.samples for _, sums in known])[order],
         np.concatenate([sums.squares for _, sums in known])[order],
         np.concatenate([sums.saturated for _, sums in known])[order],
         place[order],

@@ -1,8 +1,9 @@
 """Job: creep forces of windows, the dampers above them, friction of sections, and alerts of low adhesion.
 
 Each window is read once, after its wheelset has a geometry. The windows of a section that were looked at are pooled
-with those of the hours before; where the stretches of low friction have changed, the windows on them are estimated
-again without. The newest hours decide on the alert.
+with those of the hours before; where the stretches of certainly low friction have changed, the windows on them and
+their geometries are estimated again, in the same run. What a window says of friction stays what it said: a second run
+finds nothing new. The newest hours decide on the alert.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from estimation.adhesion.left_out import touched
 from estimation.alerts.life_cycle import close
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
 from estimation.alerts.section_alerts import section_transition
+from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns, section_length
@@ -58,6 +60,9 @@ def run(context: JobContext) -> Mapping[str, int]:
     if NO_SECTION in news:
         done[NO_SECTION] = news[NO_SECTION]
     note_sections(context, STAGE, done)
+    if counts["estimated_again"]:
+        estimate_windows.run(context)
+        refresh_geometry.run(context)
     counts["quarantined"] = isolation.quarantined
     return counts
 
@@ -106,10 +111,10 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
         return {}
     pooled = _Pooled(found, passes, fleets)
     with context.storage.write() as unit:
-        before = _low_stretches(unit, section, passes)
+        before = _certain_stretches(unit, section, passes)
         if not unit.adhesion.put_section(found, context.code_version, context.clock.now_ns()):
             return {}
-        after = _low_stretches(unit, section, passes)
+        after = _certain_stretches(unit, section, passes)
         again = [one for one in passes if touched(one, before[one.start_ns]) != touched(one, after[one.start_ns])]
         marks = [WindowMark(*one.key, WindowState.PENDING) for one in _estimated(unit, again)]
         unit.windows.mark_all(marks)
@@ -119,10 +124,10 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
     return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
 
 
-def _low_stretches(unit: UnitOfWork, section: str, passes: Sequence[WindowAdhesion]) -> Mapping[int, Stretches]:
-    """Return the stretches of low friction of a section at the times of its passes."""
+def _certain_stretches(unit: UnitOfWork, section: str, passes: Sequence[WindowAdhesion]) -> Mapping[int, Stretches]:
+    """Return the stretches of certainly low friction of a section at the times of its passes."""
     found = {start_ns: unit.adhesion.section(section, start_ns) for start_ns in {one.start_ns for one in passes}}
-    return {start_ns: () if one is None else one.low_stretches for start_ns, one in found.items()}
+    return {start_ns: () if one is None else one.certain_stretches for start_ns, one in found.items()}
 
 
 def _estimated(unit: UnitOfWork, passes: Sequence[WindowAdhesion]) -> Sequence[WindowAdhesion]:

@@ -92,6 +92,7 @@ class CellFriction:
     at_least: float  # lower end of the 95 % interval, 0 where nothing is known
     low_probability: float  # of a friction below the limit, 0 to 1
     passes: int  # of wheelsets
+    vehicles: int = 0  # whose wheelsets they are
 
     @property
     def from_m(self) -> float:
@@ -124,3 +125,6 @@ class SectionAdhesion:
     cells: tuple[CellFriction, ...]  # places that were passed, in order of distance
     low_stretches: tuple[tuple[float, float], ...]  # m, begin and end of where friction is low
     left_out: tuple[LeftOut, ...] = ()  # whose passes contradict those of the others: nothing here rests on them
+    certain_stretches: tuple[
+        tuple[float, float], ...
+    ] = ()  # m, where friction is so surely low that no geometry has it

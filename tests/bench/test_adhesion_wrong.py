@@ -7,6 +7,7 @@ import pytest
 
 from bench.adhesion import FILES, GROUPS, ROWS, SCENARIOS
 from bench.adhesion_fleet import GOOD, Fleet, SensedWindow, TrueForces, class_of
+from bench.adhesion_quiet import QUIET
 from bench.adhesion_stored import StoredPasses
 from bench.adhesion_table import LEAST_HELD, friction_rows, summary
 from bench.adhesion_wrong import OF, ONE, WRONG, WrongFile, as_on_file, first_vehicle, with_others
@@ -55,8 +56,8 @@ def _sensed(vehicle: str) -> SensedWindow:
 
 
 def test_rows_are_known_by_name_and_as_a_group() -> None:
-    assert (*FILES, *WRONG, *ONE) == ROWS
-    assert {"wrong_file": (*WRONG, *ONE)} == GROUPS
+    assert (*FILES, *QUIET, *WRONG, *ONE) == ROWS
+    assert {"wrong_file": (*WRONG, *ONE), "quiet_rows": tuple(QUIET)} == GROUPS
     assert OF in FILES
     assert LEAST_HELD == 0.92
 

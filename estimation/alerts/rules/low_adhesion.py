@@ -24,7 +24,7 @@ class LowAdhesionRule(AlertRule):
     limit_unit: ClassVar[str] = "1"
 
     raise_friction: Friction = 0.15
-    raise_probability: Probability = 0.6
+    raise_probability: Probability = 0.45
     pooled_hours: Hours = 6.0
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - friction is no fact of a wheelset

@@ -26,7 +26,7 @@ class WindowInputs:
     assumed: Assumed | Reason  # of its vehicle
     mounting: Mounting | None  # at its begin
     partner: str | None  # digest of the window on the other axle of the bogie
-    low_adhesion: tuple[tuple[float, float], ...] = ()  # m, stretches of its section that had little friction then
+    low_adhesion: tuple[tuple[float, float], ...] = ()  # m, stretches of its section that surely had little friction
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: 
 def _low_adhesion(
     unit: UnitOfWork, records: Sequence[WindowRecord]
 ) -> Mapping[WindowKey, tuple[tuple[float, float], ...]]:
-    """Return where the sections of windows had little friction at their times, m: one statement for each section."""
+    """Return where the sections of windows surely had little friction, m: one statement for each section."""
     found: dict[WindowKey, tuple[tuple[float, float], ...]] = {}
     for section in sorted({record.track_section for record in records} - {None}, key=str):
         own = [record for record in records if record.track_section == section]
@@ -116,7 +116,7 @@ def _low_adhesion(
         for record in own:
             hours = (one for one in known if one.from_ns <= record.start_ns <= one.to_ns)
             newest = next(hours, None)
-            found[record.key] = () if newest is None else newest.low_stretches
+            found[record.key] = () if newest is None else newest.certain_stretches
     return found
 
 

@@ -21,11 +21,13 @@ from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.friction import FrictionParameters
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
-from estimation.jobs import evaluate_alerts, refresh_adhesion
+from estimation.jobs import refresh_adhesion
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.section_replay import section_replayed
 from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends
+from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.steps.window_inputs import inputs_of_batch
 from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import AlertEventKind, AlertScope
 from estimation.values.quantities import Status
@@ -85,7 +87,7 @@ def test_the_alert_is_in_the_feed_after_one_run(deployed: Deployed) -> None:
     assert alert.fleet == deployed.scenario.fleet_code
 
 
-def test_every_window_has_forces_and_is_estimated_again_without_low_friction(deployed: Deployed) -> None:
+def test_every_window_has_forces_and_none_waits(deployed: Deployed) -> None:
     with deployed.storage.read() as unit:
         windows = [record for one in unit.registry.wheelsets() for record in unit.windows.list(one.serial)]
         for record in windows:
@@ -97,7 +99,7 @@ def test_every_window_has_forces_and_is_estimated_again_without_low_friction(dep
             assert found.yaw_creep.value is not None
             assert 300.0 < found.yaw_creep.value < 8000.0
             assert found.sums is not None
-    assert {record.state for record in windows} >= {WindowState.PENDING}
+    assert not [record for record in windows if record.state is WindowState.PENDING]
 
 
 def asked(settings: Settings, paths: tuple[str, ...]) -> list[Any]:
@@ -160,22 +162,37 @@ def test_as_few_spans_as_hold_all_times_are_pooled() -> None:
     assert pool_ends([], 8) == []
 
 
-def test_later_runs_leave_low_friction_out_and_then_rest(deployed: Deployed) -> None:
-    """It changes the store: what is behind it sees that."""
-    run_jobs(deployed.context, ALL_JOBS)
+def everything(deployed: Deployed) -> dict[str, object]:
+    """Return what is published of the fleet: windows, geometries, friction and alerts."""
+    with deployed.storage.read() as unit:
+        serials = [one.serial for one in unit.registry.wheelsets()]
+        found: dict[str, object] = {"events": unit.alerts.feed(0, 1000), "section": section_of(deployed)}
+        for serial in serials:
+            current = unit.geometries.current(serial)
+            found[serial] = (
+                None if current is None else (current.input_digest, current.recorded_ns, current.geometry.conicity),
+                [(record.key, record.state, record.reason) for record in unit.windows.list(serial)],
+                unit.adhesion.of_wheelset(serial, None, 1000) != [],
+            )
+    return found
+
+
+def test_one_run_leaves_certainly_low_friction_out_and_a_second_one_changes_nothing(deployed: Deployed) -> None:
+    found, before = section_of(deployed), everything(deployed)
+    assert found.certain_stretches
+    for begin, end in found.certain_stretches:
+        assert any(first <= begin and end <= behind for first, behind in found.low_stretches)
     with deployed.storage.read() as unit:
         windows = [record for one in unit.registry.wheelsets() for record in unit.windows.list(one.serial)]
-        events = len(unit.alerts.feed(0, 100))
-    assert not [record for record in windows if record.state is WindowState.PENDING]
-    refused = [record.reason.code for record in windows if record.reason is not None]
-    assert set(refused) <= {ReasonCode.LOW_ADHESION, ReasonCode.TOO_FEW_SAMPLES}
-    before = section_of(deployed)
+        for one in windows:
+            read = inputs_of_batch(unit, [one], ClassLookup(unit, deployed.context.settings.estimation)).of(one.key)
+            assert read.low_adhesion == found.certain_stretches
+    refused = {record.reason.code for record in windows if record.reason is not None}
+    assert refused <= {ReasonCode.LOW_ADHESION, ReasonCode.TOO_FEW_SAMPLES}
+    run_jobs(deployed.context, ALL_JOBS)
+    assert everything(deployed) == before
     run = run_job(refresh_adhesion.JOB, deployed.context, JobTrigger.CLI)
     assert (run.error, run.counts["windows"], run.counts["sections"]) == (None, 0, 0)
-    run_jobs(deployed.context, [evaluate_alerts.JOB])
-    assert section_of(deployed) == before
-    with deployed.storage.read() as unit:
-        assert len(unit.alerts.feed(0, 100)) == events
 
 
 def test_every_time_stays_in_some_hours_and_few_are_kept(deployed: Deployed) -> None:
