@@ -146,8 +146,13 @@ def _sensors_of_bogie(vehicle_class: VehicleClass) -> tuple[float, float, float]
 
 
 def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings | None:
-    """Return what has been found on ``track``; windows on a recording do not wait for findings of their wheelset."""
+    """Return what has been found on ``track``; windows on a recording do not wait for findings of their wheelset.
+
+    Where no gauge moves wheelsets, what has been found is of vehicles alone.
+    """
     if track.findings is None or wheelset is None or track.source != AlignmentSource.RECORDED:
+        return track.findings
+    if not track.findings.gauge_shifts:
         return track.findings
     return track.findings if wheelset in track.findings.gauge_shifts else None
 

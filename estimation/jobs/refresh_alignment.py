@@ -31,13 +31,11 @@ from estimation.jobs.steps.store_alignment import (
     survey_checked,
 )
 from estimation.jobs.steps.vehicle_classes import ClassLookup
-from estimation.jobs.steps.window_positions import Solved, largest_shift
+from estimation.jobs.steps.window_positions import Solved
 from estimation.storage import UnitOfWork
-from estimation.track.iteration import Grouped
 from estimation.track.journeys import NANOSECONDS, Journey
 from estimation.track.partition import Entry, Group, first_epoch, newest_within
 from estimation.track.placing import place_alone
-from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, update_alignment
 from estimation.values.quarantine import SubjectKind
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
@@ -276,7 +274,7 @@ def _compute(context: JobContext, due: Due, counts: Counter[str]) -> bool:
     solved, known = _solve(context, due, chosen, alignment, checked=survey_checked(due.before.survey))
     parts, alone = [solved], dict[Journey, Correction]()
     if alignment is not None and is_hardly_another(base, solved.update, settings):
-        alone = place_alone(due.section, _to_place(solved, settings), alignment, settings.section, known.curves)
+        alone = place_alone(due.section, solved.update.estimate.grouped, alignment, settings.section, known.curves)
     if not solved.update.outcome.windows_wait:
         while rest:
             chosen, rest = newest_within(rest, settings.most_windows, settings.most_wheelsets)
@@ -289,13 +287,6 @@ def _compute(context: JobContext, due: Due, counts: Counter[str]) -> bool:
         counts["windows"] += len(due.own)
         counts["passes"] += sum(len(part.passes.found) for part in parts)
     return stored
-
-
-def _to_place(solved: Solved, settings: AlignmentSettings) -> Grouped:
-    """Return the passes, by journey, whose positions are to be corrected: on a survey where they are far off alone."""
-    estimate, valid = solved.update.estimate, solved.update.outcome.positions_valid
-    far = {journey for journey, one in estimate.corrections.items() if largest_shift(one) > settings.trusted_offset}
-    return {journey: members for journey, members in estimate.grouped.items() if journey in far or not valid}
 
 
 def _solve(

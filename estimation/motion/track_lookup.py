@@ -50,7 +50,24 @@ def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength:
 
 @lru_cache(maxsize=2 * TRACKS)
 def _curve(track: TrackAlignment, *, as_it_is: bool) -> SampledCurve:
-    return SampledCurve(track.s, track.alignment if as_it_is else deconvolved(track))
+    return SampledCurve(track.s, _certain(track) if as_it_is else deconvolved(track))
+
+
+UNCERTAIN_STD = 0.25e-3  # m, of an alignment at a place from which on it is left out, where most of it is far better:
+UNCERTAIN_TIMES = 3.0  # times the median
+
+
+def _certain(track: TrackAlignment) -> FloatArray:
+    """Return the alignment (n,), m, NaN where it is far less certain than elsewhere: it would blur what the rest shows.
+
+    So it is at the places of a survey that no pass has made better.
+    """
+    if not (track.passes > 0).any():
+        return track.alignment
+    most = max(UNCERTAIN_STD, UNCERTAIN_TIMES * float(np.nanmedian(track.alignment_std)))
+    with np.errstate(invalid="ignore"):
+        certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
+    return frozen_array(certain, (len(certain),), name="alignment")
 
 
 REGULARISATION = 0.03  # e: where F leaves less than about this, less is undone

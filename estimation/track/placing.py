@@ -15,6 +15,7 @@ from estimation.track.panel.basis import KnownBeforehand, Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
 from estimation.track.passes import Pass
+from estimation.track.position_std import shrunk
 from estimation.track.positions import correlate_positions
 from estimation.track.profile_life import ProfileLife
 from estimation.track.section_parameters import SectionParameters
@@ -65,4 +66,6 @@ def _placed(
     setting = Setting(alone, prior, anchored=True, parameters=p.iteration)
     start = correlate_positions(alone, panel.grid, p.positions, prior.alignment)
     found = first_rounds(setting, panel, start, std=False)
-    return found.corrections[journey] if found.moved < p.iteration.position_tolerance else None
+    if found.moved >= p.iteration.position_tolerance:
+        return None
+    return shrunk(found)[journey] if prior.surveyed else found.corrections[journey]

@@ -19,7 +19,6 @@ class AlignmentSettings:
     most_windows: int = 480  # of an epoch
     most_wheelsets: int = 48  # of an epoch, each life of a profile and mileage interval one
     pass_step: float = 0.2  # m, grid on which passes are kept
-    trusted_offset: float = 0.3  # m: positions on a surveyed section are used as they are up to this error
     measured_km: float = 1000.0  # mileage within which measured profiles are still those of a wheelset
     same_share: float = 1.0  # of its std by which an alignment may differ and still be the same
     same_least: float = 0.05e-3  # m, of a difference or a std that matters: the geometry does not change

@@ -35,6 +35,8 @@ UNITS = {
 }
 SAME_UNIT = 1.12  # a factor this near to that of a unit is that unit
 MEMORY = 60.0  # m: correlation length of a high-passed alignment
+WORTH_SHARE = 0.5  # of what is wrong with a survey that a fleet's alignment may be off by to replace it
+WORTH_STD = 0.3e-3  # m, that it may be off by at most
 NOT_ASSESSABLE = Reason(ReasonCode.SURVEY_NOT_ASSESSABLE, "the fleet does not know enough of the section")
 
 
@@ -114,6 +116,24 @@ def check_survey(
     if misplaced is not None:
         return _refused(found, misplaced)
     return found
+
+
+def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
+    """Return whether an alignment of the fleet is certain enough to stand for a survey that is wrong.
+
+    Parameters
+    ----------
+    fleet, survey
+        The alignments; they are compared at the wavelengths and places that the fleet knows.
+    """
+    both = _on_one_grid(survey, fleet)
+    if both is None:
+        return False
+    r, f, _, _ = both
+    compared = (r != 0.0) & (f != 0.0)
+    wrong = float(np.sqrt(np.mean((f - r)[compared] ** 2))) if compared.any() else 0.0
+    std = float(np.nanmedian(fleet.alignment_std))
+    return std < WORTH_STD and std < WORTH_SHARE * wrong
 
 
 def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[Reason]:

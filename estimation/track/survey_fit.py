@@ -20,6 +20,7 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.intervals import jackknife_std
 
 FEWEST_GROUPS = 4  # of blocks along the section
+MOST_ERROR_SHARE = 0.97  # of a survey's mean square that its own error may make up
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class SurveyFit:
     @property
     def scale(self) -> float:
         """Survey over truth: an error of the survey makes the factor too small, which is taken back."""
-        share = min((self.error / self.size) ** 2, 0.5) if self.size > 0.0 else 0.0
+        share = min((self.error / self.size) ** 2, MOST_ERROR_SHARE) if self.size > 0.0 else 0.0
         return (1.0 - share) / self.factor if self.factor != 0.0 else float("inf")
 
 

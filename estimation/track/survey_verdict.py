@@ -1,7 +1,9 @@
 """What the passes of a section say of its survey: right, wrong, or not to be decided.
 
 The passes decide by how well the survey explains them, with all that is uncertain left free: the curves of all
-wheelsets, stiffness ratios, the position of every journey, the survey's own error (``survey_fit``).
+wheelsets, stiffness ratios, the position of every journey, the survey's own error (``survey_fit``). A survey is refused
+where another scale, place or section is beyond what the passes themselves may be wrong by; short of that it is kept,
+and the doubt names who else may be wrong.
 """
 
 from __future__ import annotations
@@ -23,49 +25,73 @@ CONFIRMED = "agrees with what the fleet has measured"
 class VerdictLimits:
     """When a survey is right."""
 
-    least_explained: float = 0.5  # of what the curves leave of y
-    most_error: float = 0.5  # of the survey's size: beyond, it is worth no more than none
+    understated: float = 5.0  # times the std on file that a survey's errors may be, for it to be of this section
+    least_factor: float = 0.5  # of the factor that a survey with such errors has
     most_scale: float = 0.06  # by which a survey may be too large or too small, besides its std
-    widest_factor: float = 0.05  # std of the factor beyond which the passes do not know it
+    widest_factor: float = 0.1  # relative std of the factor beyond which the passes do not know it
     largest_shift: float = 3.0  # m, of all journeys, besides the uncertainty of their mean
     least_followed: float = 0.5  # share of y - d that the curves must explain for vehicles to follow their equations
     stds: float = 3.0  # that count as beyond doubt
+    slow: float = 0.9  # share that the curves explain below which passes may be at fault: slow, stiff or struck
+    few_journeys: int = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Witnesses:
+    """Who says so: what passes may be wrong by in common, which their scatter does not show."""
+
+    corrections: Mapping[Journey, Correction]
+    slope_std: float = 0.0  # relative, of all curves together
+
+    @property
+    def vehicles(self) -> int:
+        """How many vehicles have passed."""
+        return len({vehicle for vehicle, _ in self.corrections})
 
 
 @dataclass(frozen=True, slots=True)
 class SurveyVerdict:
     """``refused`` where the survey is wrong beyond doubt; without a reason nothing has been decided yet.
 
-    ``contradicted`` where something is wrong, but not what: nothing is estimated from such passes.
+    ``contradicted`` where something is wrong, but not what: nothing is estimated from such passes. ``harmless`` where
+    all that is wrong is its zero point, which the positions of journeys on it make up for. ``doubted_scale`` is the
+    relative scale error of a survey that is kept although the passes show one.
     """
 
     refused: bool
     reason: Reason | None
     contradicted: bool = False
+    harmless: bool = False
+    doubted_scale: float = 0.0
 
 
 def survey_verdict(
     fit: SurveyFit | None,
-    corrections: Mapping[Journey, Correction],
+    witnesses: Witnesses,
+    filed_std: float,
     *,
     converged: bool,
     limits: VerdictLimits | None = None,
 ) -> SurveyVerdict:
     """Return what the passes say of a survey.
 
+    Its errors, however large, are no reason to refuse it: they are learnt, and it counts by them.
+
     Parameters
     ----------
     fit
         How well it explains them; None where too little of it was passed.
-    corrections
-        Of the journeys that were placed on it.
+    witnesses
+        Journeys that were placed on it, and what their curves leave open.
+    filed_std
+        Of the survey, m, as on file.
     converged
         Whether positions and stiffness ratios have converged: until then nothing but another section is refused.
     limits
         When a survey is right.
     """
     p = limits or VerdictLimits()
-    if fit is None or not fit.factor_std <= p.widest_factor:
+    if fit is None or not np.isfinite(fit.factor_std):
         return SurveyVerdict(refused=False, reason=_open("the passes do not cover enough of the section"))
     if fit.followed < p.least_followed:
         text = (
@@ -73,7 +99,7 @@ def survey_verdict(
             " on this survey; which of parameters, survey and positions is wrong is open"
         )
         return SurveyVerdict(refused=False, reason=Reason(ReasonCode.MODEL_CONTRADICTED, text), contradicted=True)
-    if fit.explained < p.least_explained and fit.error > p.most_error * fit.size:
+    if _unrelated(fit, filed_std, p):
         text = (
             f"it explains {fit.explained:.0%} of what the curves leave of the passes,"
             f" and differs from them by {1e3 * fit.error:.2f} mm of its {1e3 * fit.size:.2f} mm"
@@ -81,10 +107,43 @@ def survey_verdict(
         return SurveyVerdict(refused=True, reason=Reason(ReasonCode.SURVEY_UNRELATED, text))
     if not converged:
         return SurveyVerdict(refused=False, reason=None)
-    wrong = combined([_scaled(fit, p), _displaced(corrections, p), _different(fit, p)])
+    if not fit.factor_std <= p.widest_factor * abs(fit.factor):
+        return SurveyVerdict(refused=False, reason=_open("the passes do not cover enough of the section"))
+    return _judged(fit, witnesses, p)
+
+
+def _judged(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> SurveyVerdict:
+    """Return the verdict on a survey of this section: refused, doubted, or confirmed."""
+    open_scale = p.stds * witnesses.slope_std + (1.0 - fit.followed)
+    scaled = _scaled(fit, open_scale, p)
+    wrong = combined([scaled, _displaced(witnesses, p)])
     if wrong is not None:
-        return SurveyVerdict(refused=True, reason=wrong)
+        return SurveyVerdict(refused=True, reason=wrong, harmless=scaled is None)
+    scaled = _scaled(fit, 0.0, p)
+    doubted = combined([scaled, _displaced(witnesses, p, alone=True)])
+    if doubted is not None:
+        text = f"it is kept, although {doubted.text}: as well {_at_fault(fit, witnesses, p)} may be wrong"
+        scale = 0.0 if scaled is None else abs(float(np.log(fit.scale)))
+        return SurveyVerdict(refused=False, reason=_open(text), doubted_scale=scale)
     return SurveyVerdict(refused=False, reason=Reason(ReasonCode.SURVEY_CONFIRMED, CONFIRMED))
+
+
+def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
+    """Whether a survey follows the passes by less than one of this section would, be its std understated or not."""
+    errors = min(p.understated * filed_std / fit.size, 1.0) if fit.size > 0.0 else 1.0
+    return fit.factor + p.stds * fit.factor_std < p.least_factor * (1.0 - errors**2)
+
+
+def _at_fault(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> str:
+    """Return in words which of the passes may be wrong in its place."""
+    found = []
+    if witnesses.vehicles == 1:
+        found.append("the only vehicle that has passed")
+    if len(witnesses.corrections) < p.few_journeys:
+        found.append(f"the few passes ({len(witnesses.corrections)} journeys)")
+    if fit.followed < p.slow:
+        found.append(f"the passes, of which the curves explain {fit.followed:.0%}: slow, stiff, struck or on switches")
+    return " or ".join(found) or "what all vehicles have in common"
 
 
 def place_of(corrections: Mapping[Journey, Correction]) -> tuple[float, float]:
@@ -105,9 +164,9 @@ def _open(text: str) -> Reason:
     return Reason(ReasonCode.SURVEY_NOT_ASSESSABLE, text)
 
 
-def _scaled(fit: SurveyFit, p: VerdictLimits) -> Reason | None:
-    # what the curves leave of the passes is error of R: it flattens them, and the factor makes up for that
-    allowed = p.most_scale + p.stds * fit.factor_std + (1.0 - fit.followed)
+def _scaled(fit: SurveyFit, open_scale: float, p: VerdictLimits) -> Reason | None:
+    """Return that a survey has another scale, by more than its fit and what the passes leave open (relative)."""
+    allowed = p.most_scale + p.stds * fit.factor_std / abs(fit.factor) + open_scale
     if abs(float(np.log(fit.scale))) <= float(np.log1p(allowed)) if fit.scale > 0.0 else False:
         return None
     if fit.scale < 0.0:
@@ -115,17 +174,11 @@ def _scaled(fit: SurveyFit, p: VerdictLimits) -> Reason | None:
     return Reason(ReasonCode.SURVEY_UNIT, f"it is {fit.scale:.3g} times what the fleet has measured")
 
 
-def _displaced(corrections: Mapping[Journey, Correction], p: VerdictLimits) -> Reason | None:
-    mean, std = place_of(corrections)
-    if abs(mean) <= p.largest_shift + p.stds * std:
+def _displaced(witnesses: Witnesses, p: VerdictLimits, *, alone: bool = False) -> Reason | None:
+    """Return that a survey is displaced; of one vehicle, whose positions may all be off, only where ``alone``."""
+    mean, std = place_of(witnesses.corrections)
+    if abs(mean) <= p.largest_shift + p.stds * std or (witnesses.vehicles == 1 and not alone):
         return None
     direction = "along" if mean > 0.0 else "back"
     text = f"it is {abs(mean):.1f} m too far {direction}, or all positions are as much off the other way"
     return Reason(ReasonCode.SURVEY_DISPLACED, text)
-
-
-def _different(fit: SurveyFit, p: VerdictLimits) -> Reason | None:
-    if fit.error <= p.most_error * fit.size:
-        return None
-    text = f"it differs from the passes by {1e3 * fit.error:.2f} mm of its {1e3 * fit.size:.2f} mm"
-    return Reason(ReasonCode.SURVEY_DIFFERS, text)

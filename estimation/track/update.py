@@ -16,15 +16,17 @@ from estimation.track.iteration import IterationResult
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import prior_on_grid
 from estimation.track.passes import Pass
+from estimation.track.position_std import shrunk
 from estimation.track.profile_life import ProfileLife
 from estimation.track.screening.screen import PassOutcome, PassStatus, Screened, screen
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
-from estimation.track.survey_check import check_survey
+from estimation.track.survey_check import check_survey, worth_more
 from estimation.track.survey_fit import fit_survey
 from estimation.track.survey_gauge import judge_gauge
-from estimation.track.survey_verdict import SurveyVerdict, place_of, survey_verdict
+from estimation.track.survey_posterior import SurveyPosterior, survey_posterior
+from estimation.track.survey_verdict import SurveyVerdict, Witnesses, place_of, survey_verdict
 from estimation.track.versions import (
     carry_over_findings,
     changed_vehicles,
@@ -37,7 +39,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 
 NOT_USED = "not used: "
 GAUGE_NOT_USED = "its gauge is not used: "
-BETTER_SHARE = 0.5  # of the survey's std that a fleet's alignment must reach to replace it
+SAME_STD = 1.5  # factor by which the std of a survey may be off without the passes being solved again
 
 
 class UpdateOutcome(StrEnum):
@@ -116,6 +118,14 @@ def update_alignment(
 
 
 @dataclass(frozen=True, slots=True)
+class Weighed:
+    """What passes and a survey give: the solution, and the mean of both; None where they do not meet."""
+
+    estimate: SectionEstimate
+    posterior: SurveyPosterior | None
+
+
+@dataclass(frozen=True, slots=True)
 class _Epoch:
     section: str
     screened: Screened
@@ -131,13 +141,34 @@ class _Epoch:
         """Return what the passes and a prior alignment give."""
         return estimate_section(self.section, self.screened.used, prior, self.parameters, self.measured)
 
-    def judge(self, estimate: SectionEstimate, survey: TrackAlignment) -> SurveyVerdict | None:
-        """Return what the passes say of the survey that they were placed on; None where they were not."""
+    def weigh(self, survey: TrackAlignment) -> Weighed:
+        """Return what the passes and a survey give, the survey with the std that the passes show of it."""
+        found = self._weighed(survey, survey)
+        factor = 1.0 if found.posterior is None else found.posterior.std_factor
+        if not 1.0 / SAME_STD <= factor <= SAME_STD:
+            found = self._weighed(replace(survey, alignment_std=factor * survey.alignment_std), survey)
+        return found
+
+    def _weighed(self, prior: TrackAlignment, survey: TrackAlignment) -> Weighed:
+        estimate = self.estimate(prior)
         if estimate.iterated is None:
+            return Weighed(estimate, None)
+        return Weighed(estimate, survey_posterior(estimate.iterated, survey, self.parameters))
+
+    def judge(self, weighed: Weighed, survey: TrackAlignment) -> SurveyVerdict | None:
+        """Return what the passes say of the survey that they were placed on; None where they were not."""
+        iterated = weighed.estimate.iterated
+        if iterated is None:
             return None
-        on_grid = prior_on_grid(survey, estimate.iterated.panel.grid, self.parameters.panel.cutoff_wavelength)
-        fit = fit_survey(estimate.iterated, on_grid)
-        return survey_verdict(fit, estimate.iterated.corrections, converged=estimate.report.converged)
+        cutoff = self.parameters.panel.cutoff_wavelength
+        fit = fit_survey(iterated, prior_on_grid(survey, iterated.panel.grid, cutoff))
+        if fit is not None and weighed.posterior is not None:
+            coherent = weighed.posterior.bands.coherent_std(cutoff)  # of the passes, or of the survey's scale
+            fit = replace(fit, error=float(np.sqrt(max(fit.error**2 - coherent**2, 0.0))))
+        slope_std = 0.0 if iterated.slope is None else iterated.slope.std
+        witnesses = Witnesses(iterated.corrections, slope_std)
+        filed = float(np.nanmedian(survey.alignment_std))
+        return survey_verdict(fit, witnesses, filed, converged=weighed.estimate.report.converged)
 
     def judge_gauge(self, estimate: SectionEstimate, survey: TrackAlignment) -> Reason | None:
         """Return what is wrong with a surveyed gauge; None where nothing is, or nothing has been decided yet."""
@@ -177,21 +208,51 @@ def _without_surveyed_alignment(
 def _with_survey(
     epoch: _Epoch, survey: TrackAlignment, settings: AlignmentSettings, *, survey_checked: bool
 ) -> AlignmentUpdate:
-    """Return the survey kept, or the fleet's alignment where the passes contradict it or know far more."""
-    estimate = epoch.estimate(survey)
-    verdict = epoch.judge(estimate, survey)
-    if verdict is not None and verdict.refused and not survey_checked:
-        return _refused(epoch, survey, verdict)
-    if verdict is not None and verdict.contradicted:
-        return _contradicted(epoch, estimate, survey, verdict.reason)
-    reason = None if verdict is None or survey_checked else verdict.reason
-    gauge = epoch.judge_gauge(estimate, survey)
+    """Return the survey with what the passes add to it, or the fleet's alignment where the survey is wrong."""
+    weighed = epoch.weigh(survey)
+    verdict = epoch.judge(weighed, survey)
+    if verdict is None:
+        return _extended(epoch, weighed, survey, settings, None, SurveyVerdict(refused=False, reason=None))
+    if verdict.refused and not survey_checked:
+        return _refused(epoch, weighed, survey, verdict, settings)
+    if verdict.contradicted:
+        return _contradicted(epoch, weighed.estimate, survey, verdict.reason)
+    reason = None if survey_checked else verdict.reason
+    gauge = epoch.judge_gauge(weighed.estimate, survey)
     if gauge is not None and _confirmed(verdict):
-        return _without_gauge(epoch, survey, combined([gauge, _of_alignment(reason)]))
-    if estimate.alignment is not None and estimate.report.converged and better(estimate.alignment, survey):
-        return epoch.update(UpdateOutcome.NEW_VERSION, estimate, estimate.alignment, survey=reason)
-    kept = epoch.update(UpdateOutcome.SURVEY_KEPT, estimate, survey, survey=reason)
+        return _without_gauge(epoch, survey, combined([gauge, _of_alignment(reason)]), settings)
+    return _extended(epoch, weighed, survey, settings, reason, verdict, decided=survey_checked or _confirmed(verdict))
+
+
+def _extended(
+    epoch: _Epoch,
+    weighed: Weighed,
+    survey: TrackAlignment,
+    settings: AlignmentSettings,
+    reason: Reason | None,
+    verdict: SurveyVerdict,
+    *,
+    decided: bool = False,
+) -> AlignmentUpdate:
+    """Return the survey kept; as a version of its own where the passes know it better, or what its gauge does.
+
+    Until it is decided on, it is kept as it is, but for a scale that is in doubt: then that of both is.
+    """
+    kept = epoch.update(UpdateOutcome.SURVEY_KEPT, _placed_on_survey(weighed.estimate), survey, survey=reason)
+    posterior, doubted = weighed.posterior, verdict.doubted_scale
+    if (decided or doubted > 0.0) and posterior is not None and weighed.estimate.report.converged:
+        found = carry_over_findings(posterior.alignment, survey)
+        found = replace(found, scale_std=float(np.hypot(found.scale_std, doubted)))
+        if requires_reestimation(posterior.before, found, settings):
+            return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=found)
     return _with_gauge_shifts(kept, survey, epoch.vehicles, settings)
+
+
+def _placed_on_survey(estimate: SectionEstimate) -> SectionEstimate:
+    """Return an estimate with the positions of its journeys as far as they are better known than as reported."""
+    if estimate.iterated is None or not estimate.corrections:
+        return estimate
+    return replace(estimate, corrections=shrunk(estimate.iterated))
 
 
 def _contradicted(
@@ -204,7 +265,9 @@ def _contradicted(
     return AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, nowhere, survey, outcomes, reason)
 
 
-def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None) -> AlignmentUpdate:
+def _without_gauge(
+    epoch: _Epoch, survey: TrackAlignment, reason: Reason | None, settings: AlignmentSettings
+) -> AlignmentUpdate:
     """Return the survey without its gauge, which is wrong: as one of the alignment alone.
 
     What the passes disagree by says how much the true gauge varies; nothing that was found on the wrong one stays.
@@ -218,18 +281,18 @@ def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None)
         scale_std=float(np.hypot(survey.scale_std, epoch.parameters.scale_error)),
         findings=None,
     )
-    estimate = epoch.estimate(alone)
-    found = estimate.alignment
-    if found is not None and estimate.report.converged and better(found, alone):
-        return epoch.update(UpdateOutcome.NEW_VERSION, estimate, found, survey=reason)
+    weighed = epoch.weigh(alone)
+    found = weighed.estimate.alignment
     if found is not None:
         alone = replace(alone, gauge_deviation_std=np.full_like(of_gauge, np.median(found.gauge_deviation_std)))
-    return epoch.update(UpdateOutcome.SURVEY_EXTENDED, estimate, alone, survey=reason)
+    right = SurveyVerdict(refused=False, reason=reason)
+    extended = _extended(epoch, weighed, alone, settings, reason, right, decided=True)
+    return replace(extended, outcome=UpdateOutcome.SURVEY_EXTENDED)
 
 
-def _confirmed(verdict: SurveyVerdict | None) -> bool:
+def _confirmed(verdict: SurveyVerdict) -> bool:
     """Whether the passes agree with the alignment: where they do not, the gauge need not be what is wrong."""
-    return verdict is not None and code_of(verdict.reason) is ReasonCode.SURVEY_CONFIRMED
+    return code_of(verdict.reason) is ReasonCode.SURVEY_CONFIRMED
 
 
 def _of_alignment(verdict: Reason | None) -> Reason | None:
@@ -237,14 +300,22 @@ def _of_alignment(verdict: Reason | None) -> Reason | None:
     return None if verdict is None else prefixed("its alignment: ", verdict)
 
 
-def _refused(epoch: _Epoch, survey: TrackAlignment, verdict: SurveyVerdict) -> AlignmentUpdate:
-    """Return the fleet's own alignment in place of a survey that is wrong; where it finds none, none is known."""
+def _refused(
+    epoch: _Epoch, weighed: Weighed, survey: TrackAlignment, verdict: SurveyVerdict, settings: AlignmentSettings
+) -> AlignmentUpdate:
+    """Return the fleet's own alignment in place of a survey that is wrong; where it finds none, none is known.
+
+    A survey whose zero point alone is wrong is then kept: all journeys are placed on it alike.
+    """
     without = epoch.estimate(None)
     reason = _mistake(epoch, survey, without) or verdict.reason
     assert reason is not None
     refusal = prefixed(NOT_USED, reason)
-    if without.alignment is not None:
+    if without.alignment is not None and without.report.converged and worth_more(without.alignment, survey):
         return epoch.update(UpdateOutcome.NEW_VERSION, without, without.alignment, survey=refusal)
+    if verdict.harmless and verdict.reason is not None:
+        kept = prefixed("kept, with all positions on it, for the fleet finds none: ", verdict.reason)
+        return _extended(epoch, weighed, survey, settings, kept, verdict)
     return epoch.update(UpdateOutcome.SURVEY_REFUSED, without, _unknown(survey), survey=refusal)
 
 
@@ -308,21 +379,3 @@ def _with_gauge_shifts(
     if not new:
         return kept
     return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=extended)
-
-
-def better(fleet: TrackAlignment, survey: TrackAlignment, share: float = BETTER_SHARE) -> bool:
-    """Return whether the fleet's alignment covers all that a survey covers, and is far more certain.
-
-    Parameters
-    ----------
-    fleet, survey
-        The alignments, each with its std.
-    share
-        Of the survey's median std that the fleet's must be below.
-    """
-    coarser = fleet.cutoff_wavelength < survey.cutoff_wavelength
-    if coarser or (survey.gauge_known and not fleet.gauge_known):
-        return False
-    survey_std = np.interp(fleet.s, survey.s, survey.alignment_std)
-    known = np.isfinite(fleet.alignment_std)
-    return bool(known.all() and np.median(fleet.alignment_std) < share * np.median(survey_std))

@@ -131,7 +131,7 @@ def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
             if (refusal := part.passes.refused.get((record.wheelset, record.start_ns))) is not None:
                 assemble_if_lost(unit, record, refusal)
         alone = computed.alone if epoch.estimated_on == due.before.version else {}
-        place_windows(unit, Placing(part, after.version, alone, epoch.waits), context.settings.alignment)
+        place_windows(unit, Placing(part, after.version, alone, epoch.waits))
     of_vehicles = _of_vehicles(unit, computed, after, context.settings.alignment)
     unit.epochs.put(epoch, due.own)
     unit.epochs.put_found(section, due.number, of_vehicles)

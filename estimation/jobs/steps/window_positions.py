@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from estimation.jobs.steps.epoch_passes import EpochPasses, WindowKey
 from estimation.storage import UnitOfWork
 from estimation.track.journeys import Journey
 from estimation.track.screening.screen import PassStatus
-from estimation.track.settings import AlignmentSettings
 from estimation.track.update import AlignmentUpdate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction
@@ -37,7 +34,7 @@ class Placing:
     waits: bool
 
 
-def place_windows(unit: UnitOfWork, placing: Placing, settings: AlignmentSettings) -> None:
+def place_windows(unit: UnitOfWork, placing: Placing) -> None:
     """Store where windows were; what was known of the others is forgotten.
 
     Parameters
@@ -46,10 +43,8 @@ def place_windows(unit: UnitOfWork, placing: Placing, settings: AlignmentSetting
         A transaction to write in.
     placing
         The windows, and what was found of them.
-    settings
-        From which error on a position on a survey is corrected.
     """
-    found = _positions(placing, settings)
+    found = _positions(placing)
     for position in found:
         _place(unit, position)
     placed = {(position.wheelset, position.start_ns) for position in found}
@@ -58,7 +53,7 @@ def place_windows(unit: UnitOfWork, placing: Placing, settings: AlignmentSetting
             unit.tracks.forget_position(record.wheelset, record.start_ns)
 
 
-def _positions(placing: Placing, settings: AlignmentSettings) -> Sequence[WindowPosition]:
+def _positions(placing: Placing) -> Sequence[WindowPosition]:
     """Return where the windows were, as far as it has been found."""
     epoch, update, waits = placing.part, placing.part.update, placing.waits
     journey_of = _journeys_of_windows(epoch)
@@ -85,7 +80,7 @@ def _positions(placing: Placing, settings: AlignmentSettings) -> Sequence[Window
             if journey in outliers and not update.outcome.positions_valid:
                 found.append(replace(uncorrected, reason=_uncertain(f": {outliers[journey]}")))
             else:
-                found.append(_corrected(uncorrected, corrections.get(journey), update, settings))
+                found.append(_corrected(uncorrected, corrections.get(journey), update))
     return found
 
 
@@ -99,16 +94,10 @@ def _journeys_of_windows(part: Solved) -> dict[WindowKey, Journey]:
     }
 
 
-def _corrected(
-    uncorrected: WindowPosition,
-    correction: Correction | None,
-    update: AlignmentUpdate,
-    settings: AlignmentSettings,
-) -> WindowPosition:
-    if update.outcome.positions_valid:
-        far = correction is not None and largest_shift(correction) > settings.trusted_offset
-        return uncorrected if correction is None or not far else _moved(uncorrected, correction)
-    return replace(uncorrected, reason=_uncertain()) if correction is None else _moved(uncorrected, correction)
+def _corrected(uncorrected: WindowPosition, correction: Correction | None, update: AlignmentUpdate) -> WindowPosition:
+    if correction is not None:
+        return _moved(uncorrected, correction)
+    return uncorrected if update.outcome.positions_valid else replace(uncorrected, reason=_uncertain())
 
 
 def _uncertain(why: str = "") -> Reason:
@@ -117,18 +106,6 @@ def _uncertain(why: str = "") -> Reason:
 
 def _moved(uncorrected: WindowPosition, correction: Correction) -> WindowPosition:
     return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
-
-
-def largest_shift(correction: Correction) -> float:
-    """Return the largest shift between the begin and twice the middle of the section, m.
-
-    Parameters
-    ----------
-    correction
-        Of positions.
-    """
-    ends = np.array([0.0, 2.0 * correction.middle])
-    return float(np.abs(correction.at(ends) - ends).max())
 
 
 def _place(unit: UnitOfWork, position: WindowPosition) -> None:

@@ -1,0 +1,209 @@
+"""One fleet with one survey on file, or none: what becomes of the survey, and of the conicities that rest on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
+from estimation.track.journeys import Journey, journeys
+from estimation.track.screening.screen import PassStatus
+from estimation.track.settings import AlignmentSettings
+from estimation.track.update import AlignmentUpdate, update_alignment
+from estimation.values.arrays import FloatArray
+from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
+from estimation.vehicle.sensor_noise import USUAL_CUTOFF
+
+CHORD = 4.0  # m: errors of a survey are white, smoothed over it by a Hann window
+SURVEY_STEP = 0.25  # m
+UNCERTAIN = Reason(ReasonCode.POSITION_UNCERTAIN, "its position along the section is not certain")
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyPlan:
+    """What is on file of the section; ``std`` None for nothing."""
+
+    std: float | None  # m, of the file's own errors
+    stated: float | None = None  # m; None is the true one
+    shift: float = 0.0  # m along the section
+    scale: float = 1.0
+    other_section: bool = False
+
+    @property
+    def right(self) -> bool:
+        """Whether nothing is wrong with it but its errors."""
+        return self.shift == 0.0 and self.scale == 1.0 and not self.other_section
+
+
+@dataclass(frozen=True, slots=True)
+class Conicity:
+    """One published conicity against the truth."""
+
+    error: float
+    half_width: float
+    covered: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyScore:
+    """One fleet, one survey, one error of positions."""
+
+    outcome: str
+    code: str  # of the verdict; empty for none
+    refused: bool
+    alignment_std: float  # m, of what is in force; NaN for nothing
+    alignment_error: float  # m, rms below 40 m of what is in force; NaN for nothing
+    asked: int
+    published: tuple[Conicity, ...]
+    reasons: Mapping[str, int]  # codes of windows without motion
+
+
+def on_file(fleet: Fleet, plan: SurveyPlan, seed: int) -> TrackAlignment | None:
+    """Return the survey of a fleet's section; None where none is on file."""
+    if plan.std is None:
+        return None
+    source = drawn_track(seed + 7919) if plan.other_section else fleet.track
+    s = np.arange(0.0, fleet.track.s[-1] + 1e-9, SURVEY_STEP)
+    d = plan.scale * np.interp(s - plan.shift, source.s, source.alignment)
+    window = np.hanning(max(3, round(CHORD / SURVEY_STEP)))
+    white = np.random.default_rng([seed, 3501]).standard_normal(len(s))
+    d = d + plan.std * np.convolve(white, window / np.sqrt((window**2).sum()), mode="same")
+    zero = np.zeros(len(s))
+    stated = plan.std if plan.stated is None else plan.stated
+    return TrackAlignment(
+        "S", 1, s, d, np.full(len(s), stated), zero, zero, np.zeros(len(s), dtype=np.int64), Status.ESTIMATED
+    )
+
+
+def moved(fleet: Fleet, position_std: float, seed: int) -> tuple[Fleet, dict[Journey, float]]:
+    """Return the fleet with every journey off by a draw of its own, and by how much (m)."""
+    rng = np.random.default_rng([seed, 3502])
+    keys = sorted({(one.vehicle, one.start_ns) for one in fleet.windows})
+    off = {key: position_std * float(rng.standard_normal()) for key in keys}
+    passes = tuple(replace(one, at=one.at + off[one.vehicle, one.start_ns]) for one in fleet.passes)
+    windows = tuple(replace(one, distance=one.distance + off[one.vehicle, one.start_ns]) for one in fleet.windows)
+    return replace(fleet, windows=windows, passes=passes), off
+
+
+def score(fleet: Fleet, survey: TrackAlignment | None) -> SurveyScore:
+    """Return what a fleet makes of a section with this survey on file.
+
+    Parameters
+    ----------
+    fleet
+        At the positions that were measured.
+    survey
+        On file; None where none is.
+    """
+    section = TrackSectionRecord("S", 1, "S", "56E1", 0.05, 1.435, float(fleet.track.s[-1]))
+    settings = AlignmentSettings()
+    update = update_alignment(section, list(fleet.passes), survey, settings, survey_checked=False)
+    published, reasons = _conicities(fleet, update, settings)
+    track = update.alignment
+    known = track is not None and bool(np.isfinite(track.alignment).any())
+    text = str(update.survey or "")
+    return SurveyScore(
+        outcome=str(update.outcome),
+        code=str(code_of(update.survey) or ""),
+        refused=survey is not None and text.startswith("not used"),
+        alignment_std=float(np.nanmedian(track.alignment_std)) if known and track is not None else float("nan"),
+        alignment_error=_alignment_error(fleet, track) if known and track is not None else float("nan"),
+        asked=len(fleet.conicity) * len(AMPLITUDES),
+        published=tuple(published),
+        reasons=reasons,
+    )
+
+
+def _conicities(
+    fleet: Fleet, update: AlignmentUpdate, settings: AlignmentSettings
+) -> tuple[list[Conicity], dict[str, int]]:
+    track, found, reasons = update.alignment, [], {}
+    if track is None or not np.isfinite(track.alignment).any():
+        return [], {"alignment_unknown": len(fleet.windows)}
+    placed = places(fleet, update, settings)
+    for serial, true in fleet.conicity.items():
+        tables = []
+        for window in fleet.windows:
+            if window.wheelset != serial:
+                continue
+            place = placed[serial, window.start_ns]
+            if isinstance(place, Reason):
+                reasons[place.code] = reasons.get(place.code, 0) + 1
+                continue
+            table = tabulate_window(window, track, fleet.parameters, place)
+            if isinstance(table, Reason):
+                reasons[table.code] = reasons.get(table.code, 0) + 1
+            else:
+                tables.append(table)
+        if tables:
+            found += _compared(fleet, track, serial, tables, true)
+    return found, {str(code): count for code, count in reasons.items()}
+
+
+def _compared(
+    fleet: Fleet, track: TrackAlignment, serial: str, tables: Sequence[object], true: FloatArray
+) -> list[Conicity]:
+    bins = bin_parameters(fleet.parameters)
+    uncertainty = ParameterUncertainty.of(fleet.parameters.vehicle_class).on([track], serial)
+    geometry = estimate_geometry(merge_all(tables, bins), bins, GeometryParameters(uncertainty=uncertainty))
+    if geometry.status is Status.MODEL_MISMATCH:
+        return []
+    at = [int(np.argmin(np.abs(geometry.amplitude - amplitude))) for amplitude in AMPLITUDES]
+    return [
+        one for place, value in zip(at, true, strict=True) if (one := _one(geometry.conicity[place], value)) is not None
+    ]
+
+
+def _one(found: Estimate, true: float) -> Conicity | None:
+    if found.value is None or found.low is None or found.high is None:
+        return None
+    return Conicity(found.value - true, 0.5 * (found.high - found.low), bool(found.low <= true <= found.high))
+
+
+def places(
+    fleet: Fleet, update: AlignmentUpdate, settings: AlignmentSettings
+) -> dict[tuple[str, int], Correction | Reason | None]:
+    """Return by wheelset and start where the windows were, or why not, as the job of the alignment stores it."""
+    grouped = journeys(fleet.passes, settings.section.positions)
+    members = {(item.wheelset, item.start_ns): journey for journey, items in grouped.items() for item in items}
+    refused = {
+        (item.wheelset, item.start_ns): outcome.reason
+        for item, outcome in zip(fleet.passes, update.pass_outcomes, strict=True)
+        if outcome.status is PassStatus.REFUSED and outcome.reason is not None
+    }
+    outliers = {(one.vehicle, one.from_ns): one.reason for one in update.estimate.report.journeys if not one.used}
+    found: dict[tuple[str, int], Correction | Reason | None] = {}
+    for window in fleet.windows:
+        key = (window.wheelset, window.start_ns)
+        journey = members.get(key)
+        correction = None if journey is None else update.estimate.corrections.get(journey)
+        if key in refused:
+            found[key] = refused[key]
+        elif not update.outcome.positions_valid:
+            reason = UNCERTAIN if correction is None else None
+            found[key] = (outliers.get(journey) if journey in outliers else reason) or correction
+        else:
+            found[key] = correction
+    return found
+
+
+def _alignment_error(fleet: Fleet, track: TrackAlignment) -> float:
+    """Return the rms error, m, of an alignment at wavelengths below ``USUAL_CUTOFF``, moved to where it fits best."""
+    step = float(track.s[1] - track.s[0])
+    weights = local_cubic_kernel(USUAL_CUTOFF, step)
+    known = np.isfinite(track.alignment)
+    inside = valid_support(known, weights)
+    found = high_pass(np.where(known, track.alignment, 0.0), weights)
+    best = np.inf
+    for move in np.arange(-2.0, 2.01, 0.05):
+        true = high_pass(np.interp(track.s + move, fleet.track.s, fleet.track.alignment), weights)
+        best = min(best, float(np.sqrt(np.mean((found - true)[inside] ** 2))))
+    return best
