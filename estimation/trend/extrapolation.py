@@ -35,6 +35,7 @@ ALIKE = 0.06  # relative difference of conicities that are alike
 LEAST_ALIKE = 0.012  # and the least difference that counts
 SLOPE_ALIKE = 0.7  # of that, for the difference between two amplitudes
 WIDER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
+BESIDE = 2.0  # widths that those alike may lie off the wheelset on the mean: then it is beside all of them
 SHARED = 0.5  # part of the errors that all amplitudes have in common
 NEAR = 0.5e-3  # m, within which the rest of them is alike
 RIDGE = 2.0  # members' weight with which the fit is held flat
@@ -240,17 +241,19 @@ def _stopped(family: WornFamily, amplitude: float, conicity: FloatArray) -> Floa
 def _alike(
     error: FloatArray, covariance: FloatArray, width: FloatArray, stopped: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the weights (m,) of the members and the width (n,) within which enough are alike; None where none is.
+    """Return the weights (m,) of the members and the width (n,) within which enough are alike.
 
-    Members count by how far level and slopes (m, n) are from the wheelset's, in the errors of the estimate and the
-    width of what is alike, and by how likely their motion ends there (m,).
+    None where too few are alike, or all of them lie to one side. Members count by how far level and slopes (m, n) are
+    from the wheelset's, in the errors of the estimate and the width of what is alike, and by how likely their motion
+    ends there (m,).
     """
     for wider in WIDER:
         factor = np.linalg.cholesky(covariance + np.diag((wider * width) ** 2))
         distance = np.square(np.linalg.solve(factor, error.T)).sum(axis=0)
         weight = stopped * np.exp(-0.5 * distance)
         if weight.sum() >= LEAST_MEMBERS:
-            return weight, wider * width
+            off = np.abs(weight @ error) / weight.sum() / (wider * width)
+            return (weight, wider * width) if off.max() <= BESIDE else None
     return None
 
 

@@ -10,8 +10,8 @@ from scipy import stats
 from wheelset_life import DAY_NS, geometry_of, known, window_record
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand, conicity_limit_finding
-from estimation.alerts.rules.limit_state import LimitState
 from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.limit_state import LimitState
 from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
 from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
 from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule, asymmetry_of, wheel_asymmetry_finding

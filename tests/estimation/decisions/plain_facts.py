@@ -9,8 +9,8 @@ from scipy import stats
 from wheelset_life import geometry_of, known
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, conicity_limit_finding
-from estimation.alerts.rules.limit_state import LimitState
 from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.limit_state import LimitState
 from estimation.alerts.rules.rule import (
     WheelsetFacts,
 )
