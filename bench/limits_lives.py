@@ -118,7 +118,7 @@ def _former(records: Sequence[IntervalConicities], worn: Worn) -> bool:
     x, value, std = (np.array([getattr(p, name) for p in chosen.points]) for name in ("mileage_km", "value", "std"))
     rule = ConicityLimitRule()
     for end in range(len(x) - LAST + 1, len(x) + 1):
-        if end < 2:  # noqa: PLR2004 - a curve has two points
+        if end < 2:
             continue
         level = fit_wear_curve(x[:end], value[:end], std[:end]).shifted(chosen.spread).level_now().estimate(end)
         over = probability_above(level, limit_at(worn.speed)) or 0.0

@@ -20,10 +20,10 @@ from functools import lru_cache
 import numpy as np
 
 from estimation.contact.worn_family import WornFamily, worn_family
+from estimation.trend.wear_curve import NormalMixture
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.interval_conicities import KnownConicity, known_conicities
-from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 
@@ -35,6 +35,7 @@ ALIKE = 0.06  # relative difference of conicities that are alike
 LEAST_ALIKE = 0.012  # and the least difference that counts
 SLOPE_ALIKE = 0.7  # of that, for the difference between two amplitudes
 WIDER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
+BESIDE = 2.0  # widths that those alike may lie off the wheelset on the mean: then it is beside all of them
 SHARED = 0.5  # part of the errors that all amplitudes have in common
 NEAR = 0.5e-3  # m, within which the rest of them is alike
 RIDGE = 2.0  # members' weight with which the fit is held flat
@@ -43,6 +44,8 @@ NEXT_AMPLITUDE = 0.25e-3  # m, to the amplitude that is not covered
 FLAT = 0.02  # conicity below which nothing holds a wheelset
 STOPPED = (0.1, 4.0)  # least and most weight by where the motion ends, of a conicity that stays as it is
 LARGEST_STD = 0.15  # of an extrapolated conicity
+SHOWN = 40  # values that show how the changes of members are spread
+SMOOTH = 0.2  # std about each of them, in that of all
 KEPT = 20_000  # extrapolations of intervals, which do not change
 
 
@@ -53,11 +56,18 @@ class Extrapolation:
     value: float
     measured_std: float  # from the error of what was estimated
     spread: float  # std of what wheelsets like it do beyond
+    beyond: tuple[float, ...]  # what they do, less the mean: as many values of equal weight
 
     @property
     def std(self) -> float:
         """Standard deviation of both together."""
         return float(np.hypot(self.measured_std, self.spread))
+
+    def mixture(self) -> NormalMixture:
+        """Return the distribution, which is skewed: conicity rises steeply beyond, or stays as it is."""
+        count, around = len(self.beyond), np.array(self.beyond)
+        rest = float(np.hypot(self.measured_std, SMOOTH * self.spread))
+        return NormalMixture(np.full(count, 1.0 / count), self.value + around, np.full(count, rest))
 
 
 def _estimates(geometry: WheelsetGeometry) -> list[tuple[float, Estimate]]:
@@ -86,7 +96,7 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
     covered = [e for a, e in known if abs(a - LIMIT_AMPLITUDE) < SAME_AMPLITUDE]
     if covered:
         return covered[-1]
-    below = [one for one in known_conicities(geometry) if one.amplitude < LIMIT_AMPLITUDE]
+    below = below_limit(geometry)
     if not known:
         return geometry.equivalent_conicity
     if not below:
@@ -95,7 +105,20 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
     found = extrapolated(below)
     if found is None:
         return Estimate.unknown(not_comparable(amplitude), count)
-    return marked(with_interval(found.value, found.measured_std, found.spread, count=count), amplitude)
+    low, high = (found.mixture().quantile(share) for share in (0.025, 0.975))
+    estimate = Estimate(found.value, found.std, low, high, count, Status.ESTIMATED)
+    return marked(estimate, amplitude)
+
+
+def below_limit(geometry: WheelsetGeometry) -> list[KnownConicity]:
+    """Return the conicities that are known at smaller amplitudes than the limit's, increasing.
+
+    Parameters
+    ----------
+    geometry
+        Of one wheelset.
+    """
+    return [one for one in known_conicities(geometry) if one.amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE]
 
 
 def marked(estimate: Estimate, amplitude: float) -> Estimate:
@@ -166,8 +189,9 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
         return None
     weight, width = weighed
     change = _at(family, LIMIT_AMPLITUDE) - members[:, 0]
-    level, measured_std, spread = _local_fit(error, covariance, width, weight, change)
-    result = Extrapolation(largest.value + level, measured_std, spread)
+    level, measured_std, left = _local_fit(error, covariance, width, weight, change)
+    spread = float(np.sqrt(weight @ left**2 / weight.sum()))
+    result = Extrapolation(largest.value + level, measured_std, spread, _quantiles(left, weight))
     return result if result.std <= LARGEST_STD and result.value > 0.0 else None
 
 
@@ -217,24 +241,26 @@ def _stopped(family: WornFamily, amplitude: float, conicity: FloatArray) -> Floa
 def _alike(
     error: FloatArray, covariance: FloatArray, width: FloatArray, stopped: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return the weights (m,) of the members and the width (n,) within which enough are alike; None where none is.
+    """Return the weights (m,) of the members and the width (n,) within which enough are alike.
 
-    Members count by how far level and slopes (m, n) are from the wheelset's, in the errors of the estimate and the
-    width of what is alike, and by how likely their motion ends there (m,).
+    None where too few are alike, or all of them lie to one side. Members count by how far level and slopes (m, n) are
+    from the wheelset's, in the errors of the estimate and the width of what is alike, and by how likely their motion
+    ends there (m,).
     """
     for wider in WIDER:
         factor = np.linalg.cholesky(covariance + np.diag((wider * width) ** 2))
         distance = np.square(np.linalg.solve(factor, error.T)).sum(axis=0)
         weight = stopped * np.exp(-0.5 * distance)
         if weight.sum() >= LEAST_MEMBERS:
-            return weight, wider * width
+            off = np.abs(weight @ error) / weight.sum() / (wider * width)
+            return (weight, wider * width) if off.max() <= BESIDE else None
     return None
 
 
 def _local_fit(
     error: FloatArray, covariance: FloatArray, width: FloatArray, weight: FloatArray, change: FloatArray
-) -> tuple[float, float, float]:
-    """Return the change up to the limit's amplitude, its std from the estimate's error, and the spread of the members.
+) -> tuple[float, float, FloatArray]:
+    """Return the change up to the limit's amplitude, its std from the estimate's error, and what is left (m,).
 
     The changes (m,) are fitted as linear in level and slopes (m, n), by the weights (m,).
     """
@@ -244,5 +270,13 @@ def _local_fit(
     left = change - design @ np.array([level, *slopes])
     gradient = np.array(slopes) / width
     gradient[0] += 1.0
-    spread = np.sqrt(weight @ left**2 / weight.sum())
-    return float(level), float(np.sqrt(gradient @ covariance @ gradient)), float(spread)
+    return float(level), float(np.sqrt(gradient @ covariance @ gradient)), left
+
+
+def _quantiles(left: FloatArray, weight: FloatArray) -> tuple[float, ...]:
+    """Return ``SHOWN`` values of equal weight in place of those of the members (m,), about 0."""
+    order = np.argsort(left)
+    counted = np.cumsum(weight[order]) - 0.5 * weight[order]
+    shares = (np.arange(SHOWN) + 0.5) / SHOWN
+    values = np.interp(shares * weight.sum(), counted, left[order])
+    return tuple((values - values.mean()).tolist())

@@ -25,7 +25,9 @@ from estimation.alerts.rules.data_quality import DataQualityRule, data_quality_f
 from estimation.alerts.rules.hunting import HuntingRule, hunting_finding
 from estimation.alerts.rules.identity import identity_finding
 from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.limit_state import LimitState
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
+from estimation.alerts.rules.measure import MeasureRule, measure_finding
 from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
 from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
@@ -97,12 +99,30 @@ def weak_damper() -> GearDamper:
 
 CASES: list[tuple[Finding | None, dict[str, Any]]] = [
     (
-        conicity_limit_finding(ConicityLimitRule(), "W", HIGH, 5, 0.4, AT),
+        conicity_limit_finding(ConicityLimitRule(), "W", LimitState(HIGH), 5, 0.4, AT),
         {
             "quantity": "equivalent_conicity",
             "amplitude_mm": 3.0,
             "conicity_1": ESTIMATE | UNEXPLAINED,
             "current_1": ESTIMATE | UNEXPLAINED,
+            "windows": 5,
+            "limit_1": 0.4,
+            **DECIDES,
+        },
+    ),
+    (
+        measure_finding(
+            MeasureRule(),
+            LimitState(HIGH),
+            conicity_limit_finding(ConicityLimitRule(), "W", LimitState(HIGH), 5, 0.4, AT),
+            0.4,
+            measured=False,
+        ),
+        {
+            "quantity": "equivalent_conicity",
+            "conicity_1": ESTIMATE | UNEXPLAINED,
+            "reached_mm": 3.0,
+            "reached_1": ESTIMATE | UNEXPLAINED,
             "windows": 5,
             "limit_1": 0.4,
             **DECIDES,

@@ -8,17 +8,25 @@ trend is a smooth curve: the last two points of it, both over the limit, are ove
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from estimation.alerts.rules.rule import WheelsetFacts
-from estimation.trend.extrapolation import LEAST_AMPLITUDE, LIMIT_AMPLITUDE, SAME_AMPLITUDE, conicity_at_limit_amplitude
+from estimation.trend.extrapolation import (
+    LEAST_AMPLITUDE,
+    LIMIT_AMPLITUDE,
+    SAME_AMPLITUDE,
+    Extrapolation,
+    below_limit,
+    conicity_at_limit_amplitude,
+    extrapolated,
+)
 from estimation.trend.trend import probability_above
 from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Status
 from estimation.values.trend import WearTrend
 
 LAST_POINTS = 2  # of a trend: one alone may be an outlier
-NOT_BELOW = 0.5  # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
+NOT_BELOW = 0.6  # least probability at 3 mm with which a conicity over the limit at a smaller amplitude is over it
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +50,16 @@ class LimitState:
     reached: Estimate | None = None
     reached_amplitude: float = LIMIT_AMPLITUDE  # m
     last: Sequence[Estimate] = ()
+    beyond: Extrapolation | None = None  # how an extrapolated conicity is spread about its mean
 
     def at_limit(self, limit: float) -> Against | None:
         """Return the conicity at 3 mm against a limit: of the trend, or of its last points; None where not known."""
-        of_trend = probability_above(self.conicity, limit)
+        of_trend = self._above(self.conicity, limit)
         if of_trend is None:
             return None
         known = [(self.conicity, of_trend)]
         if len(self.last) == LAST_POINTS:
-            points = [(one, probability_above(one, limit) or 0.0) for one in self.last]
+            points = [(one, self._above(one, limit) or 0.0) for one in self.last]
             known.append(min(points, key=lambda pair: pair[1]))
         conicity, probability = max(known, key=lambda pair: pair[1])
         return Against(conicity, LIMIT_AMPLITUDE, probability)
@@ -77,6 +86,12 @@ class LimitState:
             return at_limit
         return max(at_limit, at_reached, key=lambda one: one.probability)
 
+    def _above(self, estimate: Estimate, limit: float) -> float | None:
+        """Return the probability above a limit; the std of a trend counts what lies beyond once more in each point."""
+        if self.beyond is None or estimate.value is None:
+            return probability_above(estimate, limit)
+        return replace(self.beyond, value=estimate.value).mixture().above(limit)
+
     @property
     def extrapolated(self) -> bool:
         """Whether the conicity at 3 mm is extrapolated."""
@@ -100,11 +115,13 @@ def limit_state(facts: WheelsetFacts) -> LimitState | None:
     amplitude = geometry.reported_amplitude
     reaches = LEAST_AMPLITUDE - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE
     known = reaches and geometry.equivalent_conicity.status is Status.ESTIMATED
+    beyond = extrapolated(below_limit(geometry)) if known else None
     return LimitState(
         conicity,
         geometry.equivalent_conicity if known else None,
         amplitude if known else LIMIT_AMPLITUDE,
         () if trend is None or fitted is None else _last(trend),
+        beyond,
     )
 
 

@@ -39,9 +39,9 @@ class MeasureRule(AlertRule):
     )
 
     raise_probability: Annotated[float, ANY_PROBABILITY] = 0.5  # that it is over where the motion covers 3 mm
-    extrapolated_probability: Annotated[float, ANY_PROBABILITY] = 0.1  # and where it does not: no data will decide it
-    clear_probability: Annotated[float, ANY_PROBABILITY] = 0.06
-    reaches: Annotated[float, Interval(ge=1.0, le=10.0)] = 1.5  # limits that an interval goes up to
+    extrapolated_probability: Annotated[float, ANY_PROBABILITY] = 0.15  # and where it does not: no data will decide it
+    clear_probability: Annotated[float, ANY_PROBABILITY] = 0.12
+    reaches: Annotated[float, Interval(ge=1.0, le=10.0)] = 1.5  # limits that an interval at 3 mm goes up to
     measured_within_km: Kilometres = 10_000.0  # a measurement decides for as long
 
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:  # noqa: ARG002 - the data alone decide
@@ -94,8 +94,8 @@ def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limi
     needed = rule.extrapolated_probability if state.extrapolated else rule.raise_probability
     at_3_mm = 0.0 if at_limit is None else at_limit.probability
     reached = 0.0 if at_reached is None else at_reached.probability
-    high = state.conicity.high or 0.0
-    may_be = at_3_mm >= needed or reached >= rule.raise_probability or high >= rule.reaches * limit
+    open_far = not state.extrapolated and (state.conicity.high or 0.0) >= rule.reaches * limit
+    may_be = at_3_mm >= needed or reached >= rule.raise_probability or open_far
     silent, settled = decided.breached is None, measured or decided.breached is True
     is_clear = at_3_mm <= rule.clear_probability and reached <= rule.clear_probability and not may_be
     return Finding(

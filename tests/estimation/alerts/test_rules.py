@@ -11,6 +11,7 @@ from wheelset_life import DAY_NS, geometry_of, known, window_record
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand, conicity_limit_finding
 from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.limit_state import LimitState
 from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
 from estimation.alerts.rules.sensor_fault import SensorFaultRule, sensor_fault_finding
 from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule, asymmetry_of, wheel_asymmetry_finding
@@ -42,7 +43,7 @@ def test_a_class_of_its_own_goes_before_the_bands_of_all() -> None:
 @pytest.mark.parametrize(("value", "std"), [(0.44, 0.02), (0.41, 0.02), (0.385, 0.02), (0.3, 0.02), (0.5, 0.02)])
 def test_conicity_is_judged_by_probability(value: float, std: float) -> None:
     rule = ConicityLimitRule()
-    found = conicity_limit_finding(rule, "W", known(value, std), 10, 0.4, 5)
+    found = conicity_limit_finding(rule, "W", LimitState(known(value, std)), 10, 0.4, 5)
     over, over_clear = stats.norm.sf(0.4, value, std), stats.norm.sf(0.38, value, std)
     assert found.probability == pytest.approx(over, rel=1e-2)
     assert found.breached == (over >= 0.9)
@@ -57,7 +58,8 @@ def test_conicity_is_judged_by_probability(value: float, std: float) -> None:
     [(Estimate.unknown(WHY), 10, None), (known(0.6, 0.01), 2, None), (known(0.6, 0.01), 10, WHY)],
 )
 def test_conicity_that_cannot_be_said_is_unknown(conicity: Estimate, windows: int, reason: Reason | None) -> None:
-    found = conicity_limit_finding(ConicityLimitRule(), "W", conicity, windows, 0.4, 5, not_assessable_reason=reason)
+    state, rule = LimitState(conicity), ConicityLimitRule()
+    found = conicity_limit_finding(rule, "W", state, windows, 0.4, 5, not_assessable_reason=reason)
     assert (found.breached, found.cleared, found.probability) == (None, None, None)
     assert found.evidence["unknown_because"]
 

@@ -10,6 +10,7 @@ from wheelset_life import geometry_of, known
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, conicity_limit_finding
 from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
+from estimation.alerts.rules.limit_state import LimitState
 from estimation.alerts.rules.rule import (
     WheelsetFacts,
 )
@@ -76,7 +77,7 @@ def trend_record(trend: WearTrend, baseline: int = 0) -> TrendRecord:
 
 
 def conicity_at(value: Estimate, windows: int = 3) -> Finding:
-    return conicity_limit_finding(ConicityLimitRule(), "W", value, windows, 0.4, 5)
+    return conicity_limit_finding(ConicityLimitRule(), "W", LimitState(value), windows, 0.4, 5)
 
 
 def forecast(trend: WearTrend) -> Finding:

@@ -213,6 +213,7 @@ def test_old_numbers_are_never_read_as_the_present_state() -> None:
         "no_data": False,
         "data_quality": False,
         "conicity_limit": None,
+        "measure": None,
         "limit_forecast": None,
         "wheel_asymmetry": None,
         "hunting": False,

@@ -132,8 +132,8 @@ def test_a_forecast_clears_where_the_limit_is_beyond_30_000_km_with_four_in_five
 
 def test_no_conicity_at_another_amplitude_is_held_against_the_limit() -> None:
     covered = geometry_of(conicity=0.6)
-    at_1_75 = replace(covered, amplitude=np.array([1.75e-3]), conicity=(known(0.6, 0.001),), reported_amplitude=1.75e-3)
-    found = ConicityLimitRule().find(facts_of(geometry=geometry_record(at_1_75)), 0)
+    at_1_25 = replace(covered, amplitude=np.array([1.25e-3]), conicity=(known(0.6, 0.001),), reported_amplitude=1.25e-3)
+    found = ConicityLimitRule().find(facts_of(geometry=geometry_record(at_1_25)), 0)
     assert found is not None
     assert (found.breached, found.cleared) == (None, None)
     assert found.evidence["unknown_because_code"] == "amplitude_not_comparable"

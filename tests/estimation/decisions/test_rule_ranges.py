@@ -133,6 +133,14 @@ RANGES: dict[str, dict[str, Range]] = {
         "raise_probability": PROBABILITY,
         "pooled_hours": Range(0.1, 720.0),
     },
+    "measure": {
+        **DELAYS,
+        "raise_probability": Range(0.01, 0.9),
+        "extrapolated_probability": Range(0.01, 0.9),
+        "clear_probability": Range(0.01, 0.9),
+        "reaches": Range(1.0, 10.0),
+        "measured_within_km": Range(0.0, 100_000.0),
+    },
     "weak_damper": {
         **DELAYS,
         "raise_share": Range(0.05, 1.5),

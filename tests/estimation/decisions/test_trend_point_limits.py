@@ -96,10 +96,10 @@ def test_points_and_notes() -> None:
     some = conicity_points(history(TO_3, TO_3, NOTHING, TO_3))
     assert code_of(some.note) is ReasonCode.INTERVALS_LEFT_OUT
     assert "1 of 4 intervals" in str(some.note)
-    other = conicity_points(history(TO_2, TO_2, NOTHING))
-    assert (other.quantity, other.amplitude) == ("equivalent_conicity_2_mm", pytest.approx(2e-3))
+    other = conicity_points(history((1.0,), (1.0,), NOTHING))
+    assert (other.quantity, other.amplitude) == ("equivalent_conicity_1_mm", pytest.approx(1e-3))
     assert code_of(other.note) is ReasonCode.OTHER_AMPLITUDE
-    assert "at 2 mm" in str(other.note)
+    assert "at 1 mm" in str(other.note)
     assert "1 of 3 intervals" in str(other.note)
 
 
