@@ -53,7 +53,7 @@ def test_wheels_become_wheelsets_and_what_cannot_run_is_left_out_with_its_reason
     found = measured_wheels(tmp_path, section)
     assert set(found.pairs) == {(first, first), (second, second), (left, right), (first, second), (second, first)}
     assert [line.partition(":")[0] for line in found.left_out] == ["broken", "hollow"]
-    assert "equivalent conicity of 0.5" in found.left_out[1]
+    assert "equivalent conicity of 0.45" in found.left_out[1]
     for path in (first, second, left, right):
         path.unlink()
     with pytest.raises(ScenarioError, match=r"no measured wheels that can run; broken: .*; hollow: "):
