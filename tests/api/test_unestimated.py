@@ -15,6 +15,8 @@ from running_service import Service, running
 
 from api.factory import open_store
 from api.settings import Settings
+from api.window_reasons import WindowReasons
+from estimation.errors import NotFoundError
 from estimation.values.quantities import Status
 from estimation.values.quarantine import Quarantined, SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
@@ -255,6 +257,22 @@ def test_quarantine_says_when_it_is_tried_again(service: Service) -> None:
         unit.quarantine.put(replace(failed, kind=SubjectKind.WHEELSET, key=SERIAL, stage="refresh_geometry"))
     (one,) = because(service)["reasons"]
     assert (one["state"], one["reason"]) == ("estimated", f"refresh_geometry failed at it: ValueError: no; {again}")
+
+
+def test_who_is_bound_to_a_fleet_sees_the_same_and_nothing_of_others(service: Service) -> None:
+    with service.storage.write() as unit:
+        refuse(unit, put(unit, 3), ReasonCode.CLIPPED)
+        put(unit, 2, 3)
+    with service.storage.read() as unit:
+        seen = WindowReasons(unit).without_estimate(SERIAL)
+    with service.storage.seen_by(frozenset({"F"})).read() as unit:
+        assert WindowReasons(unit).without_estimate(SERIAL) == seen
+        assert WindowReasons(unit).waiting(vehicles=["V-1"]) == [seen.windows[1]]
+        assert WindowReasons(unit).without_estimate(OTHER).reason.text.startswith("no recording of V-1")
+    with service.storage.seen_by(frozenset({"other"})).read() as unit:
+        with pytest.raises(NotFoundError):
+            WindowReasons(unit).without_estimate(SERIAL)
+        assert WindowReasons(unit).waiting() == []
 
 
 def test_windows_before_the_last_reprofiling_and_older_ones_are_not_counted(service: Service) -> None:
