@@ -198,7 +198,7 @@ def test_refused_windows_are_counted_by_reason_and_the_newest_sentence_is_shown(
     assert (found["counted_from"], found["last_data_at"]) == (windows[0]["measured_from"], windows[-1]["measured_to"])
     state = got(service, f"{AT}/state")["state"]
     assert state["conicity_1"]["reason"] == (
-        "there is no geometry yet; refused windows: 6 position uncertain, 3 clipped, 1 other"
+        "windows refused: 6 position uncertain, 3 clipped, 1 other; there is no geometry yet"
     )
     assert [one["text"] for one in state["reasons"]] == [state["conicity_1"]["reason"]]
 
