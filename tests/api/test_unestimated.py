@@ -26,7 +26,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.window_reasons import _grouped
+from fleet_db.stores.window_reasons import COUNTED, _grouped
 from ingest.vehicle_class_file import shipped_class
 
 SERIAL, OTHER = "W-1", "W-2"
@@ -148,6 +148,9 @@ def test_windows_wait_for_an_alignment_which_the_last_look_did_not_find(service:
     )
     assert one["what_to_do"].startswith("Survey it, or wait for more passes.")
     assert [window["reason_code"] for window in got(service, f"{AT}/windows")["items"]] == ["alignment_unknown"] * 4
+    with service.storage.write() as unit:
+        align(unit, AlignmentSource.FLEET, Status.UNESTIMATED)  # as where a survey is refused and nothing replaces it
+    assert because(service)["reasons"] == [one]
 
 
 def test_windows_wait_for_the_job_the_class_and_their_place(service: Service) -> None:
@@ -279,6 +282,15 @@ def test_windows_before_the_last_reprofiling_and_older_ones_are_not_counted(serv
     with service.storage.write() as unit:
         starts = put(unit, 8)
         refuse(unit, starts, ReasonCode.CLIPPED)
+        refuse(unit, starts[:2], ReasonCode.SENSOR_FAULT)
+    with service.storage.read() as unit:
+        newest = WindowReasons(unit).without_estimate(SERIAL, most=7)
+    assert (newest.counted, newest.from_ns, COUNTED) == (7, starts[1], 1000)
+    assert [(one.reason and one.reason.code, one.windows) for one in newest.windows] == [
+        (ReasonCode.CLIPPED, 6),
+        (ReasonCode.SENSOR_FAULT, 1),
+    ]
+    with service.storage.write() as unit:
         unit.registry.add_reprofiling(Reprofiling(SERIAL, starts[5], 100.0))
     found = because(service)
     assert (found["windows"], reasons(found)) == (3, [("refused", "clipped", 3)])
