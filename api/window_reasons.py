@@ -102,15 +102,18 @@ class WindowReasons:
             last_ns=max(one.newest_end_ns for one in counted),
         )
 
-    def waiting(self, vehicles: Sequence[str]) -> list[WindowsOfReason]:
-        """Return the windows of vehicles that wait, by what they wait for, the most frequent first.
+    def waiting(self, *, vehicles: Sequence[str] | None = None, wheelset: str | None = None) -> list[WindowsOfReason]:
+        """Return the windows that wait, by what they wait for, the most frequent first.
 
         Parameters
         ----------
         vehicles
-            Codes.
+            Only of these vehicles.
+        wheelset
+            Only of this one.
         """
-        return self._merged("", pending_by_place(self.unit.connection, vehicles), None)
+        counted = pending_by_place(self.unit.connection, vehicles=vehicles, wheelset=wheelset)
+        return self._merged(wheelset or "", counted, None)
 
     def _counted(self, record: WheelsetRecord, most: int) -> list[CountedWindows]:
         since_ns = max((one.at_ns for one in record.reprofilings), default=None)
@@ -183,7 +186,7 @@ class WindowReasons:
         try:
             code = self.unit.registry.vehicle(vehicle).vehicle_class
             known = self.unit.registry.vehicle_class(code) is not None
-        except (DamagedError, NotFoundError):  # it is of another fleet: what is not seen is not spoken of
+        except (DamagedError, NotFoundError):  # it is of another fleet, of which nothing is said
             return None
         return None if known else Reason(ReasonCode.CLASS_UNKNOWN, f"class {code!r} of {vehicle} is not on file")
 

@@ -11,6 +11,7 @@ from api.problems import described
 from api.schemas import life
 from api.schemas.common import Page
 from api.services import ServicesDep
+from api.window_reasons import WindowReasons
 from fleet_db.stores.window_counts import window_counts
 
 MOST_STRETCHES = 100
@@ -38,4 +39,5 @@ def get_data_quality(request: Request, services: ServicesDep, serial: Serial, _h
     with services.storage.read() as unit:
         unit.registry.wheelset(serial)
         found = window_counts(unit.connection, serial, MOST_STRETCHES)
-    return answer(request, life.data_quality(serial, found))
+        waiting = WindowReasons(unit).waiting(wheelset=serial)
+    return answer(request, life.data_quality(serial, found, waiting))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from pydantic import Field
 
@@ -10,6 +10,7 @@ from api.schemas.common import Links, Representation, Uncertain, finite, uncerta
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.values import window_reasons
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of, text_of
@@ -80,14 +81,28 @@ def interval(record: GeometryRecord) -> Interval:
     )
 
 
-def data_quality(serial: str, found: WindowCounts) -> DataQuality:
-    """Return the representation of the windows of a wheelset over time."""
+def data_quality(serial: str, found: WindowCounts, waiting: Sequence[window_reasons.WindowsOfReason]) -> DataQuality:
+    """Return the representation of the windows of a wheelset over time.
+
+    Parameters
+    ----------
+    serial
+        Of the wheelset.
+    found
+        Its windows over time.
+    waiting
+        Those that wait, by what they wait for.
+    """
     stretches: dict[int, dict[tuple[WindowState, ReasonCode | None], int]] = {}
     total: dict[tuple[WindowState, ReasonCode | None], int] = {}
     for one in found.counts:
         key = one.state, one.code
         stretches.setdefault(one.from_ns, {})[key] = one.windows
-        total[key] = total.get(key, 0) + one.windows
+        if one.state is not WindowState.PENDING:
+            total[key] = total.get(key, 0) + one.windows
+    for item in waiting:
+        key = item.state, code_of(item.reason)
+        total[key] = total.get(key, 0) + item.windows
     own = f"/v1/wheelsets/{segment(serial)}"
     return DataQuality(
         wheelset=serial,

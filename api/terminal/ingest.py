@@ -244,7 +244,7 @@ def _waiting(storage: SqlStorage, outcomes: Sequence[Outcome]) -> list[str]:
     if not vehicles:
         return []
     with storage.read() as unit:
-        return [line_of(one) for one in WindowReasons(unit).waiting(sorted(vehicles))]
+        return [line_of(one) for one in WindowReasons(unit).waiting(vehicles=sorted(vehicles))]
 
 
 def registry_lines(loaded: LoadedRegistry) -> list[str]:

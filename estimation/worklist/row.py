@@ -105,7 +105,7 @@ def _with_refusals(reason: Reason, inputs: WorklistInputs) -> Reason:
         return reason
     refusals = ", ".join(f"{count} {code.value.replace('_', ' ')}" for code, count in named)
     rest = sum(inputs.refused.values()) - sum(count for _, count in named)
-    return replace(reason, text=f"{reason.text}; refused windows: {refusals}{f', {rest} other' if rest else ''}")
+    return replace(reason, text=f"windows refused: {refusals}{f', {rest} other' if rest else ''}; {reason.text}")
 
 
 def _current_trend(inputs: WorklistInputs) -> TrendRecord | None:

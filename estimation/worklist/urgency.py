@@ -156,7 +156,7 @@ def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[
     hides = HIDING.get(alert.kind)
     if alert.kind == NoDataRule.kind and hides is not None:
         since = "ever" if last_ns is None else f"since {_day(last_ns)}"
-        text = f"no usable data {since}: its windows are refused" if refused else f"no data {since}"
+        text = f"no usable data {since}" if refused else f"no data {since}"
         return Urgency.UNKNOWN, Reason(hides.code, text)
     if hides is not None:
         return Urgency.UNKNOWN, hides

@@ -87,21 +87,30 @@ def newest_by_reason(
     return sorted(counted, key=lambda one: (-one.windows, -one.newest_end_ns, one.state.value))
 
 
-def pending_by_place(connection: Connection, vehicles: Sequence[str]) -> Sequence[CountedWindows]:
-    """Return the windows of vehicles that wait, by vehicle, section, and whether their place is found.
+def pending_by_place(
+    connection: Connection, *, vehicles: Sequence[str] | None = None, wheelset: str | None = None
+) -> Sequence[CountedWindows]:
+    """Return the windows that wait, however many, by vehicle, section, and whether their place is found.
 
     Parameters
     ----------
     connection
         Of any transaction.
     vehicles
-        Codes, some hundreds at most.
+        Only of these, some hundreds at most.
+    wheelset
+        Only of this one.
     """
+    chosen = [IS_PENDING]
+    if vehicles is not None:
+        chosen.append(WINDOWS.c.vehicle.in_(vehicles))
+    if wheelset is not None:
+        chosen.append(WINDOWS.c.wheelset == wheelset)
     placed = case((PLACED, true()), else_=false()).label("placed")
     names = ("vehicle", "track_section", "start_ns")
     end = (WINDOWS.c.start_ns + WINDOWS.c.length_ns).label("end_ns")
     waiting = select(*(WINDOWS.c[name] for name in names), end, placed)
-    one = waiting.where(IS_PENDING, WINDOWS.c.vehicle.in_(vehicles)).subquery()
+    one = waiting.where(*chosen).subquery()
     key = (one.c.vehicle, one.c.track_section, one.c.placed)
     rows = connection.execute(select(*key, *_sums(one)).group_by(*key))
     return [

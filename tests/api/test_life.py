@@ -61,5 +61,7 @@ def test_windows_are_counted_over_time_by_state_and_reason(client: httpx.Client)
     assert first["measured_from"] == "2025-06-15T00:00:00Z"
     assert first["measured_to"] == "2025-06-18T00:00:00Z", "300 days in at most 100 stretches"
     assert [one["windows"] for one in found["total"]] == [fleet.WINDOWS - 4 + 1, 3, 1]
+    codes = [(one["state"], one["reason_code"]) for one in found["total"]]
+    assert codes == [("pending", "waits_for_estimation"), ("estimated", None), ("refused", "clipped")]
     nothing = client.get(f"/v1/wheelsets/{fleet.NO_DATA_YET}/data-quality").json()
     assert (nothing["total"], nothing["over_time"]) == ([], [])

@@ -15,6 +15,8 @@ from running_service import Service, running
 
 from api.factory import open_store
 from api.settings import Settings
+from api.window_reasons import WindowReasons
+from estimation.errors import NotFoundError
 from estimation.values.quantities import Status
 from estimation.values.quarantine import Quarantined, SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
@@ -24,7 +26,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.window_reasons import _grouped
+from fleet_db.stores.window_reasons import COUNTED, _grouped
 from ingest.vehicle_class_file import shipped_class
 
 SERIAL, OTHER = "W-1", "W-2"
@@ -146,6 +148,9 @@ def test_windows_wait_for_an_alignment_which_the_last_look_did_not_find(service:
     )
     assert one["what_to_do"].startswith("Survey it, or wait for more passes.")
     assert [window["reason_code"] for window in got(service, f"{AT}/windows")["items"]] == ["alignment_unknown"] * 4
+    with service.storage.write() as unit:
+        align(unit, AlignmentSource.FLEET, Status.UNESTIMATED)  # as where a survey is refused and nothing replaces it
+    assert because(service)["reasons"] == [one]
 
 
 def test_windows_wait_for_the_job_the_class_and_their_place(service: Service) -> None:
@@ -196,7 +201,7 @@ def test_refused_windows_are_counted_by_reason_and_the_newest_sentence_is_shown(
     assert (found["counted_from"], found["last_data_at"]) == (windows[0]["measured_from"], windows[-1]["measured_to"])
     state = got(service, f"{AT}/state")["state"]
     assert state["conicity_1"]["reason"] == (
-        "there is no geometry yet; refused windows: 6 position uncertain, 3 clipped, 1 other"
+        "windows refused: 6 position uncertain, 3 clipped, 1 other; there is no geometry yet"
     )
     assert [one["text"] for one in state["reasons"]] == [state["conicity_1"]["reason"]]
 
@@ -257,10 +262,35 @@ def test_quarantine_says_when_it_is_tried_again(service: Service) -> None:
     assert (one["state"], one["reason"]) == ("estimated", f"refresh_geometry failed at it: ValueError: no; {again}")
 
 
+def test_who_is_bound_to_a_fleet_sees_the_same_and_nothing_of_others(service: Service) -> None:
+    with service.storage.write() as unit:
+        refuse(unit, put(unit, 3), ReasonCode.CLIPPED)
+        put(unit, 2, 3)
+    with service.storage.read() as unit:
+        seen = WindowReasons(unit).without_estimate(SERIAL)
+    with service.storage.seen_by(frozenset({"F"})).read() as unit:
+        assert WindowReasons(unit).without_estimate(SERIAL) == seen
+        assert WindowReasons(unit).waiting(vehicles=["V-1"]) == [seen.windows[1]]
+        assert WindowReasons(unit).without_estimate(OTHER).reason.text.startswith("no recording of V-1")
+    with service.storage.seen_by(frozenset({"other"})).read() as unit:
+        with pytest.raises(NotFoundError):
+            WindowReasons(unit).without_estimate(SERIAL)
+        assert WindowReasons(unit).waiting() == []
+
+
 def test_windows_before_the_last_reprofiling_and_older_ones_are_not_counted(service: Service) -> None:
     with service.storage.write() as unit:
         starts = put(unit, 8)
         refuse(unit, starts, ReasonCode.CLIPPED)
+        refuse(unit, starts[:2], ReasonCode.SENSOR_FAULT)
+    with service.storage.read() as unit:
+        newest = WindowReasons(unit).without_estimate(SERIAL, most=7)
+    assert (newest.counted, newest.from_ns, COUNTED) == (7, starts[1], 1000)
+    assert [(one.reason and one.reason.code, one.windows) for one in newest.windows] == [
+        (ReasonCode.CLIPPED, 6),
+        (ReasonCode.SENSOR_FAULT, 1),
+    ]
+    with service.storage.write() as unit:
         unit.registry.add_reprofiling(Reprofiling(SERIAL, starts[5], 100.0))
     found = because(service)
     assert (found["windows"], reasons(found)) == (3, [("refused", "clipped", 3)])
