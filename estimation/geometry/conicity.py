@@ -26,6 +26,7 @@ from estimation.values.reasons import Reason, ReasonCode
 FEWEST_NODES = 5
 FEWEST_GROUPS = 4
 LARGEST_STD = 0.1  # of a conicity that is published: wheelsets in service have 0.02 to 0.6
+LARGEST_SHARE = 0.25  # or relative to the conicity: one of 0.57 within 0.28 may be far over its limit
 BLUR_SHARE = 0.3  # of what sharpening changes: what is not known of it
 SLOW_STD = 0.1e-3  # m, of what the high-pass takes from y - d: the slow motion of the wheelset itself
 ALIKE_SHARE = 0.15  # of the part of R that is alike on both sides: what the high-pass makes of it
@@ -272,7 +273,9 @@ def _conicity(values: FloatArray, groups: int, count: float, amplitude: float) -
         text = f"the data leave the conicity at {1e3 * amplitude:g} mm open: the scale of y - d is not known"
         return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)
     found = _estimate(values, groups, count, not_covered(amplitude))
-    if found.value is None or found.high is None or found.std is None or found.std <= LARGEST_STD:
+    if found.value is None or found.high is None or found.std is None:
+        return found
+    if found.std <= max(LARGEST_STD, LARGEST_SHARE * found.value):
         return found
     text = f"the data leave the conicity at {1e3 * amplitude:g} mm open by {found.high - found.value:.2f} either way"
     return Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, text), count)

@@ -42,6 +42,14 @@ def test_a_conicity_that_is_open_by_more_than_a_fifth_is_not_published(share: fl
     assert value(estimates(replace(item, band_limited=False)).zero_crossing) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("share", [0.99, 1.01])
+def test_a_large_conicity_is_published_although_it_is_open_by_half_of_itself(share: float) -> None:
+    cone = 6 * CONE
+    found = estimates(curve(line(2 * cone), sensitivity=line(2 * 0.25 * cone * share)[:, None]))
+    assert value(estimates(curve(line(2 * cone))).at_reference) == pytest.approx(cone, rel=1e-4)
+    assert {code_of(one.reason) for one in found.conicity} == {None if share < 1.0 else ReasonCode.CONICITY_OPEN}
+
+
 def test_reported_is_the_largest_amplitude_that_is_not_open() -> None:
     """A cubic t x^3 has the conicity 3/8 t a^2: with t = 4.5e4 1/m^2 it is 0.085 at 2.25 mm and 0.105 at 2.5 mm."""
     found = estimates(curve(sensitivity=cubic(0.0, 4.5e4)[:, None]))
