@@ -19,6 +19,7 @@ from api.demo.replay import Simulated, ending_now, replay
 from api.demo.second_opinions import second_opinions
 from api.demo.service import free_port, serving
 from api.demo.table import ServiceAddress, get, lines, tables, true_campaigns
+from api.demo.to_do import to_do
 from api.demo.track import track_lines
 from api.settings import Settings, load_settings
 from api.terminal.keys import make_stored_key
@@ -83,6 +84,9 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
             f" {time.monotonic() - began:.0f} s",
             highlight=False,
         )
+        console.print("[bold]what to do, the most urgent first[/bold]")
+        for sentence in to_do(service, fleets[0].scenario.fleet_code):
+            console.print(f"  {sentence}", highlight=False)
         if keep_serving:
             _print_urls(service, console)
             console.print("serving; the jobs continue on their schedules; stop with Ctrl-C", highlight=False)

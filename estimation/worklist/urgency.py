@@ -25,6 +25,7 @@ beyond which the shipped rule on the forecast lets its alert go."""
 MORE_LIKELY_THAN_NOT = 0.5
 FAR_KM = 1e9  # stands for a distance that is not known, behind all that are
 BAND_KM = 1e10  # from one class of urgency to the next
+ADVICE = {rule.kind: rule.advice for rule in ALERT_RULES if rule.advice}
 HIDING = {rule.kind: rule.hides_wear for rule in ALERT_RULES if rule.hides_wear is not None}
 OF_LIMIT = (ConicityLimitRule.kind, LimitForecastRule.kind)
 
@@ -163,7 +164,7 @@ def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[
     urgency = {Severity.CRITICAL: Urgency.CRITICAL_ALERT, Severity.WARNING: Urgency.WARNING_ALERT}.get(
         alert.severity, Urgency.NOT_DUE
     )
-    text = f"{alert.severity.value} alert: {alert.kind.replace('_', ' ')}"
+    text = f"{alert.severity.value} alert: {ADVICE.get(alert.kind, alert.kind.replace('_', ' '))}"
     if alert.condition is Condition.UNKNOWN:
         text += ", not assessable any more"
     return urgency, Reason(ReasonCode.ALERT_OPEN, text)

@@ -31,6 +31,7 @@ class DataQualityRule(AlertRule):
 
     kind: ClassVar[str] = "data_quality"
     limit_unit: ClassVar[str] = "windows"
+    advice: ClassVar[str] = "its mileage or recordings cannot be believed: check odometer and recordings"
     counts_km: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (
         ("raise_windows", "<=", "latest_windows"),

@@ -32,6 +32,7 @@ class HuntingRule(AlertRule):
 
     kind: ClassVar[str] = "hunting"
     limit_unit: ClassVar[str] = "windows"
+    advice: ClassVar[str] = "it hunts: check yaw dampers and wheel profiles"
     counts_km: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (
         ("raise_windows", "<=", "latest_windows"),

@@ -31,6 +31,7 @@ class MeasureRule(AlertRule):
 
     kind: ClassVar[str] = "measure"
     limit_unit: ClassVar[str] = "1"
+    advice: ClassVar[str] = "may be beyond its limit: measure its profiles"
     counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (

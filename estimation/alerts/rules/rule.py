@@ -117,6 +117,8 @@ class AlertRule(ABC):
         It judges the sensors: its alerts end where they are exchanged or calibrated.
     hides_wear
         Why the profile cannot be judged while this rule is breached; empty where it can.
+    advice
+        What is the matter and what to do, in the words of the worklist; empty where the rule has words of its own.
     counts_km
         Its findings have a mileage, so that its delays may be in kilometres.
     relations
@@ -130,6 +132,7 @@ class AlertRule(ABC):
     of_wear: ClassVar[bool] = False
     of_sensors: ClassVar[bool] = False
     hides_wear: ClassVar[Reason | None] = None
+    advice: ClassVar[str] = ""
     counts_km: ClassVar[bool] = False
     relations: ClassVar[Sequence[tuple[str, str, str]]] = ()
 

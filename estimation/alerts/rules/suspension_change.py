@@ -27,6 +27,7 @@ class SuspensionChangeRule(AlertRule):
 
     kind: ClassVar[str] = "suspension_change"
     limit_unit: ClassVar[str] = "1"
+    advice: ClassVar[str] = "the yaw suspension of its vehicle has changed: check it"
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (
         ("clear_change", "<=", "raise_change"),
         ("raise_step", "<=", "raise_change"),

@@ -33,6 +33,7 @@ class UnregisteredChangeRule(AlertRule):
 
     kind: ClassVar[str] = UNREGISTERED_CHANGE
     limit_unit: ClassVar[str] = "1"
+    advice: ClassVar[str] = "its conicity has changed at once, and nobody registered why: turned, exchanged, damaged?"
     of_wear: ClassVar[bool] = True
 
     warning_fall: Annotated[float, Interval(ge=0.0, le=2.0)] = 0.1  # below it a fall is an info

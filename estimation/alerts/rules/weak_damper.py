@@ -36,6 +36,7 @@ class WeakDamperRule(AlertRule):
 
     kind: ClassVar[str] = "weak_damper"
     limit_unit: ClassVar[str] = "1"
+    advice: ClassVar[str] = "a lateral damper has lost its damping: check it"
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_share", ">=", "raise_share"),)
 
     raise_share: DampingShare = 0.5

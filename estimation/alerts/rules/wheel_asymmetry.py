@@ -45,6 +45,7 @@ class WheelAsymmetryRule(AlertRule):
 
     kind: ClassVar[str] = "wheel_asymmetry"
     limit_unit: ClassVar[str] = "mm"
+    advice: ClassVar[str] = "its wheels differ in diameter or shape: measure them"
     counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (

@@ -39,6 +39,7 @@ class WheelFlatRule(AlertRule):
 
     kind: ClassVar[str] = "wheel_flat"
     limit_unit: ClassVar[str] = "1"
+    advice: ClassVar[str] = "a wheel has a flat: inspect the treads, turn the wheelset"
     counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (

@@ -49,8 +49,18 @@ def verdict(of: Ahead, *alerts: OpenAlert, mounted: bool = True, last_ns: int | 
         ),
         (BEYOND, [alert("conicity_limit", condition=Condition.PENDING)], Urgency.NOT_DUE, ["beyond"]),
         (BEYOND, [alert("hunting", condition=Condition.CLEARED)], Urgency.NOT_DUE, ["beyond"]),
-        (BEYOND, [alert("hunting", Severity.CRITICAL)], Urgency.CRITICAL_ALERT, ["critical alert: hunting", "beyond"]),
-        (BEYOND, [alert("data_quality")], Urgency.WARNING_ALERT, ["warning alert: data quality", "beyond"]),
+        (
+            BEYOND,
+            [alert("hunting", Severity.CRITICAL)],
+            Urgency.CRITICAL_ALERT,
+            ["critical alert: it hunts: check yaw dampers and wheel profiles", "beyond"],
+        ),
+        (
+            BEYOND,
+            [alert("data_quality")],
+            Urgency.WARNING_ALERT,
+            ["warning alert: its mileage or recordings cannot be believed: check odometer and recordings", "beyond"],
+        ),
         (BEYOND, [alert("no_data", Severity.CRITICAL)], Urgency.UNKNOWN, ["no data since 2026-01-03", "beyond"]),
         (BEYOND, [alert("sensor_fault")], Urgency.UNKNOWN, ["the sensor is faulty", "beyond"]),
         (
