@@ -16,6 +16,7 @@ from bench.report import BenchRow, printed
 from bench.results_page import ended
 from bench.steps_lives import DAY_NS, HISTORIES, LIMIT, Case, Life, life
 from bench.steps_suspension import suspension_rows
+from bench.steps_turned import turned_rows
 from estimation.jobs.refresh_trends import trend_of
 from estimation.trend.points import conicity_points
 from estimation.trend.steps import newest_step
@@ -23,7 +24,7 @@ from estimation.trend.trend import TrendParameters
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.trend import TrendStep
 
-TITLE = "Sudden changes of conicity and suspension"
+TITLE = "Sudden changes of conicity, curve and suspension"
 SEED, LIVES, QUIET_LIVES, RIVAL_LIVES = 20_000, 24, 300, 24
 SIZES = (0.05, -0.05, 0.1, -0.1, 0.2, -0.2)
 REACH = {0.05: None, 0.1: 4, 0.2: 3}  # intervals
@@ -70,6 +71,7 @@ def _rows(seed: int, lives: int, quiet_lives: int) -> Iterator[BenchRow]:
     yield from _accuracy_rows(found)
     yield from _rival_rows(seed, min(lives, RIVAL_LIVES))
     yield from _quiet_rows(seed, quiet_lives)
+    yield from turned_rows(seed, max(1, lives // 4))
     yield from suspension_rows(seed, lives)
 
 
