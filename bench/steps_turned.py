@@ -24,7 +24,7 @@ from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 
-EDGES = 0.25e-3 * np.arange(-14, 15)
+EDGES: FloatArray = 0.25e-3 * np.arange(-14, 15, dtype=np.float64)
 AT = 0.5 * (EDGES[1:] + EDGES[:-1])
 DISPLACEMENT = np.arange(-75, 76) * 1e-4  # m
 PAIRS = (("P8", "56E1", 20, 3e-3, 44e-3), ("S1002", "60E1", 40, 4e-3, 33e-3))
