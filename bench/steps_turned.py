@@ -70,7 +70,7 @@ def turned_rows(seed: int, lives: int) -> Iterator[BenchRow]:
         for i in range(lives)
     )
     total = lives * len(PAIRS) * len(INTERVAL_KM)
-    yield BenchRow("wheelsets that were not turned, by 0.3 mm", f"{wrong} of {total} told", "none", wrong == 0)
+    yield BenchRow("wheelsets that were not turned, by 0.3 mm", f"{wrong} of {total} found", "none", wrong == 0)
 
 
 def _found(seen: list[Observation]) -> bool:

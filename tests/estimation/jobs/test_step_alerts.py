@@ -138,7 +138,7 @@ def test_sensors_that_were_exchanged_then_explain_it_and_no_other_time_does(stor
         facts = facts_of(unit, unit.registry.wheelset("W1"), unit.registry.vehicle("V1"), RuleBook(), JobSettings())
     rule, step = UnregisteredChangeRule(), trend(storage).step
     assert step is not None
-    for at_ns, told in (
+    for at_ns, raised in (
         (step.before_ns - DAY_NS, False),
         (step.before_ns - DAY_NS - 1, True),
         (step.after_ns + DAY_NS, False),
@@ -146,13 +146,13 @@ def test_sensors_that_were_exchanged_then_explain_it_and_no_other_time_does(stor
     ):
         found = rule.find(replace(facts, sensors_changed_ns=at_ns), 0)
         assert found is not None
-        assert (found.breached, found.stands) == (told, told)
+        assert (found.breached, found.stands) == (raised, raised)
     mounting = facts.wheelset.mounting
     assert mounting is not None
-    for from_ns, told in ((step.before_ns, True), (step.before_ns + 1, False)):
+    for from_ns, raised in ((step.before_ns, True), (step.before_ns + 1, False)):
         wheelset = replace(facts.wheelset, mounting=replace(mounting, from_ns=from_ns))
         found = rule.find(replace(facts, wheelset=wheelset, open_alerts=()), 0)
-        assert (found is not None) is told
+        assert (found is not None) is raised
 
 
 @on_sqlite
