@@ -16,6 +16,7 @@ from bench.report import BenchRow, printed
 from bench.results_page import ended
 from bench.steps_lives import DAY_NS, HISTORIES, LIMIT, Case, Life, life
 from bench.steps_suspension import suspension_rows
+from bench.steps_turned import turned_rows
 from estimation.jobs.refresh_trends import trend_of
 from estimation.trend.points import conicity_points
 from estimation.trend.steps import newest_step
@@ -23,7 +24,7 @@ from estimation.trend.trend import TrendParameters
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.trend import TrendStep
 
-TITLE = "Sudden changes of conicity and suspension"
+TITLE = "Sudden changes of conicity, curve and suspension"
 SEED, LIVES, QUIET_LIVES, RIVAL_LIVES = 20_000, 24, 300, 24
 SIZES = (0.05, -0.05, 0.1, -0.1, 0.2, -0.2)
 REACH = {0.05: None, 0.1: 4, 0.2: 3}  # intervals
@@ -70,6 +71,7 @@ def _rows(seed: int, lives: int, quiet_lives: int) -> Iterator[BenchRow]:
     yield from _accuracy_rows(found)
     yield from _rival_rows(seed, min(lives, RIVAL_LIVES))
     yield from _quiet_rows(seed, quiet_lives)
+    yield from turned_rows(seed, max(1, lives // 4))
     yield from suspension_rows(seed, lives)
 
 
@@ -130,7 +132,7 @@ def _accuracy_rows(found: Sequence[Found]) -> Iterator[BenchRow]:
     text = f"rms error {np.sqrt(np.mean(error**2)):.4f}, z rms {z:.2f}, 95 % intervals hold {cover:.1%}"
     yield BenchRow(f"size of {len(shown)} steps found", text, "92 to 98 %", 0.92 <= cover <= 0.98)
     place = float(np.mean([one.holds_place for one, _ in shown]))
-    yield BenchRow("place: the mileage lies within the intervals told", f"{place:.1%}", "95 %", place >= 0.95)
+    yield BenchRow("place: the mileage is within the intervals named", f"{place:.1%}", "95 %", place >= 0.95)
     own, without = (
         float(np.nanmedian([getattr(one, name) for one, _ in shown if abs(one.size) >= 0.1]))
         for name in ("level_error", "level_error_without")
@@ -184,13 +186,13 @@ def false_steps(given: Life) -> tuple[int, float]:
     given
         Without a step.
     """
-    records, told = given.records, list[float]()
+    records, places = given.records, list[float]()
     width = records[1].mileage_km - records[0].mileage_km
     for until in range(2, len(records) + 1):
         step = newest_step(records[:until])
-        if step is not None and all(abs(step.after_km - km) > SAME_KM * width for km in told):
-            told.append(step.after_km)
-    return len(told), (records[-1].to_ns - records[0].from_ns) / DAY_NS / 365.25
+        if step is not None and all(abs(step.after_km - km) > SAME_KM * width for km in places):
+            places.append(step.after_km)
+    return len(places), (records[-1].to_ns - records[0].from_ns) / DAY_NS / 365.25
 
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:

@@ -34,13 +34,13 @@ def suspension_rows(seed: int, lives: int) -> Iterator[BenchRow]:
         for i in range(max(1, lives // len(HISTORIES))):
             findings = fleet(history, seed + 100 * number + i)
             histories = suspension_histories(findings)
-            told = {code: _told(code, list(histories[code])) for code in ("V0", "V1")}
-            first = history - _before_first(told["V0"], history + BEHIND)
-            behind = [is_told for is_told, _ in told["V0"][max(0, first) :]]
+            breaches = {code: _findings(code, list(histories[code])) for code in ("V0", "V1")}
+            first = history - _before_first(breaches["V0"], history + BEHIND)
+            behind = [is_found for is_found, _ in breaches["V0"][max(0, first) :]]
             after = next((k for k, one in enumerate(behind) if one), None)
             found.append(999 if after is None else after + 1 - min(0, first))
-            lasting.append(told["V0"][-1][0])
-            wrong += any(one for one, _ in told["V1"])
+            lasting.append(breaches["V0"][-1][0])
+            wrong += any(one for one, _ in breaches["V1"])
             years += (history + BEHIND) * DAYS_APART / 365.25
     late = np.array(found)
     text = f"{np.mean(late <= 4):.0%} within 4 findings, median {np.median(late):.0f}; {len(late)} fleets"
@@ -48,14 +48,14 @@ def suspension_rows(seed: int, lives: int) -> Iterator[BenchRow]:
     text = f"{np.mean(lasting):.0%} still found {BEHIND} findings later"
     yield BenchRow("the same", text, "95 %", float(np.mean(lasting)) >= 0.95)
     text = f"{wrong} in {years:.0f} vehicle-years"
-    yield BenchRow("right springs beside it that are told", text, "at most 0.02 a year", wrong / years <= 0.02)
+    yield BenchRow("right springs beside it that are found changed", text, "at most 0.02 a year", wrong / years <= 0.02)
 
 
-def _before_first(told: list[tuple[bool, int]], findings: int) -> int:
-    return findings - len(told)
+def _before_first(breaches: list[tuple[bool, int]], findings: int) -> int:
+    return findings - len(breaches)
 
 
-def _told(code: str, changes: list[object]) -> list[tuple[bool, int]]:
+def _findings(code: str, changes: list[object]) -> list[tuple[bool, int]]:
     rule = SuspensionChangeRule()
     newest_first = [suspension_change_finding(rule, code, change) for change in changes]  # type: ignore[arg-type]
     return [(bool(one.breached), one.measured_ns) for one in reversed(newest_first)]

@@ -194,7 +194,7 @@ def reversed_between(
 def _reversed_in(seen: Sequence[Observation], p: IdentityParameters) -> IdentityEvent | None:
     """Return the event where the even part has changed its sign, by all of a history; None where it has not.
 
-    The intervals have to be on the same bins; what lies between the two sides is of neither.
+    The intervals have to be on the same bins; what is between the two sides is of neither.
     """
     usable = [item for item in seen if item.geometry.windows >= p.least_windows]
     evens = [_even(_curve(item)) for item in usable]

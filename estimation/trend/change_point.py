@@ -127,13 +127,17 @@ def _median_change(series: Series, at: int, least: int) -> float:
     """Return the smaller change of the medians, of as few points as there must be and of some more, less the wear."""
     about = series.part(max(0, at - BEHIND), at + BEHIND)
     run = np.maximum(np.diff(about.x_km), SMALLEST_RUN_KM)
-    wear = float(np.median(np.diff(about.value) / run))
+    wear = _median((np.diff(about.value) / run).tolist())
     flat = series.part(max(0, at - BESIDE), at + BESIDE)
-    level, here = flat.value - wear * (flat.x_km - series.x_km[at]), min(at, BESIDE)
-    changes = [
-        float(np.median(level[here : here + n]) - np.median(level[max(0, here - n) : here])) for n in (least, BESIDE)
-    ]
+    level, here = (flat.value - wear * (flat.x_km - series.x_km[at])).tolist(), min(at, BESIDE)
+    changes = [_median(level[here : here + n]) - _median(level[max(0, here - n) : here]) for n in (least, BESIDE)]
     return min(changes, key=abs)
+
+
+def _median(values: list[float]) -> float:
+    """Return the median; of so few values numpy takes twenty times as long."""
+    ordered, half = sorted(values), len(values) // 2
+    return ordered[half] if len(values) % 2 else 0.5 * (ordered[half - 1] + ordered[half])
 
 
 def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:

@@ -1,4 +1,4 @@
-"""From a wheelset's interval geometries to the newest sudden change of its conicity, and what lies behind it."""
+"""From a wheelset's interval geometries to the newest sudden change of its conicity, and what is behind it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from estimation.values.trend import TrendStep, WearTrend
 
 COVERING = 0.75  # of the newest intervals, and of those before, that cover the amplitude
 NEWEST, BEFORE = 8, 24  # intervals
-ENOUGH_BEHIND = POINTS_FOR_OUTLIERS  # points of which a trend can tell an outlier; with fewer it says so
+ENOUGH_BEHIND = POINTS_FOR_OUTLIERS  # points among which a trend finds an outlier; with fewer it says so
 LOOKED_BACK = 12  # intervals behind a step of which one showed it first
 SMALLEST_STD = 1e-6  # a std below it is not credible
 

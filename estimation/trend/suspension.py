@@ -1,6 +1,6 @@
 """Has the suspension of a vehicle changed? Its ratio of yaw stiffness to creep coefficient, now against before.
 
-Now is what lies behind the newest step, however long ago that was, or else the newest findings.
+Now is what comes behind the newest step, however long ago that was, or else the newest findings.
 
 A ratio moves with the yaw spring and with the creep coefficient. Friction and running surface change the creep of all
 vehicles of a section at once, so what the others on the same section have in common is taken out; what is left of

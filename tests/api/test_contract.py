@@ -118,6 +118,7 @@ def test_numbers_say_their_unit_in_their_names() -> None:
     counts |= {"bogie", "urgency_rank", "visit", "size_bytes", "status_code"}
     counts |= {"compared", "covered", "considered", "on_file", "measurements"}  # of measurements
     counts |= {"attempts", "past_findings", "recent_findings", "other_vehicles", "windows_left_out"}
+    counts |= {"intervals_before", "intervals_behind"}
     counts |= {"same_since_version", "points", "rounds", "refused_windows", "refused_windows_by_code", "wheelsets"}
     units = (
         "_mm",

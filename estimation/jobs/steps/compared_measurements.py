@@ -10,8 +10,8 @@ from estimation.accuracy.comparison import Comparison, compared
 from estimation.accuracy.estimate_of_date import baseline_at, estimate_of_date
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
-from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.measured_wheelsets import measurement_name
+from estimation.jobs.steps.trend_steps import last_change
 from estimation.storage import UnitOfWork
 from estimation.values.evidence import evidence_of_measurement, evidence_of_version
 from estimation.values.geometry import GeometryRecord
@@ -30,7 +30,7 @@ class ComparisonReader:
     Attributes
     ----------
     unit
-        Registry, geometries, windows, tracks and alerts are read.
+        Registry, geometries, trends, windows, tracks and alerts are read.
     contact
         Finds the contact geometry of a pair of wheels on rails.
     interval_km
@@ -54,7 +54,7 @@ class ComparisonReader:
         if not measurements:
             return []
         intervals = self.unit.geometries.intervals(wheelset.serial)
-        change = identity_change(self.unit, wheelset.serial)
+        change = last_change(self.unit, wheelset)
         known = self.unit.registry.measured_profiles(wheelset.serial)
         found = []
         for one in measurements:

@@ -15,7 +15,7 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import RailsSettings
-from estimation.jobs.steps.identities import identity_change
+from estimation.jobs.steps.trend_steps import last_change
 from estimation.rails.design import conicity_on_rails, designed_wheel
 from estimation.rails.parameters import Anchors, ReferenceWheel
 from estimation.storage import UnitOfWork
@@ -164,7 +164,7 @@ def _measured_wheels(
             measured = unit.registry.measured_profiles(wheelset.serial)
         except DamagedError:
             continue
-        change = identity_change(unit, wheelset.serial) if measured else None
+        change = last_change(unit, wheelset) if measured else None
         for one in measured:
             baseline, begin_km = baseline_at(wheelset, one.at_ns)
             key = WheelKey(wheelset.serial, baseline, int((one.mileage_km - begin_km) // interval_km))

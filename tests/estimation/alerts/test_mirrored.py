@@ -41,25 +41,25 @@ def test_a_sign_that_changes_is_seen_below_the_published_std_and_only_from_three
         assert newest_mirrored(parts(size, -size, seed=seed, count=TURNED + 2)) is None
 
 
-def test_wheels_that_hardly_differ_are_not_told_and_no_other_change_is_taken_for_it() -> None:
+def test_wheels_that_hardly_differ_are_not_shown_and_no_other_change_is_taken_for_it() -> None:
     for seed in range(4):
         for size, after in ((0.0, 0.0), (0.01, -0.01), (0.1, 0.1)):
             assert newest_mirrored(parts(size, after, seed=seed)) is None
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.9, True), (1.1, False)])
-def test_the_odd_part_stays_as_it_is(share: float, told: bool) -> None:  # noqa: FBT001
+@pytest.mark.parametrize(("share", "shown"), [(0.9, True), (1.1, False)])
+def test_the_odd_part_stays_as_it_is(share: float, shown: bool) -> None:  # noqa: FBT001
     found = newest_mirrored(parts(0.1, -0.1, odd=share * KEPT * 0.2))
-    assert (found is not None) is told
+    assert (found is not None) is shown
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.8, True), (1.2, False)])
-def test_the_size_stays_the_same_but_for_what_is_common(share: float, told: bool) -> None:  # noqa: FBT001
+@pytest.mark.parametrize(("share", "shown"), [(0.8, True), (1.2, False)])
+def test_the_size_stays_the_same_but_for_what_is_common(share: float, shown: bool) -> None:  # noqa: FBT001
     common = 0.005 * np.abs(SHAPE).sum() / len(AT) * COMMON
     step = 0.4
     unlike = share * (SAME_SIZE * step + common)
     found = newest_mirrored(parts(0.5 * (step + unlike), -0.5 * (step - unlike), common=0.0))
-    assert (found is not None) is told
+    assert (found is not None) is shown
 
 
 def test_a_year_of_monthly_visits_shows_a_turned_wheelset_that_pairs_of_intervals_do_not() -> None:

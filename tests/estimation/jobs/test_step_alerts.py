@@ -11,7 +11,11 @@ from one_database import on_sqlite
 from test_wear_jobs import feed, open_alert, run_jobs
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
 
+from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.unregistered_change import UnregisteredChangeRule
+from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.trend_steps import last_change
+from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import Storage
 from estimation.values.alerts import CloseReason, Severity
 from estimation.values.reasons import ReasonCode, code_of
@@ -75,6 +79,7 @@ def test_a_fall_is_raised_with_its_place_and_size_and_the_trend_begins_behind_it
     assert code_of(now.reason) is ReasonCode.BEHIND_STEP
     with storage.read() as unit:
         change = last_change(unit, unit.registry.wheelset("W1"))
+        assert "W1" in unit.geometries.stale(10)  # the current geometry begins again behind the step
     assert change is not None
     assert (change.before_ns, change.after_ns) == (step.before_ns, step.after_ns)
     before = feed(storage)
@@ -122,6 +127,32 @@ def test_a_reprofiling_that_is_registered_later_explains_it(storage: Storage) ->
     assert KIND not in kinds_open(storage)
     assert trend(storage).step is None
     assert trend(storage).mileage_km.tolist() == [1000.0 * day for day in range(21, 26)]
+
+
+@on_sqlite
+def test_sensors_that_were_exchanged_then_explain_it_and_no_other_time_does(storage: Storage) -> None:
+    register(storage, "W1")
+    stored(storage, life(0.12, 5))
+    run_jobs(storage, 25.2)
+    with storage.read() as unit:
+        facts = facts_of(unit, unit.registry.wheelset("W1"), unit.registry.vehicle("V1"), RuleBook(), JobSettings())
+    rule, step = UnregisteredChangeRule(), trend(storage).step
+    assert step is not None
+    for at_ns, raised in (
+        (step.before_ns - DAY_NS, False),
+        (step.before_ns - DAY_NS - 1, True),
+        (step.after_ns + DAY_NS, False),
+        (step.after_ns + DAY_NS + 1, True),
+    ):
+        found = rule.find(replace(facts, sensors_changed_ns=at_ns), 0)
+        assert found is not None
+        assert (found.breached, found.stands) == (raised, raised)
+    mounting = facts.wheelset.mounting
+    assert mounting is not None
+    for from_ns, raised in ((step.before_ns, True), (step.before_ns + 1, False)):
+        wheelset = replace(facts.wheelset, mounting=replace(mounting, from_ns=from_ns))
+        found = rule.find(replace(facts, wheelset=wheelset, open_alerts=()), 0)
+        assert (found is not None) is raised
 
 
 @on_sqlite

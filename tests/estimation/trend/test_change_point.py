@@ -1,4 +1,4 @@
-"""A step is told from outliers, wear and weather, whatever the history, and from the first three points behind it."""
+"""A step is parted from outliers, wear and weather, whatever the history, and from the first three points behind it."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_a_bend_and_fast_wear_are_no_steps() -> None:
         assert newest_change(series(0.05 + 2e-3 * np.arange(60.0), seed=seed)) is None
 
 
-def test_of_two_steps_the_newest_is_told() -> None:
+def test_of_two_steps_the_newest_is_found() -> None:
     value = stepped(30, 30, 0.2)
     value[45:] -= 0.15
     found = newest_change(series(value))
@@ -104,7 +104,7 @@ def test_points_that_are_as_noisy_as_the_step_do_not_show_it() -> None:
     assert all(newest_change(series(stepped(20, 3, 0.06), noise=0.04, seed=seed)) is None for seed in range(6))
 
 
-def test_a_step_is_told_where_its_probability_and_its_size_are_sure_and_not_just_below() -> None:
+def test_a_step_is_found_where_its_probability_and_its_size_are_sure_and_not_just_below() -> None:
     points = series(stepped(12, 4, 0.1), noise=0.006)
     found = newest_change(points)
     assert found is not None

@@ -184,3 +184,30 @@ def test_the_limits_of_the_rule(change: float, raised: bool, cleared: bool) -> N
     found = suspension_change_finding(RULE, "W", SuspensionChange("A", change, 0.05, 5, 3, 4, 9))
     assert (found.breached, found.cleared) == (raised, cleared)
     assert (found.measured_ns, found.evidence["vehicle"], found.evidence["other_vehicles"]) == (9, "A", 4)
+
+
+def test_a_spring_that_is_a_fifth_softer_is_found_among_others_and_does_not_fade() -> None:
+    soon = []
+    for seed in range(4):
+        fleet = history("A", [1.0] * 10 + [0.8] * 30, seed=seed)
+        for other in "BCDE":
+            fleet += history(other, [1.0] * 40, seed=seed)
+        newest_first = list(suspension_histories(fleet)["A"])
+        now, fourth = newest_first[0], next(one for one in newest_first if one.recent_ns == 14 * DAY)
+        assert breached(now) is True
+        assert (now.past, now.recent) == (10, 30)
+        assert now.change == pytest.approx(-0.2, abs=0.04)
+        assert now.since_ns == 10 * DAY
+        assert now.step_probability is not None
+        soon.append(breached(fourth))
+        assert [breached(one) for one in newest_first if one.recent_ns <= 10 * DAY] == [False] * 5
+        assert breached(suspension_changes(fleet)["B"]) is False
+    assert soon == [True] * 4
+
+
+def test_a_change_at_once_is_found_from_a_tenth_and_only_where_it_was_at_once() -> None:
+    sure = SuspensionChange("A", -0.164, 0.05, 9, 9, 4, 9 * DAY, step_probability=0.99, since_ns=5 * DAY)
+    assert RULE.raise_step == 0.1
+    assert breached(sure) is False
+    assert breached(replace(sure, change=-0.165)) is True
+    assert breached(replace(sure, change=-0.165, step_probability=None)) is False
