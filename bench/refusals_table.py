@@ -22,7 +22,7 @@ WRONG_HEADER = ("wrong", "wheelsets", "withheld", "in doubt", "found", "error wh
 WRONG_TITLE = "Wrong on file, or of the nodes"
 EXPLANATION = (
     "Each seed draws arrangement, sensors, vibration of the axle boxes (m/s2 rms), profiles, speed (m/s), track and std"
-    " of the survey (mm); 12 windows a wheelset. *Withheld* is a wheelset of which nothing is published for what its"
+    " of the survey (mm); 6 windows a wheelset. *Withheld* is a wheelset of which nothing is published for what its"
     " data contradict; *in doubt* one of which a number is published, wider, with the contradiction beside it. Errors"
     " and intervals are those of the equivalent conicity over 1-3 mm."
 )

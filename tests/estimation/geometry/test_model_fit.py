@@ -203,3 +203,23 @@ def test_a_doubt_stands_beside_a_number_that_is_wider_by_it() -> None:
     withheld = plain.against(Contradiction(reason, certain=True, relative=0.1))
     assert withheld.equivalent_conicity.status is Status.MODEL_MISMATCH
     assert withheld.against(Contradiction(reason, certain=False, relative=0.1)) is withheld
+
+
+def test_what_a_doubt_makes_of_the_conicity_follows_what_is_wrong() -> None:
+    """In a bogie 40 % of an error of the class show as spring error."""
+    for fit, in_bogie, relative in (
+        (ModelFit(0.12, 0.0, 0.0), True, 0.12 / 0.4),
+        (ModelFit(0.04, 0.0, 0.0), False, 0.04),
+        (ModelFit(0.0, 0.0, 0.6), True, 0.5 * 0.36),
+    ):
+        found = mismatch(fit, 0.0, 0.0, in_bogie=in_bogie)
+        assert found is not None
+        assert not found.certain
+        assert found.relative == pytest.approx(relative)
+
+
+def test_noise_and_an_uncertain_track_leave_so_much_in_the_yaw() -> None:
+    bins = bin_parameters(bogie_run.parameters(of_bogie(SOFT)))
+    open_track = model_fit(soft_table(), bins, 1e-3)
+    assert open_track is not None
+    assert open_track.spring_error_std == pytest.approx(0.065, rel=0.05)
