@@ -2,8 +2,8 @@
 
 Every seed draws a vehicle over sensors, vibration, profiles, speed, arrangement, track and survey
 (``refusals_case``), and judges it as it is, every third one also wrong in several ways (``refusals_judged``), by the
-functions that the jobs call. Results are appended to ``--out`` after every seed, a line of JSON each wheelset, and what is there is not
-run again. ``--seeds 0-29`` is a quick look; the figures that decide take 300 wheelsets.
+functions that the jobs call. Results are appended to ``--out`` after every seed, a line of JSON each wheelset, and what
+is there is not run again. ``--seeds 0-29`` is a quick look; the figures that decide take 300 wheelsets.
 """
 
 from __future__ import annotations

@@ -100,7 +100,11 @@ def test_another_distance_must_leave_so_much_less_unexplained(other: float, *, c
     expected = 0.3
     correlation = np.sqrt(1.0 - (1.0 - expected**2) / other)
     found = AxleDistance(4.5, float(correlation), expected, 0.1)
-    assert found.contradicts(WHEELBASE) is contradicted
+    assert found.contradicted is contradicted
+    assert replace(found, nearest=0.39).contradicted is False
+    assert replace(found, nearest=0.41).contradicted is True
+    assert replace(found, nearest=0.99).contradicted is True
+    assert replace(found, nearest=1.01).contradicted is contradicted
 
 
 @pytest.mark.parametrize(("other", "leads"), [(1.23, None), (1.27, False)])
@@ -109,7 +113,7 @@ def test_exchanged_nodes_must_leave_so_much_less_unexplained(other: float, *, le
     exchanged = float(np.sqrt(1.0 - (1.0 - expected**2) / other))
     found = AxleDistance(-WHEELBASE, exchanged, expected, exchanged)
     assert found.leads is leads
-    assert found.contradicts(WHEELBASE) is (leads is False)
+    assert found.contradicted is (leads is False)
 
 
 @pytest.mark.parametrize(("exchanged", "leads"), [(0.49, None), (0.51, False)])
