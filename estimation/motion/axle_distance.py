@@ -27,9 +27,7 @@ LEAST_CORRELATION = 0.65  # wheelsets that run on their own waves, and not on th
 LEAST_EXCHANGED = 0.5  # the same at one distance that is known beforehand: that of nodes that are exchanged
 TOLERANCE = 0.4  # m; what is found is within 0.25 m of the truth
 NEXT_WAVE = 1.0  # m: further away the maximum may be that of another wave
-CLEAR = (
-    1.9  # times what the distance found leaves unexplained, that on file leaves: of right ones 1 in 280 windows does
-)
+CLEAR = 1.9  # times what the distance found leaves unexplained, that the expected one leaves: right ones reach 1.8
 CLEAR_EXCHANGED = 1.25  # the same where the other distance is that of nodes that are exchanged; right ones are below 1
 
 
