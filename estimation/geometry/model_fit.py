@@ -144,7 +144,7 @@ def displaced(fit: ModelFit) -> Contradiction | None:
         return None
     text = (
         f"{share:.0%} of the power of the lateral displacement are errors of the alignment on file and of the sensors,"
-        f" {MOST_DISPLACEMENT_ERROR:.0%} may be: the conicity may be too small by as much; survey the section anew"
+        f" {MOST_DISPLACEMENT_ERROR:.0%} may be: the conicity may be too small by as much; survey the section again"
     )
     relative = min(share / max(1.0 - share, 1e-9), MOST_WIDENED)
     return Contradiction(Reason(ReasonCode.CONICITY_OPEN, text), certain=False, relative=relative)

@@ -39,7 +39,7 @@ class ReasonCode(StrEnum):
     NOT_MOVING = "not_moving", "The vehicle stands, or runs too slowly."
     BOTH_DIRECTIONS = "both_directions", "The vehicle runs both ways along the section within the window."
     POSITION_JUMP = "position_jump", "The position changes by another distance than the speed makes of it."
-    AXES_REVERSED = "axes_reversed", "The sensor axes contradict the direction of running. Check the mounting record."
+    AXES_REVERSED = "axes_reversed", "The sensor axes contradict those of other nodes. Check the mounting of the node."
     SENSOR_TURNED = (
         "sensor_turned",
         "A sensor is turned against the axes of the vehicle, or two are exchanged. Check its mounting and its offset.",
@@ -52,7 +52,7 @@ class ReasonCode(StrEnum):
     OUTSIDE_BINS = "outside_bins", "No lateral displacement is within the range of the bins."
     FRAME_UNKNOWN = (
         "frame_unknown",
-        "The yaw of the bogie frame is not known: the other node of the bogie has no window. Check its sensors.",
+        "The yaw of the bogie frame is not known: a node has no window, or its frame sensor is dead. Check it.",
     )
     MOUNTING_DIFFERS = (
         "mounting_differs",
