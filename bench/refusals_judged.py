@@ -68,7 +68,7 @@ class Judged:
     @property
     def doubted(self) -> bool:
         """Whether a number is published with a doubt beside it."""
-        return self.published and self.code in WITHHELD
+        return self.published and bool(self.code)
 
 
 def judged(case: RefusalCase, on_file: OnFile) -> tuple[Judged, ...]:

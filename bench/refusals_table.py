@@ -22,7 +22,7 @@ WRONG_HEADER = ("wrong", "wheelsets", "withheld", "in doubt", "found", "error wh
 WRONG_TITLE = "Wrong on file, or of the nodes"
 EXPLANATION = (
     "Each seed draws arrangement, sensors, vibration of the axle boxes (m/s2 rms), profiles, speed (m/s), track and std"
-    " of the survey (mm); 12 windows a wheelset. *Withheld* is a wheelset of which nothing is published for what its"
+    " of the survey (mm); 6 windows a wheelset. *Withheld* is a wheelset of which nothing is published for what its"
     " data contradict; *in doubt* one of which a number is published, wider, with the contradiction beside it. Errors"
     " and intervals are those of the equivalent conicity over 1-3 mm."
 )
@@ -71,7 +71,7 @@ def page_body(found: Sequence[Mapping[str, Any]]) -> list[str]:
         EXPLANATION,
         f"{skipped} seeds are left out: their wheelsets hunt until they derail.",
         markdown_table(HEADER, summary_rows(found), range(1, 4)),
-        f"{WRONG_TITLE}. A radius cannot be told where little rolls, and a class hardly on a survey of 1 mm.",
+        f"{WRONG_TITLE}. A radius is not seen where little rolls, and a class hardly on a survey of 1 mm.",
         markdown_table(WRONG_HEADER, wrong_rows(found), range(1, 5)),
     ]
 

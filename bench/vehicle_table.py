@@ -80,11 +80,12 @@ class Counted:
     wheelsets: int
     published: int
     mismatch: int
+    doubted: int = 0  # of those that are published
 
     @property
     def kept_back(self) -> float:
-        """Share of the wheelsets of which no conicity is published."""
-        return 1.0 - self.published / self.wheelsets
+        """Share of the wheelsets of which no conicity is published as good: without a doubt beside it."""
+        return 1.0 - (self.published - self.doubted) / self.wheelsets
 
     @property
     def mismatch_share(self) -> float:
@@ -105,6 +106,7 @@ def counted(cases: Sequence[Mapping[str, Any]]) -> Counted:
         wheelsets=len(verdicts),
         published=sum(verdict["published"] for verdict in verdicts),
         mismatch=sum(verdict["status"] == MISMATCH for verdict in verdicts),
+        doubted=sum(verdict["published"] and bool(verdict["code"]) for verdict in verdicts),
     )
 
 

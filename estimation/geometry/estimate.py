@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
-from estimation.geometry.model_fit import mismatch, model_fit
+from estimation.geometry.model_fit import displaced, mismatch, model_fit
 from estimation.geometry.shared_scale import solve_with_shared_scales
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty, quotient_widening
 from estimation.tables import least_squares
@@ -112,11 +112,15 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
         reason=curve.at_reference.reason,
         centre=curve.centre,
     )
-    return geometry.against(class_contradicted(table, bins, unc))
+    for found in contradictions(table, bins, unc):
+        geometry = geometry.against(found)
+    return geometry
 
 
-def class_contradicted(table: BinTable, bins: BinParameters, uncertainty: ParameterUncertainty) -> Contradiction | None:
-    """Return what of a vehicle's class the samples of a table contradict; None where they do not or are too few.
+def contradictions(
+    table: BinTable, bins: BinParameters, uncertainty: ParameterUncertainty
+) -> tuple[Contradiction, ...]:
+    """Return what the samples of a table contradict of the vehicle's class and the track; nothing where they are few.
 
     Parameters
     ----------
@@ -129,7 +133,10 @@ def class_contradicted(table: BinTable, bins: BinParameters, uncertainty: Parame
     """
     fit = model_fit(table, bins, uncertainty.expected_noise)
     stds = (uncertainty.stiffness, uncertainty.creep)
-    return None if fit is None else mismatch(fit, *stds, in_bogie=bins.wheelbase is not None)
+    if fit is None:
+        return ()
+    found = (mismatch(fit, *stds, in_bogie=bins.wheelbase is not None), displaced(fit))
+    return tuple(one for one in found if one is not None)
 
 
 def _screened(

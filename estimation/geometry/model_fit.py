@@ -35,6 +35,8 @@ DOUBTED_MISFIT = 0.55  # right classes on measured wheels and on gauge that vari
 CERTAIN_MISFIT = 0.65
 MISFIT_SHARE = 0.5  # of the square of the misfit: by how much it may spoil the conicity
 NOISE_DOUBT = 0.5  # of the variance that sensor noise makes: sensors may be as much worse than on file
+MOST_DISPLACEMENT_ERROR = 0.2  # of the power of y - d: what the interval of a curve allows for
+MOST_WIDENED = 2.0  # std of a conicity over itself by it
 LEAST_SAMPLES = 200.0  # of a bin
 FEWEST_BINS = 5
 FREE = 1e6  # std of what nothing is known of beforehand
@@ -127,6 +129,25 @@ def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie:
         Whether the yaw spring is tied to the frame of a bogie.
     """
     return _spring_differs(fit, stiffness_std, creep_std, in_bogie=in_bogie) or _unexplained(fit)
+
+
+def displaced(fit: ModelFit) -> Contradiction | None:
+    """Return that sensors and track leave the lateral displacement open, which flattens the curve; None else.
+
+    Parameters
+    ----------
+    fit
+        Of a wheelset.
+    """
+    share = fit.displacement_error
+    if share <= MOST_DISPLACEMENT_ERROR:
+        return None
+    text = (
+        f"{share:.0%} of the power of the lateral displacement are errors of the alignment on file and of the sensors,"
+        f" {MOST_DISPLACEMENT_ERROR:.0%} may be: the conicity may be too small by as much; survey the section again"
+    )
+    relative = min(share / max(1.0 - share, 1e-9), MOST_WIDENED)
+    return Contradiction(Reason(ReasonCode.CONICITY_OPEN, text), certain=False, relative=relative)
 
 
 def _spring_differs(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Contradiction | None:

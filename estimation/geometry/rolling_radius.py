@@ -33,9 +33,7 @@ FRICTION_SHARE = 0.3  # of the radius, per share by which the suspension moves t
 SCALE_SHARE = 0.5  # of the radius, per scale of yaw against lateral sensor: more than sensors have is what is missing
 MOST_UNEXPLAINED = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
 FEWEST_PARTS = 8
-DOUBTED = (
-    2.0  # stds beyond which the radius on file is in doubt: right ones are within 1.8, some where little vibrates 2.5
-)
+DOUBTED = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
 CERTAIN = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
 
 _SCALE, _RADIUS, _SUSPENSION = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension"))

@@ -26,7 +26,8 @@ LEAST_SHARE = 0.5  # of the samples of a window that both nodes must have
 LEAST_CORRELATION = 0.65  # wheelsets that run on their own waves, and not on the track, agree by up to 0.64 further on
 LEAST_EXCHANGED = 0.5  # the same at one distance that is known beforehand: that of nodes that are exchanged
 TOLERANCE = 0.4  # m; what is found is within 0.25 m of the truth
-CLEAR = 2.5  # how many times what the distance found leaves unexplained that on file must leave; waves reach 1.8
+NEXT_WAVE = 1.0  # m: further away the maximum may be that of another wave
+CLEAR = 1.9  # times what the distance found leaves unexplained, that the expected one leaves: right ones reach 1.8
 CLEAR_EXCHANGED = 1.25  # the same where the other distance is that of nodes that are exchanged; right ones are below 1
 
 
@@ -42,6 +43,7 @@ class AxleDistance:
     correlation: float  # of the rolls there, its magnitude
     expected: float  # the highest magnitude within ``TOLERANCE`` of the expected distance
     exchanged: float  # the same of the expected distance with the other sign
+    nearest: float = np.inf  # m from the expected distance to the nearest maximum of a clear correlation
 
     @property
     def leads(self) -> bool | None:
@@ -51,18 +53,15 @@ class AxleDistance:
         clearer = _clearer(self.exchanged, self.expected)
         return False if clearer >= CLEAR_EXCHANGED else True if 1.0 / clearer >= CLEAR_EXCHANGED else None
 
-    def contradicts(self, ahead: float) -> bool:
-        """Whether the rolls say that the distance is another one.
-
-        Parameters
-        ----------
-        ahead
-            The expected distance, m.
-        """
+    @property
+    def contradicted(self) -> bool:
+        """Whether the rolls say that the distance is another one."""
         if self.leads is False:
             return True
-        if self.correlation < LEAST_CORRELATION or abs(self.ahead - ahead) <= TOLERANCE:
+        if self.correlation < LEAST_CORRELATION or self.nearest <= TOLERANCE:
             return False
+        if self.nearest <= NEXT_WAVE:
+            return True
         return _clearer(self.correlation, self.expected) >= CLEAR
 
 
@@ -83,7 +82,7 @@ def check_axle_distance(window: Window, partner: Window, ahead: float) -> Reason
         negative at the axle behind.
     """
     found = axle_distance(window, partner, ahead)
-    if found is None or not found.contradicts(ahead):
+    if found is None or not found.contradicted:
         return None
     at = -ahead if found.leads is False else found.ahead
     correlation = found.exchanged if found.leads is False else found.correlation
@@ -150,4 +149,7 @@ def _highest(correlation: FloatArray, ahead: float) -> AxleDistance:
     at = int(np.argmax(size))
     near = [np.abs(distance - expected) <= TOLERANCE for expected in (ahead, -ahead)]
     expected, exchanged = (float(size[part].max()) if part.any() else 0.0 for part in near)
-    return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged)
+    inner = size[1:-1]
+    clear = np.flatnonzero((inner >= size[:-2]) & (inner >= size[2:]) & (inner >= LEAST_CORRELATION)) + 1
+    nearest = float(np.abs(distance[clear] - ahead).min()) if len(clear) else np.inf
+    return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest)

@@ -205,7 +205,7 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
     return Reason(
         ReasonCode.AXES_REVERSED,
         f"the axes point against the direction of running: lateral velocity and yaw have opposite signs"
-        f" (correlation {correlation:.2f}); check the mounting record",
+        f" (correlation {correlation:.2f}), unlike at other nodes; check the mounting of the node",
     )
 
 

@@ -65,7 +65,7 @@ class ReasonCode(StrEnum):
         "position_jump",
         "The position changes by another distance than the speed makes of it. Check the position source.",
     )
-    AXES_REVERSED = "axes_reversed", "The sensor axes contradict the direction of running. Check the mounting record."
+    AXES_REVERSED = "axes_reversed", "The sensor axes contradict those of other nodes. Check the mounting of the node."
     SENSOR_TURNED = (
         "sensor_turned",
         "A sensor is turned against the axes of the vehicle, or two are exchanged. Check its mounting and its offset.",
@@ -81,7 +81,7 @@ class ReasonCode(StrEnum):
     )
     FRAME_UNKNOWN = (
         "frame_unknown",
-        "The yaw of the bogie frame is not known: the other node of the bogie has no window. Check its sensors.",
+        "The yaw of the bogie frame is not known: a node has no window, or its frame sensor is dead. Check it.",
     )
     MOUNTING_DIFFERS = (
         "mounting_differs",

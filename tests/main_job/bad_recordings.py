@@ -63,9 +63,9 @@ def stuck(signals: Signals) -> Signals:
     return signals | {"distance": 0.0 * signals["distance"] + signals["distance"][0]}
 
 
-def half_round(signals: Signals) -> Signals:
-    """Return what sensors turned half round about the vertical measure: as if the vehicle ran backwards."""
-    return {name: values if name.startswith("yaw") else -values for name, values in signals.items()}
+def upside_down(signals: Signals) -> Signals:
+    """Return what yaw sensors of the other sign measure: as if the vehicle ran backwards, on the mirrored track."""
+    return {name: -values if name.startswith("yaw") else values for name, values in signals.items()}
 
 
 def first_seconds(batch: FrameBatch) -> FrameBatch:
@@ -75,7 +75,7 @@ def first_seconds(batch: FrameBatch) -> FrameBatch:
 
 def _turned(batch: FrameBatch) -> FrameBatch:
     for node in (1, 2):
-        batch = message(kinds.ACCELERATION, node, half_round)(batch)
+        batch = message(kinds.ACCELERATION, node, upside_down)(batch)
     return batch
 
 
@@ -86,7 +86,7 @@ def _stood(batch: FrameBatch) -> FrameBatch:
 
 WRONG: Mapping[str, tuple[Change, str]] = {
     "X-ELSE": (message(kinds.POSITION, kinds.VEHICLE_NODE, elsewhere), "other_section"),
-    "X-BACK": (_turned, "axes_reversed"),
+    "X-BACK": (_turned, "mirrored"),
     "X-CRAWL": (
         message(kinds.MOTION, kinds.VEHICLE_NODE, crawling),
         "odometer_implausible",

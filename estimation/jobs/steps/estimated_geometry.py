@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, replace
 from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from_motion
-from estimation.geometry.estimate import class_contradicted, estimate_geometry
+from estimation.geometry.estimate import contradictions, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.vehicle_classes import Assumed
@@ -65,7 +65,9 @@ def estimated_geometry(
     published = PublishedBins(bins.edges, settings.geometry_key(bins.key))
     other = _from_motions(motions(), settings, used.assumed.windows.vehicle, used.uncertainty, published)
     # whatever the estimator, the data follow the class or not
-    return other.against(class_contradicted(table, bins, used.uncertainty))
+    for found in contradictions(table, bins, used.uncertainty):
+        other = other.against(found)
+    return other
 
 
 def no_geometry(settings: EstimationSettings, parameter_key: str) -> WheelsetGeometry:

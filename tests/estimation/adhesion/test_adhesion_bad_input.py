@@ -256,7 +256,7 @@ def test_a_dead_node_gives_a_reason_and_stops_nobody(
                 replaced(unit, record, broken)
 
     with fleet_with(estimated_fleet, tmp_path, change) as (storage, _):
-        codes = {ReasonCode.DIVERGED, ReasonCode.AXLE_DISTANCE, ReasonCode.NO_USABLE_SAMPLE, ReasonCode.TOO_FEW_USABLE}
+        codes = {ReasonCode.FRAME_UNKNOWN, ReasonCode.NO_USABLE_SAMPLE, ReasonCode.TOO_FEW_USABLE}
         holds_no_number(of(storage, bogie), codes)
         others_go_on(storage, estimated_fleet.scenario.section.code, others)
 

@@ -9,14 +9,7 @@ import pytest
 from plain_windows import plain_window
 from scipy.signal import butter, sosfiltfilt
 
-from estimation.motion.axle_distance import (
-    CLEAR,
-    CLEAR_EXCHANGED,
-    LEAST_EXCHANGED,
-    AxleDistance,
-    axle_distance,
-    check_axle_distance,
-)
+from estimation.motion.axle_distance import AxleDistance, axle_distance, check_axle_distance
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
@@ -102,22 +95,30 @@ def test_waves_of_their_own_make_distances_half_a_wave_apart_alike() -> None:
     assert check_axle_distance(rear, front, -2.4) is None
 
 
-@pytest.mark.parametrize(("other", "contradicted"), [(CLEAR - 0.1, False), (CLEAR + 0.1, True)])
+@pytest.mark.parametrize(("other", "contradicted"), [(1.85, False), (1.95, True)])
 def test_another_distance_must_leave_so_much_less_unexplained(other: float, *, contradicted: bool) -> None:
     expected = 0.3
     correlation = np.sqrt(1.0 - (1.0 - expected**2) / other)
     found = AxleDistance(4.5, float(correlation), expected, 0.1)
-    assert found.contradicts(WHEELBASE) is contradicted
+    assert found.contradicted is contradicted
+    assert replace(found, nearest=0.39).contradicted is False
+    assert replace(found, nearest=0.41).contradicted is True
+    assert replace(found, nearest=0.99).contradicted is True
+    assert replace(found, nearest=1.01).contradicted is contradicted
 
 
-@pytest.mark.parametrize(("other", "leads"), [(CLEAR_EXCHANGED - 0.02, None), (CLEAR_EXCHANGED + 0.02, False)])
+@pytest.mark.parametrize(("other", "leads"), [(1.23, None), (1.27, False)])
 def test_exchanged_nodes_must_leave_so_much_less_unexplained(other: float, *, leads: bool | None) -> None:
     expected = 0.4
     exchanged = float(np.sqrt(1.0 - (1.0 - expected**2) / other))
-    assert exchanged > LEAST_EXCHANGED
     found = AxleDistance(-WHEELBASE, exchanged, expected, exchanged)
     assert found.leads is leads
-    assert found.contradicts(WHEELBASE) is (leads is False)
+    assert found.contradicted is (leads is False)
+
+
+@pytest.mark.parametrize(("exchanged", "leads"), [(0.49, None), (0.51, False)])
+def test_so_little_in_common_says_nothing_of_the_order(exchanged: float, *, leads: bool | None) -> None:
+    assert AxleDistance(-WHEELBASE, exchanged, 0.1, exchanged).leads is leads
 
 
 def test_too_few_samples_and_short_runs_say_nothing() -> None:

@@ -13,7 +13,7 @@ from paper_class import PAPER_CLASS
 from smooth_wheelset import alignment, track
 
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.model_fit import ModelFit, mismatch, model_fit
+from estimation.geometry.model_fit import ModelFit, displaced, mismatch, model_fit
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
 from estimation.values.geometry import BinTable, Contradiction
@@ -203,3 +203,31 @@ def test_a_doubt_stands_beside_a_number_that_is_wider_by_it() -> None:
     withheld = plain.against(Contradiction(reason, certain=True, relative=0.1))
     assert withheld.equivalent_conicity.status is Status.MODEL_MISMATCH
     assert withheld.against(Contradiction(reason, certain=False, relative=0.1)) is withheld
+
+
+def test_what_a_doubt_makes_of_the_conicity_follows_what_is_wrong() -> None:
+    """In a bogie 40 % of an error of the class show as spring error."""
+    for fit, in_bogie, relative in (
+        (ModelFit(0.12, 0.0, 0.0), True, 0.12 / 0.4),
+        (ModelFit(0.04, 0.0, 0.0), False, 0.04),
+        (ModelFit(0.0, 0.0, 0.6), True, 0.5 * 0.36),
+    ):
+        found = mismatch(fit, 0.0, 0.0, in_bogie=in_bogie)
+        assert found is not None
+        assert not found.certain
+        assert found.relative == pytest.approx(relative)
+
+
+def test_noise_and_an_uncertain_track_leave_so_much_in_the_yaw() -> None:
+    bins = bin_parameters(bogie_run.parameters(of_bogie(SOFT)))
+    open_track = model_fit(soft_table(), bins, 1e-3)
+    assert open_track is not None
+    assert open_track.spring_error_std == pytest.approx(0.065, rel=0.05)
+
+
+@pytest.mark.parametrize(("share", "relative"), [(0.19, None), (0.21, 0.21 / 0.79), (0.6, 1.5), (0.9, 2.0), (1.0, 2.0)])
+def test_a_displacement_that_is_mostly_error_leaves_the_conicity_open(share: float, relative: float | None) -> None:
+    found = displaced(ModelFit(0.0, 0.0, 0.0, share))
+    assert (None if found is None else found.relative) == (None if relative is None else pytest.approx(relative))
+    if found is not None:
+        assert (found.reason.code, found.certain) == (ReasonCode.CONICITY_OPEN, False)

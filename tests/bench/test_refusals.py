@@ -1,0 +1,94 @@
+"""The bench of refusals: what it draws, what it says of a vehicle, and what its page of results claims."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.refusals import SKIPPED, run_seed, stored
+from bench.refusals_case import DIMENSIONS, drawn_case, simulated
+from bench.refusals_judged import OnFile, judged, registered
+from bench.refusals_table import HEADER, summary_rows, wrong_rows
+
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "refusals.md"
+
+
+def line(kind: str, *, withheld: bool = False, doubted: bool = False, published: bool = True) -> dict[str, object]:
+    return {
+        "seed": 0, "kind": kind, "drawn": drawn_case(0), "published": published, "withheld": withheld,
+        "doubted": doubted, "code": "why" if withheld or doubted else "", "errors": [0.01], "covered": [True],
+    }  # fmt: skip
+
+
+def test_every_kind_of_every_dimension_is_drawn() -> None:
+    drawn = [drawn_case(seed) for seed in range(100)]
+    for name, kinds in DIMENSIONS.items():
+        assert {one[name] for one in drawn} == set(kinds)
+    assert drawn_case(3) == drawn[3]
+    assert drawn_case(3, track="level")["track"] == "level"
+
+
+def test_a_push_pull_train_is_right_on_both_journeys_and_its_exchanged_nodes_are_found() -> None:
+    case = simulated(
+        7, 2, arrangement="push-pull bogie", sensors="quiet", vibration="0", pair="new P8", speed="20",
+        track="cross level", survey="0.1",
+    )  # fmt: skip
+    for one, conicity in zip(judged(case, OnFile.RIGHT), case.conicity, strict=True):
+        assert (one.published, one.withheld, one.doubted) == (True, False, False)
+        assert np.max(np.abs(one.errors)) < 0.1 * float(np.max(conicity))
+    for wrong in (OnFile.EXCHANGED, OnFile.DEAD_FRAME, OnFile.RADIUS_HIGH):
+        assert all(one.withheld or one.doubted for one in judged(case, wrong)), wrong
+
+
+def test_what_is_wrong_is_on_file() -> None:
+    case = simulated(7, 1, arrangement="soft bogie", pair="new P8", speed="12", vibration="0")
+    right = case.vehicle_class
+    assert right.bogie is not None
+    assert registered(right, OnFile.RIGHT).parameters == right.parameters
+    high = registered(right, OnFile.RADIUS_HIGH).parameters.nominal_radius
+    assert high == pytest.approx(1.1 * right.parameters.nominal_radius)
+    short = registered(right, OnFile.WHEELBASE).bogie
+    assert short is not None
+    assert short.wheelbase == pytest.approx(0.7 * right.bogie.wheelbase)
+    assert registered(right, OnFile.CLASS).bogie is None
+
+
+def test_rows_count_what_is_withheld_and_in_doubt() -> None:
+    found = [line("right") for _ in range(98)] + [
+        line("right", withheld=True, published=False),
+        line("right", doubted=True),
+    ]
+    first = dict(zip(HEADER, summary_rows(found)[0], strict=True))
+    assert (first["row"], first["wheelsets"], first["withheld"], first["in doubt"]) == ("all", "100", "1", "1")
+    assert first["met"] == "yes"
+    worse = summary_rows([*found, line("right", withheld=True, published=False)])[0]
+    assert worse[-1] == "NO"
+    (wrong,) = wrong_rows([*(line("radius +10 %", doubted=True) for _ in range(99)), line("radius +10 %")])
+    assert wrong[-1] == "yes"
+    (wrong,) = wrong_rows([*(line("radius +10 %", doubted=True) for _ in range(98)), line("radius +10 %")])
+    assert wrong[-1] == "NO"
+
+
+def test_a_seed_that_derails_is_skipped_and_results_are_read_again(tmp_path: Path) -> None:
+    (only,) = run_seed(3, 1, 3)
+    assert only["kind"] == SKIPPED
+    assert stored(tmp_path / "none.jsonl") == []
+
+
+def page_rows() -> list[dict[str, str]]:
+    table = next(row for row in PAGE.read_text(encoding="utf-8").split("\n\n") if row.startswith("| row |"))
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in table.splitlines()]
+    return [dict(zip(cells[0], row, strict=True)) for row in cells[2:]]
+
+
+def test_the_page_has_right_wheelsets_of_every_kind_and_holds_its_rows() -> None:
+    """At most 1 % of them are withheld, and 3 % in any row."""
+    every, *rows = page_rows()
+    assert int(every["wheelsets"]) >= 100
+    assert int(every["withheld"]) <= 0.01 * int(every["wheelsets"])
+    names = {f"{name}: {kind}" for name, kinds in DIMENSIONS.items() for kind in kinds}
+    assert {row["row"] for row in rows} == names
+    for row in rows:
+        assert int(row["withheld"]) <= 0.03 * int(row["wheelsets"]), row
