@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from estimation.motion.hunting import find_hunting
-from estimation.motion.turn_blows import find_turn_blows
+from estimation.motion.turn_blows import blows_unless_hunting
 from estimation.values.arrays import FloatArray
-from estimation.values.windows import NO_BLOWS, TurnBlows
-from ingest.simulator.axle_motion import axle_motions
+from estimation.values.windows import TurnBlows
+from ingest.simulator.axle_motion import axle_motions, contact_of
 from ingest.simulator.blows import TrackBlows, WheelFlat, with_flat, with_track_blows
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.fleet import contact_of
 from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
@@ -86,9 +85,7 @@ def judged(values: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlow
         Between samples.
     """
     lateral, yaw, roll, _ = values.T
-    if find_hunting(lateral, yaw, speed, interval_s).sustained:
-        return NO_BLOWS
-    return find_turn_blows(lateral, roll, speed, interval_s)
+    return blows_unless_hunting(find_hunting(lateral, yaw, speed, interval_s), lateral, roll, speed, interval_s)
 
 
 def _motions(scenario: Scenario) -> Iterator[tuple[int, WheelsetMotion]]:

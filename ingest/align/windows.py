@@ -16,11 +16,11 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.motion.hunting import find_hunting
-from estimation.motion.turn_blows import find_turn_blows
+from estimation.motion.turn_blows import blows_unless_hunting
 from estimation.values.arrays import BoolArray, IntArray
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
-from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlows, Window, WindowQuality
+from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
 from ingest.align.samples import (
     NO_SECTION,
@@ -268,9 +268,7 @@ def _found(
     every = np.ones(len(slot), np.bool_)
     lateral, yaw, roll = gridded(node.saturated[span], slot, every, len(motion.speed), len(OF_WHEELSET))
     hunting = find_hunting(lateral, yaw, motion.speed, interval_s)
-    if hunting.sustained:  # its flanges strike at its own wavelength, which may be that of a turn
-        return hunting, NO_BLOWS
-    return hunting, find_turn_blows(lateral, roll, motion.speed, interval_s)
+    return hunting, blows_unless_hunting(hunting, lateral, roll, motion.speed, interval_s)
 
 
 def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:

@@ -140,6 +140,16 @@ RANGES: dict[str, dict[str, Range]] = {
         "clear_probability": PROBABILITY,
         "minimum_windows": WINDOWS,
     },
+    "wheel_flat": {
+        **DELAYS,
+        "latest_windows": Range(1, 1000, whole=True),
+        "minimum_windows": WINDOWS,
+        "raise_share": SHARE,
+        "clear_share": SHARE,
+        "raise_probability": PROBABILITY,
+        "clear_probability": PROBABILITY,
+        "critical_m_s2": NUMBER,
+    },
     "alarm_flood": {"more_than": WINDOWS, "within_hours": Range(0.01, 87_600.0)},
 }  # fmt: skip
 
