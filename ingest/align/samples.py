@@ -12,6 +12,7 @@ import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
+from ingest.align.clipped_seconds import narrowed
 from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
 from ingest.align.window_samples import between_frames
 from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, PLACE, POSITION, STATUS, VEHICLE_NODE, Catalogue
@@ -88,7 +89,7 @@ def node_samples(
     interval_ns = catalogue.sample_interval_ns
     values = MessageValues(ticked.plan, np.arange(len(ticked.tick)), ticked.raw)
     status = _of_node(messages, STATUS, node)
-    by_status, wrong, counts = _from_status(status, ticked.tick, interval_ns)
+    (of_box, of_mass), wrong, counts = _from_status(status, ticked.tick, interval_ns)
     si, valid = values.values(), values.valid()
     distrusted = ticked.conflict | wrong
     if distrusted.any():
@@ -97,6 +98,7 @@ def node_samples(
     t_ns = ticked.tick * interval_ns
     saturated = si if valid.all() else values.values(with_clipped=True)
     saturated[distrusted] = np.nan
+    by_status = np.asarray(narrowed(of_box, saturated, interval_ns * 1e-9) | of_mass)
     for array in (si, valid, t_ns, saturated):
         array.flags.writeable = False
     invalid: BoolArray = np.zeros(len(t_ns), np.bool_)
@@ -133,19 +135,22 @@ def _failed_self_tests(status: TickedValues | None) -> IntArray:
 
 def _from_status(
     status: TickedValues | None, tick: IntArray, interval_ns: int
-) -> tuple[BoolArray, BoolArray, AlignCounts]:
-    """Return which samples the status frames call clipped, which their counters contradict, and the counts."""
+) -> tuple[tuple[BoolArray, BoolArray], BoolArray, AlignCounts]:
+    """Return which samples status frames call clipped, of box and of mass, which their counters contradict, counts."""
     none = np.zeros(len(tick), dtype=np.bool_)
     if status is None:
-        return none, none, AlignCounts()
+        return (none, none), none, AlignCounts()
     good = ~status.conflict
     at, counter = status.tick[good], status.column("sample_counter")[good]
-    bits = [name for name in CLIPPED_BITS if name in status.plan.names]
-    clipped = np.zeros(len(at), dtype=np.bool_)
-    for name in bits:
-        clipped |= status.column(name)[good] != 0
     second = status.plan.cycle_ns // interval_ns
-    marked = _spans(tick, at[clipped] - second, at[clipped])
+
+    def marked(names: tuple[str, ...]) -> BoolArray:
+        clipped = np.zeros(len(at), dtype=np.bool_)
+        for name in names:
+            if name in status.plan.names:
+                clipped |= status.column(name)[good] != 0
+        return _spans(tick, at[clipped] - second, at[clipped])
+
     sent = np.diff(counter) % COUNTER_VALUES
     passed = np.diff(at)
     got = np.diff(np.searchsorted(tick, at, side="right"))
@@ -158,7 +163,7 @@ def _from_status(
         counter_resets=int(np.count_nonzero(reset)),
         counter_mismatches=int(np.count_nonzero(more)),
     )
-    return marked, _spans(tick, at[:-1][more], at[1:][more]), counts
+    return (marked(CLIPPED_BITS[:-1]), marked(CLIPPED_BITS[-1:])), _spans(tick, at[:-1][more], at[1:][more]), counts
 
 
 def _spans(tick: IntArray, after: IntArray, until: IntArray) -> BoolArray:

@@ -10,16 +10,16 @@ from ingest.align.samples import Track, VehicleMotion
 from ingest.plausibility.repeated_positions import LEAST_RUN, SPARE_M, SPARE_SHARE, without_repeats
 
 TICK = np.arange(0, 2000)
-RUN = 0.4 * TICK  # 20 m/s, a frame each 0.02 s
+RUN = np.asarray(0.4 * TICK, np.float64)  # 20 m/s, a frame each 0.02 s
 
 
 def positions(distance: FloatArray) -> FloatArray:
-    return np.column_stack([np.full(len(TICK), 12.0), distance, np.ones(len(TICK))])
+    return np.asarray(np.column_stack([np.full(len(TICK), 12.0), distance, np.ones(len(TICK))]), np.float64)
 
 
 def frozen(first: int, last: int, way: float = 1.0) -> FloatArray:
     distance = 5000.0 + way * RUN
-    return np.where((first <= TICK) & (last > TICK), distance[first], distance)
+    return np.asarray(np.where((first <= TICK) & (last > TICK), distance[first], distance), np.float64)
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])

@@ -33,8 +33,8 @@ def window(
     return replace(record, quality=replace(record.quality, blows=TurnBlows(share, size, turn, side)))
 
 
-def of_windows(striking: int, calm: int, **blows: float) -> Finding:
-    windows = [window(n, 1.0 if n < striking else 0.0, **blows) for n in range(striking + calm)]
+def of_windows(striking: int, calm: int, size: float = 20.0) -> Finding:
+    windows = [window(n, 1.0 if n < striking else 0.0, size=size) for n in range(striking + calm)]
     return wheel_flat_finding(RULE, WHEELSET, list(reversed(windows)), TURN)
 
 
@@ -65,7 +65,7 @@ def test_windows_of_blows_raise_and_their_absence_clears(
 
 def test_the_evidence_names_size_wheel_and_turn() -> None:
     found = of_windows(4, 2)
-    assert found.evidence | {"probability": found.probability} == {
+    assert {**found.evidence, "probability": found.probability} == {
         "striking_windows": 4,
         "windows": 6,
         "blow_m_s2": 20.0,

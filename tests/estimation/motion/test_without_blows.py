@@ -23,7 +23,7 @@ def window_of(signals: Struck, limit: float = np.inf) -> Window:
     quiet = np.where(valid, 0.0, np.nan)
     blows = find_turn_blows(np.clip(signals.lateral, -limit, limit), signals.roll, signals.speed, INTERVAL)
     quality = replace(WindowQuality(1.0, 0.0, 0, 0.0, 0.0, 20.0, 20.0, 1.0, sensor_fault=False), blows=blows)
-    run = 20.0 * INTERVAL * np.arange(n)
+    run = np.asarray(20.0 * INTERVAL * np.arange(n), np.float64)
     return Window(
         "W", "V", 1, 0, n * 4_000_000, INTERVAL, lateral, quiet, roll, quiet, signals.speed, run, valid,
         (1e-3,) * 4, "S", 0.0, quality,
