@@ -12,7 +12,6 @@ import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
-from ingest.align.clipped_seconds import narrowed
 from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
 from ingest.align.window_samples import between_frames
 from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, PLACE, POSITION, STATUS, VEHICLE_NODE, Catalogue
@@ -55,9 +54,10 @@ class NodeSamples:
 
     block: SampleBlock
     saturated: FloatArray  # (n, 4)
-    clipped: BoolArray  # (n,) a raw value on its limit, or the clipping bit of its second
+    clipped: BoolArray  # (n,) a raw value on its limit, or the clipping bit of the mass in its second
     invalid: BoolArray  # (n,) a raw value "not available" or outside its limits
     fault_ns: IntArray  # (f,) when the self-test was reported failed or an emergency was sent
+    clipped_seconds: BoolArray | None = None  # (n,) samples of the seconds in which the axle box clipped somewhere
 
     def __post_init__(self) -> None:
         n = len(self.block)
@@ -98,19 +98,18 @@ def node_samples(
     t_ns = ticked.tick * interval_ns
     saturated = si if valid.all() else values.values(with_clipped=True)
     saturated[distrusted] = np.nan
-    by_status = np.asarray(narrowed(of_box, saturated, interval_ns * 1e-9) | of_mass)
     for array in (si, valid, t_ns, saturated):
         array.flags.writeable = False
     invalid: BoolArray = np.zeros(len(t_ns), np.bool_)
-    clipped = by_status
+    clipped = of_mass
     if not valid.all():
         invalid = np.asarray(values.invalid().any(axis=1))
-        clipped = np.asarray(by_status | values.clipped().any(axis=1))
+        clipped = np.asarray(of_mass | values.clipped().any(axis=1))
     emergency_ns = _emergencies(messages, node) * interval_ns
     failed_ns = _failed_self_tests(status) * interval_ns
     counts += AlignCounts(emergencies=len(emergency_ns), self_test_failures=len(failed_ns))
     block = SampleBlock(vehicle, node, ACCELERATIONS, t_ns, si, valid)
-    return NodeSamples(block, saturated, clipped, invalid, np.union1d(emergency_ns, failed_ns)), counts
+    return NodeSamples(block, saturated, clipped, invalid, np.union1d(emergency_ns, failed_ns), of_box), counts
 
 
 def _of_node(messages: Mapping[int, TickedValues], kind: str, node: int) -> TickedValues | None:
@@ -223,23 +222,13 @@ class VehicleMotion:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "motion", Track(self.motion.tick, possible_motion(self.motion.values)))
-        at, run = self.position.tick, self._run_at(self.position.tick)
-        object.__setattr__(self, "position", Track(at, without_repeats(at, self.position.values, run)))
-
-    def _run_at(self, tick: IntArray) -> FloatArray:
-        """Return what the vehicle has run at some instants (n,) by its speed, m; NaN where that is not known."""
-        known = np.isfinite(self.motion.values[:, 0])
-        at, speed = self.motion.tick[known], np.abs(self.motion.values[known, 0])
-        if len(at) < 2:  # noqa: PLR2004 - nothing to interpolate between
-            return np.full(len(tick), np.nan)
-        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(at) * self.interval_ns * 1e-9
-        run = np.concatenate([[0.0], np.cumsum(steps)])
-        return np.asarray(np.interp(tick, at, run, left=np.nan, right=np.nan))
 
     def on_grid(self, first_tick: int, count: int) -> GridMotion:
         """Return the motion at ``count`` sampling instants from ``first_tick``."""
         reach = LONGEST_GAP_NS // self.interval_ns
         moved, where = (_near(track, first_tick, count, reach) for track in (self.motion, self.position))
+        run = _run_at(moved, where.tick, self.interval_ns * 1e-9)
+        where = Track(where.tick, without_repeats(where.tick, where.values, run))
         speed, _, _ = _between(count, moved.tick, moved.values[:, 0], reach)
         one_section = np.zeros(len(where.tick), dtype=np.bool_)
         one_section[:-1] = where.values[1:, 0] == where.values[:-1, 0]
@@ -263,6 +252,17 @@ class VehicleMotion:
         nearest = usable[np.argmin(np.abs(moved.tick[usable]))]
         speed, odometer = moved.values[nearest]
         return float(odometer - speed * moved.tick[nearest] * self.interval_ns * 1e-9)
+
+
+def _run_at(moved: Track, tick: IntArray, interval_s: float) -> FloatArray:
+    """Return what a vehicle has run at some instants (n,) by its speed, m; NaN where that is not known."""
+    known = np.isfinite(moved.values[:, 0])
+    at, speed = moved.tick[known], np.abs(moved.values[known, 0])
+    if len(at) < 2:  # noqa: PLR2004 - nothing to interpolate between
+        return np.full(len(tick), np.nan)
+    steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(at) * interval_s
+    run = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.asarray(np.interp(tick, at, run, left=np.nan, right=np.nan))
 
 
 def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> VehicleMotion:

@@ -49,6 +49,8 @@ def test_a_tunnel_without_an_end_or_into_another_section_is_unknown() -> None:
 def test_a_vehicle_that_stands_and_a_coarse_position_are_right() -> None:
     values = positions(np.full(len(TICK), 5000.0))
     assert without_repeats(TICK, values, np.zeros(len(TICK))) is values
+    at_begin = without_repeats(TICK, positions(frozen(0, 700)), RUN)[:, 1]
+    assert np.isnan(at_begin[:700]).all()  # it may have been repeated before
     coarse = positions(np.floor(5000.0 + RUN))
     assert without_repeats(TICK, coarse, RUN) is coarse
     assert without_repeats(TICK, values, np.full(len(TICK), np.nan)) is values

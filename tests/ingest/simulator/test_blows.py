@@ -64,17 +64,17 @@ def test_a_flat_strikes_its_wheelset_once_a_turn(tmp_path: Path, wheel: str, sig
 
 
 def test_blows_of_the_track_are_at_their_places(tmp_path: Path) -> None:
-    text = "[section.blows]\nevery_m = 100.0\nblow_m_s2 = 40.0\n"
+    text = "[section.blows]\nevery_m = 20.0\nblow_m_s2 = 40.0\n"
     added, distance = felt(scenario_with(tmp_path, text), 0, 0)
     begins = np.flatnonzero(np.diff(np.abs(added[0]) > 0.0, prepend=False) & (np.abs(added[0]) > 0.0))
     assert len(begins) > 1
-    assert np.mod(distance[begins] + 0.05, 100.0) == pytest.approx(0.05, abs=0.05)
+    assert np.mod(distance[begins] + 0.05, 20.0) == pytest.approx(0.05, abs=0.05)
 
 
 def test_positions_repeat_in_tunnels(tmp_path: Path) -> None:
-    frozen = scenario_with(tmp_path, "[position]\nfrozen_every_m = 500.0\nfrozen_length_m = 60.0\n")
+    frozen = scenario_with(tmp_path, "[position]\nfrozen_every_m = 40.0\nfrozen_length_m = 12.0\n")
     run = vehicle_run(frozen, scenario_track(frozen), frozen.vehicles[0], 0)
-    inside = np.mod(run.distance, 500.0) < 60.0
+    inside = np.mod(run.distance, 40.0) < 12.0
     assert inside.any()
     steps = np.diff(run.reported)
     assert np.all(steps[~inside[1:]] > 0.0)
