@@ -1,7 +1,7 @@
 """Wheel flats: ``python -m bench flats [--wheelsets 320] [--first-seed 100] [--write-docs]``.
 
 Wheelsets of drawn class, wear, speed and vibration run for a minute each on drawn track. Every one is measured without
-a flat, with flats of several sizes, and with what resembles flats: joints, switches, wheels with polygons, flange
+a flat, with a flat of drawn size, and with two of what resembles flats: joints, switches, polygons, sleepers, flange
 contact. The window is judged as ingest judges it (``flats_case``). Constants were chosen on seed 1.
 """
 
