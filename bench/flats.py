@@ -1,7 +1,7 @@
 """Wheel flats: ``python -m bench flats [--wheelsets 320] [--first-seed 100] [--write-docs]``.
 
 Wheelsets of drawn class, wear, speed and vibration run for a minute each on drawn track. Every one is measured without
-a flat, with flats of several sizes, and with what resembles flats: joints, switches, wheels with polygons, flange
+a flat, with a flat of drawn size, and with two of what resembles flats: joints, switches, polygons, sleepers, flange
 contact. The window is judged as ingest judges it (``flats_case``). Constants were chosen on seed 1.
 """
 
@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from contextlib import suppress
 
 from rich.console import Console
 
 from bench.flats_case import Judged, judged_windows
 from bench.flats_table import HEADER, TITLE, bench_rows, page_body, table
+from ingest.simulator.axle_motion import DerailmentError
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -27,7 +29,8 @@ def main(arguments: Sequence[str]) -> int:
     options = _options(arguments)
     console, found, seed = Console(width=None if Console().is_terminal else 200), list[Judged](), options.first_seed
     while len({one.window for one in found}) < options.wheelsets:
-        found += judged_windows(seed)
+        with suppress(DerailmentError):  # a drawn wheelset that climbs its rail at the drawn speed is no case
+            found += list(judged_windows(seed))
         seed += 1
     rows = list(bench_rows(found))
     for cells in (HEADER, *table(found), *(row.cells for row in rows)):

@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from estimation.motion.hunting import find_hunting
-from estimation.motion.turn_blows import find_turn_blows
+from estimation.motion.turn_blows import blows_unless_hunting
 from estimation.values.arrays import FloatArray
-from estimation.values.windows import NO_BLOWS, TurnBlows
-from ingest.simulator.axle_motion import axle_motions
+from estimation.values.windows import TurnBlows
+from ingest.simulator.axle_motion import axle_motions, contact_of
 from ingest.simulator.blows import TrackBlows, WheelFlat, with_flat, with_track_blows
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.fleet import contact_of
 from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
@@ -28,6 +27,7 @@ CLASSES = ("soft_known", "paper_known", "coach_known")
 SPEEDS = ((9.0, 14.0), (14.0, 25.0), (20.0, 32.0))  # m/s
 VIBRATIONS = (0.0, 2.0, 5.0, 10.0)  # m/s2, before the filter of the node
 SIZES = (10.0, 20.0, 40.0, 60.0, 100.0)  # m/s2 at 20 m/s
+RESEMBLING = ("joints", "switches", "polygon", "sleepers", "flange contact")
 RANGE = np.array([40.95875, 32.767, 32.767, 8.19175])  # of the shipped catalogue, in the order of ACCELERATIONS
 WINDOW_S = 60.0
 NEAR = 0.1  # relative, from the turn of the wheel, within which the alert believes it
@@ -86,9 +86,7 @@ def judged(values: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlow
         Between samples.
     """
     lateral, yaw, roll, _ = values.T
-    if find_hunting(lateral, yaw, speed, interval_s).sustained:
-        return NO_BLOWS
-    return find_turn_blows(lateral, roll, speed, interval_s)
+    return blows_unless_hunting(find_hunting(lateral, yaw, speed, interval_s), lateral, roll, speed, interval_s)
 
 
 def _motions(scenario: Scenario) -> Iterator[tuple[int, WheelsetMotion]]:
@@ -106,16 +104,23 @@ def _cases(
 ) -> Iterator[tuple[str, float, WheelsetMotion, bool]]:
     """Yield what is done, its size, the motion as the sensors feel it, and whether the flat is on the left wheel."""
     yield "nothing", 0.0, motion, False
-    for size in SIZES:
-        left = bool(rng.integers(2))
-        yield "flat", size, with_flat(motion, WheelFlat("", left, size), radius, rng), left
-    for what, every in (("joints", rng.uniform(12.0, 36.0)), ("switches", rng.uniform(400.0, 1500.0))):
+    left, size = bool(rng.integers(2)), float(rng.choice(SIZES))
+    yield "flat", size, with_flat(motion, WheelFlat("", left, size), radius, rng), left
+    for what in rng.choice(RESEMBLING, 2, replace=False):
         size = float(rng.choice(SIZES[1:]))
-        yield what, size, with_track_blows(motion, TrackBlows(every, size)), False
-    order, size = int(rng.integers(1, 9)), float(rng.uniform(3.0, 20.0))
-    yield "polygon", size, _with_waves(motion, 2.0 * np.pi * radius / order, size), False
-    yield "sleepers", 10.0, _with_waves(motion, 0.6, 10.0), False
-    yield "flange contact", 15.0, _with_flange(motion, rng), False
+        yield str(what), size, _resembling(str(what), size, motion, radius, rng), False
+
+
+def _resembling(
+    what: str, size: float, motion: WheelsetMotion, radius: float, rng: np.random.Generator
+) -> WheelsetMotion:
+    if what == "joints":
+        return with_track_blows(motion, TrackBlows(rng.uniform(12.0, 36.0), size))
+    if what == "switches":
+        return with_track_blows(motion, TrackBlows(rng.uniform(400.0, 1500.0), size))
+    if what == "polygon":
+        return _with_waves(motion, 2.0 * np.pi * radius / int(rng.integers(1, 9)), 0.2 * size)
+    return _with_waves(motion, 0.6, 10.0) if what == "sleepers" else _with_flange(motion, rng)
 
 
 def _with_waves(motion: WheelsetMotion, wavelength: float, size: float) -> WheelsetMotion:

@@ -15,7 +15,7 @@ from scipy.special import betainc
 
 from estimation.motion.blows import sharp, vibration
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.windows import NO_BLOWS, TurnBlows
+from estimation.values.windows import NO_BLOWS, Hunting, TurnBlows
 
 BLOCK_S = 10.0
 LEAST_SPEED = 5.0  # m/s
@@ -60,6 +60,21 @@ class _Block:
     run: FloatArray  # (n,) m
     events: _Events
     comb: _Comb | None
+
+
+def blows_unless_hunting(
+    hunting: Hunting, lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float
+) -> TurnBlows:
+    """Return the blows once a turn, none of a wheelset that hunts: flanges strike at its own wavelength.
+
+    Parameters
+    ----------
+    hunting
+        Of the same running time.
+    lateral, roll, speed, interval_s
+        As :func:`find_turn_blows` takes them.
+    """
+    return NO_BLOWS if hunting.sustained else find_turn_blows(lateral, roll, speed, interval_s)
 
 
 def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlows:

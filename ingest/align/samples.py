@@ -54,9 +54,10 @@ class NodeSamples:
 
     block: SampleBlock
     saturated: FloatArray  # (n, 4)
-    clipped: BoolArray  # (n,) a raw value on its limit, or the clipping bit of its second
+    clipped: BoolArray  # (n,) a raw value on its limit, or the clipping bit of the mass in its second
     invalid: BoolArray  # (n,) a raw value "not available" or outside its limits
     fault_ns: IntArray  # (f,) when the self-test was reported failed or an emergency was sent
+    clipped_seconds: BoolArray | None = None  # (n,) samples of the seconds in which the axle box clipped somewhere
 
     def __post_init__(self) -> None:
         n = len(self.block)
@@ -88,7 +89,7 @@ def node_samples(
     interval_ns = catalogue.sample_interval_ns
     values = MessageValues(ticked.plan, np.arange(len(ticked.tick)), ticked.raw)
     status = _of_node(messages, STATUS, node)
-    by_status, wrong, counts = _from_status(status, ticked.tick, interval_ns)
+    (of_box, of_mass), wrong, counts = _from_status(status, ticked.tick, interval_ns)
     si, valid = values.values(), values.valid()
     distrusted = ticked.conflict | wrong
     if distrusted.any():
@@ -100,15 +101,15 @@ def node_samples(
     for array in (si, valid, t_ns, saturated):
         array.flags.writeable = False
     invalid: BoolArray = np.zeros(len(t_ns), np.bool_)
-    clipped = by_status
+    clipped = of_mass
     if not valid.all():
         invalid = np.asarray(values.invalid().any(axis=1))
-        clipped = np.asarray(by_status | values.clipped().any(axis=1))
+        clipped = np.asarray(of_mass | values.clipped().any(axis=1))
     emergency_ns = _emergencies(messages, node) * interval_ns
     failed_ns = _failed_self_tests(status) * interval_ns
     counts += AlignCounts(emergencies=len(emergency_ns), self_test_failures=len(failed_ns))
     block = SampleBlock(vehicle, node, ACCELERATIONS, t_ns, si, valid)
-    return NodeSamples(block, saturated, clipped, invalid, np.union1d(emergency_ns, failed_ns)), counts
+    return NodeSamples(block, saturated, clipped, invalid, np.union1d(emergency_ns, failed_ns), of_box), counts
 
 
 def _of_node(messages: Mapping[int, TickedValues], kind: str, node: int) -> TickedValues | None:
@@ -133,19 +134,22 @@ def _failed_self_tests(status: TickedValues | None) -> IntArray:
 
 def _from_status(
     status: TickedValues | None, tick: IntArray, interval_ns: int
-) -> tuple[BoolArray, BoolArray, AlignCounts]:
-    """Return which samples the status frames call clipped, which their counters contradict, and the counts."""
+) -> tuple[tuple[BoolArray, BoolArray], BoolArray, AlignCounts]:
+    """Return which samples status frames call clipped, of box and of mass, which their counters contradict, counts."""
     none = np.zeros(len(tick), dtype=np.bool_)
     if status is None:
-        return none, none, AlignCounts()
+        return (none, none), none, AlignCounts()
     good = ~status.conflict
     at, counter = status.tick[good], status.column("sample_counter")[good]
-    bits = [name for name in CLIPPED_BITS if name in status.plan.names]
-    clipped = np.zeros(len(at), dtype=np.bool_)
-    for name in bits:
-        clipped |= status.column(name)[good] != 0
     second = status.plan.cycle_ns // interval_ns
-    marked = _spans(tick, at[clipped] - second, at[clipped])
+
+    def marked(names: tuple[str, ...]) -> BoolArray:
+        clipped = np.zeros(len(at), dtype=np.bool_)
+        for name in names:
+            if name in status.plan.names:
+                clipped |= status.column(name)[good] != 0
+        return _spans(tick, at[clipped] - second, at[clipped])
+
     sent = np.diff(counter) % COUNTER_VALUES
     passed = np.diff(at)
     got = np.diff(np.searchsorted(tick, at, side="right"))
@@ -158,7 +162,7 @@ def _from_status(
         counter_resets=int(np.count_nonzero(reset)),
         counter_mismatches=int(np.count_nonzero(more)),
     )
-    return marked, _spans(tick, at[:-1][more], at[1:][more]), counts
+    return (marked(CLIPPED_BITS[:-1]), marked(CLIPPED_BITS[-1:])), _spans(tick, at[:-1][more], at[1:][more]), counts
 
 
 def _spans(tick: IntArray, after: IntArray, until: IntArray) -> BoolArray:
@@ -218,23 +222,13 @@ class VehicleMotion:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "motion", Track(self.motion.tick, possible_motion(self.motion.values)))
-        at, run = self.position.tick, self._run_at(self.position.tick)
-        object.__setattr__(self, "position", Track(at, without_repeats(at, self.position.values, run)))
-
-    def _run_at(self, tick: IntArray) -> FloatArray:
-        """Return what the vehicle has run at some instants (n,) by its speed, m; NaN where that is not known."""
-        known = np.isfinite(self.motion.values[:, 0])
-        at, speed = self.motion.tick[known], np.abs(self.motion.values[known, 0])
-        if len(at) < 2:  # noqa: PLR2004 - nothing to interpolate between
-            return np.full(len(tick), np.nan)
-        steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(at) * self.interval_ns * 1e-9
-        run = np.concatenate([[0.0], np.cumsum(steps)])
-        return np.asarray(np.interp(tick, at, run, left=np.nan, right=np.nan))
 
     def on_grid(self, first_tick: int, count: int) -> GridMotion:
         """Return the motion at ``count`` sampling instants from ``first_tick``."""
         reach = LONGEST_GAP_NS // self.interval_ns
         moved, where = (_near(track, first_tick, count, reach) for track in (self.motion, self.position))
+        run = _run_at(moved, where.tick, self.interval_ns * 1e-9)
+        where = Track(where.tick, without_repeats(where.tick, where.values, run))
         speed, _, _ = _between(count, moved.tick, moved.values[:, 0], reach)
         one_section = np.zeros(len(where.tick), dtype=np.bool_)
         one_section[:-1] = where.values[1:, 0] == where.values[:-1, 0]
@@ -258,6 +252,17 @@ class VehicleMotion:
         nearest = usable[np.argmin(np.abs(moved.tick[usable]))]
         speed, odometer = moved.values[nearest]
         return float(odometer - speed * moved.tick[nearest] * self.interval_ns * 1e-9)
+
+
+def _run_at(moved: Track, tick: IntArray, interval_s: float) -> FloatArray:
+    """Return what a vehicle has run at some instants (n,) by its speed, m; NaN where that is not known."""
+    known = np.isfinite(moved.values[:, 0])
+    at, speed = moved.tick[known], np.abs(moved.values[known, 0])
+    if len(at) < 2:  # noqa: PLR2004 - nothing to interpolate between
+        return np.full(len(tick), np.nan)
+    steps = 0.5 * (speed[1:] + speed[:-1]) * np.diff(at) * interval_s
+    run = np.concatenate([[0.0], np.cumsum(steps)])
+    return np.asarray(np.interp(tick, at, run, left=np.nan, right=np.nan))
 
 
 def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> VehicleMotion:

@@ -16,11 +16,12 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.motion.hunting import find_hunting
-from estimation.motion.turn_blows import find_turn_blows
+from estimation.motion.turn_blows import blows_unless_hunting
 from estimation.values.arrays import BoolArray, IntArray
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
-from estimation.values.windows import ACCELERATIONS, NO_BLOWS, Hunting, TurnBlows, Window, WindowQuality
+from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
+from ingest.align.clipped_seconds import narrowed
 from ingest.align.clock import AlignCounts, TickedValues
 from ingest.align.samples import (
     NO_SECTION,
@@ -187,7 +188,8 @@ def _window(
     slot = (t_ns - extent[0]) // samples.interval_ns
     hunting, blows = _found(node, span, motion, slot, samples.interval_ns * 1e-9)
     guard = round((BLOW_GUARD_S if blows.sustained else CLIPPING_GUARD_S) * 1e9 / samples.interval_ns)
-    good, many = good_samples(slot, node.block.valid[span], node.clipped[span], motion.speed, guard)
+    clipped = _clipped(node, span, samples.interval_ns * 1e-9)
+    good, many = good_samples(slot, node.block.valid[span], clipped, motion.speed, guard)
     section, number = _section(motion, slot, good, lookup) if many else (None, NO_SECTION)
     distance = np.full(len(motion.distance), np.nan)
     if section is not None:
@@ -214,7 +216,7 @@ def _window(
         resolution=samples.resolution,
         track_section=section,
         odometer_m=motion.odometer_m,
-        quality=replace(_quality(node, span, extent, motion, valid, slot), hunting=hunting, blows=blows),
+        quality=replace(_quality(node, span, extent, motion, (valid, clipped), slot), hunting=hunting, blows=blows),
     )
     return MountedWindow(window, mounting, motion.odometer_excess_m, _off_line(motion, section, lookup))
 
@@ -243,16 +245,28 @@ def _section(motion: GridMotion, slot: IntArray, good: BoolArray, lookup: Regist
     return (None if number == NO_SECTION else lookup.section_codes.get(number)), number
 
 
+def _clipped(node: NodeSamples, span: slice, interval_s: float) -> BoolArray:
+    if node.clipped_seconds is None:
+        return node.clipped[span]
+    return np.asarray(node.clipped[span] | narrowed(node.clipped_seconds[span], node.saturated[span], interval_s))
+
+
 def _quality(
-    node: NodeSamples, span: slice, extent: tuple[int, int], motion: GridMotion, valid: BoolArray, slot: IntArray
+    node: NodeSamples,
+    span: slice,
+    extent: tuple[int, int],
+    motion: GridMotion,
+    valid_clipped: tuple[BoolArray, BoolArray],
+    slot: IntArray,
 ) -> WindowQuality:
+    valid, clipped = valid_clipped
     gaps, longest = gaps_of(valid)
     first, last = np.searchsorted(node.fault_ns, [extent[0], extent[0] + extent[1]])
     return WindowQuality(
         coverage=np.count_nonzero(valid) / len(valid),
         longest_gap_s=float(longest * (extent[1] // len(valid)) * 1e-9),
         gaps=gaps,
-        clipped=np.count_nonzero(node.clipped[span]) / len(slot),
+        clipped=np.count_nonzero(clipped) / len(slot),
         invalid=np.count_nonzero(node.invalid[span]) / len(slot),
         speed_min_m_s=float(np.fmin.reduce(motion.speed)),
         speed_max_m_s=float(np.fmax.reduce(motion.speed)),
@@ -268,9 +282,7 @@ def _found(
     every = np.ones(len(slot), np.bool_)
     lateral, yaw, roll = gridded(node.saturated[span], slot, every, len(motion.speed), len(OF_WHEELSET))
     hunting = find_hunting(lateral, yaw, motion.speed, interval_s)
-    if hunting.sustained:  # its flanges strike at its own wavelength, which may be that of a turn
-        return hunting, NO_BLOWS
-    return hunting, find_turn_blows(lateral, roll, motion.speed, interval_s)
+    return hunting, blows_unless_hunting(hunting, lateral, roll, motion.speed, interval_s)
 
 
 def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:

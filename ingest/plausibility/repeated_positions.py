@@ -1,7 +1,7 @@
 """Positions that a vehicle repeats while it runs: without reception, in a tunnel, many units send their last one again.
 
-The first of equal positions was measured. Where the next one that differs is as far on as the speed says, the vehicle
-has been where the speed puts it in between; otherwise its place is not known there.
+The first of equal positions was measured, where another one was before it. Where the next one that differs is as far
+on as the speed says, the vehicle has been where the speed puts it in between; otherwise its place is not known there.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ def without_repeats(tick: IntArray, values: FloatArray, run: FloatArray) -> Floa
     found = values.copy()
     for first, last in zip(begins[repeated], behind[repeated], strict=True):
         found[first + 1 : last, DISTANCE] = _between(values, run, int(first), int(last))
+    if repeated[0]:
+        found[: behind[0], DISTANCE] = np.nan  # it may have been repeated before
     return found
 
 

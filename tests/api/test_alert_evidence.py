@@ -34,12 +34,13 @@ from estimation.alerts.rules.suspension_change import SuspensionChangeRule, susp
 from estimation.alerts.rules.unregistered_change import UnregisteredChangeRule, unregistered_change_finding
 from estimation.alerts.rules.weak_damper import WeakDamperRule, weak_damper_finding
 from estimation.alerts.rules.wheel_asymmetry import Asymmetry, WheelAsymmetryRule, wheel_asymmetry_finding
+from estimation.alerts.rules.wheel_flat import WheelFlatRule, wheel_flat_finding
 from estimation.alerts.step_causes import StepSurroundings
 from estimation.values.adhesion import CellFriction, SectionAdhesion
 from estimation.values.alerts import AlertEventKind, Finding
 from estimation.values.dampers import GearDamper
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.registry import Mounting
+from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.suspension import SuspensionChange
 from estimation.values.trend import TrendStep, WearTrend
 
@@ -185,6 +186,9 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
             "last_usable_at": "2026-01-01T00:00:00.123456789Z",
             "in_service_since": "2025-12-31T23:59:55.123456789Z",
             "limit_days": 28.0,
+            "refused_windows": None,
+            "reasons": {},
+            "reason": None,
         },
     ),
     (
@@ -335,6 +339,17 @@ CASES: list[tuple[Finding | None, dict[str, Any]]] = [
             "exchanged; register what happened",
         },
     ),
+    (
+        wheel_flat_finding(WheelFlatRule(), WheelsetRecord("W", "alpha", "P8", 0.45, MOUNTING), (), 2.83),
+        {
+            "striking_windows": 0,
+            "blow_m_s2": None,
+            "wheel": None,
+            "turn_m": None,
+            "speed_max_m_s": None,
+            **NO_WINDOWS,
+        },
+    ),
 ]
 
 
@@ -429,7 +444,7 @@ OLDER: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
         },
     ),
     (  # of a rule that is gone, with counted nanoseconds
-        "wheel_flat",
+        "hot_axle_box",
         {"depth": {"value": 0.3, "unit": "mm"}, "seen_ns": AT, "windows": [1, 2], "sure": True},
         {
             "numbers": {"depth.value": 0.3, "windows.0": 1.0, "windows.1": 2.0},

@@ -217,6 +217,7 @@ def test_old_numbers_are_never_read_as_the_present_state() -> None:
         "limit_forecast": None,
         "wheel_asymmetry": None,
         "hunting": False,
+        "wheel_flat": False,
     }
     assert "sensor_fault" not in breached(facts_of(), RuleBook().with_rules(SensorFaultRule(enabled=False)))
 

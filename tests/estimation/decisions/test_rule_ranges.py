@@ -154,6 +154,16 @@ RANGES: dict[str, dict[str, Range]] = {
         "warning_fall": Range(0.0, 2.0),
         "critical_rise": Range(0.0, 2.0),
     },
+    "wheel_flat": {
+        **DELAYS,
+        "latest_windows": Range(1, 1000, whole=True),
+        "minimum_windows": WINDOWS,
+        "raise_share": SHARE,
+        "clear_share": SHARE,
+        "raise_probability": PROBABILITY,
+        "clear_probability": PROBABILITY,
+        "critical_m_s2": NUMBER,
+    },
     "alarm_flood": {"more_than": WINDOWS, "within_hours": Range(0.01, 87_600.0)},
 }  # fmt: skip
 
