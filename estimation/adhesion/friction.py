@@ -19,11 +19,12 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from estimation.adhesion.along_track import Along, AlongParameters, along_track
-from estimation.adhesion.creep_levels import RailsBefore, creep_levels
+from estimation.adhesion.creep_levels import CreepLevels, RailsBefore, creep_levels
 from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.pass_sums import PassSums, pass_sums
 from estimation.adhesion.place_errors import common_std
 from estimation.adhesion.scales import Agreed, contradicting
+from estimation.adhesion.slippery_section import slippery_throughout
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.arrays import FloatArray
 from estimation.values.intervals import NORMAL_95
@@ -42,6 +43,7 @@ class FrictionParameters:
     low: float = 0.15  # limit of low adhesion
     likely: float = 0.45  # probability of a friction below the limit from which a place has low adhesion
     at_ends: float = 0.3  # the same of the places around it, to which its stretch reaches
+    good: float = 0.4  # friction of good rails: an interval that holds it shows no low friction
     certain: float = 0.9  # that probability where a vehicle is alone, and from which samples are left out elsewhere
     fewest_vehicles: int = 2  # that agree, where the probability is less
     fewest_passes: int = 3  # of wheelsets
@@ -158,13 +160,25 @@ class _Solution:
 
 
 def _solved(sums: PassSums, parameters: FrictionParameters) -> _Solution:
-    """Return 1/mu of the places, b of the vehicles, a of the wheelsets, and the noise, in turn until they hold."""
+    """Return what all passes agree on; creep that all vehicles have in common is the rails' where its shape says so."""
+    found = _in_turn(sums, parameters, None)
+    if not slippery_throughout(sums, found.creep, found.slope, parameters.creep_error_std):
+        return found
+    own = found.creep - found.creep.mean()
+    return _in_turn(sums, parameters, CreepLevels(own, parameters.creep_error_std))
+
+
+def _in_turn(sums: PassSums, parameters: FrictionParameters, given: CreepLevels | None) -> _Solution:
+    """Return 1/mu of the places, b of the vehicles, a of the wheelsets, and the noise, in turn until they hold.
+
+    b is ``given``, or that of the level of creep.
+    """
     creep, slope = np.zeros(len(sums.vehicles)), np.zeros(len(sums.wheelsets))
     before = RailsBefore(parameters.usual, parameters.level_std, parameters.creep_error_std)
-    noise = sums.squares[:, 0].sum() / len(sums.place)
-    inverse, common = np.full(len(sums.cells), parameters.usual), np.zeros(len(sums.cells))
+    inverse, common = _least(sums.by_place(_own_misfits(sums, creep, slope))), np.zeros(len(sums.cells))
+    noise = _noise(sums, sums.at(inverse), creep, slope)
     for _ in range(parameters.rounds):
-        level = creep_levels(sums, slope, inverse > parameters.most_usual + common, before)
+        level = given or creep_levels(sums, slope, inverse > parameters.most_usual + common, before)
         creep = level.creep
         inverse = _least(sums.by_place(_misfits(sums, creep, slope, noise, parameters)))
         at = sums.at(inverse)
@@ -307,7 +321,7 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
     """Return where friction is low: (begin, end) in m of adjoining places, in order of distance.
 
     One place of a stretch, at least, is likely to be low by what vehicles agree on, or near to certain by what one
-    shows; the stretch reaches as far as that is not unlikely. One other place may be between.
+    shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
 
     Parameters
     ----------
@@ -321,8 +335,9 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
     for one in cells:
         if one.friction.value is None or one.low_probability < reached:
             continue
-        agreed = one.vehicles >= parameters.fewest_vehicles
-        shows = one.low_probability >= (parameters.likely if agreed else max(parameters.likely, parameters.certain))
+        agreed, high = one.vehicles >= parameters.fewest_vehicles, one.friction.high
+        needed = parameters.likely if agreed else max(parameters.likely, parameters.certain)
+        shows = one.low_probability >= needed and high is not None and high < parameters.good
         if found and one.from_m - found[-1][1] <= CELL_LENGTH:
             begin, _, before = found.pop()
             found.append((begin, one.to_m, before or shows))

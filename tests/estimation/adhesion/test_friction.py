@@ -187,6 +187,20 @@ def test_what_all_passes_of_a_place_have_wrong_is_no_low_friction() -> None:
     assert 19 * CELL_LENGTH <= begin <= end <= 25 * CELL_LENGTH
 
 
+@pytest.mark.parametrize("friction", [0.07, 0.1])
+def test_a_section_that_is_slippery_from_end_to_end_is_found(friction: float) -> None:
+    found = section_adhesion("S", [a_pass(number, [friction] * 30) for number in range(8)], KNOWN)
+    assert found is not None
+    assert found.low_stretches == ((0.0, 1500.0),)
+
+
+@pytest.mark.parametrize("error", [0.2, 0.3])
+def test_vehicles_that_all_creep_more_than_their_class_make_no_low_friction(error: float) -> None:
+    found = section_adhesion("S", [a_pass(number, [0.35] * 30, creep_error=error) for number in range(8)], KNOWN)
+    assert found is not None
+    assert found.low_stretches == ()
+
+
 def test_a_vehicle_alone_raises_what_is_near_to_certain_and_takes_nothing_away() -> None:
     frictions = [0.3] * 14 + [0.06] * 4 + [0.3] * 14
     alone = section_adhesion("S", [a_pass(number, frictions, vehicle="V") for number in range(8)], KNOWN)
@@ -202,7 +216,7 @@ def test_a_vehicle_alone_raises_what_is_near_to_certain_and_takes_nothing_away()
 
 def test_what_decides_on_low_adhesion_is_pinned() -> None:
     assert (KNOWN.low, KNOWN.likely, KNOWN.at_ends) == (0.15, 0.45, 0.3)
-    assert (KNOWN.certain, KNOWN.fewest_vehicles) == (0.9, 2)
+    assert (KNOWN.certain, KNOWN.fewest_vehicles, KNOWN.good) == (0.9, 2, 0.4)
     assert (KNOWN.fewest_passes, KNOWN.least_upper, LEARNT) == (3, 0.6, 0.7)
     assert (KNOWN.usual, KNOWN.usual_std, KNOWN.level_std, KNOWN.most_usual) == (3.3, 3.0, 1.0, 6.7)
     assert KNOWN.creep_error_std == 0.1
@@ -216,8 +230,10 @@ def test_what_decides_on_low_adhesion_is_pinned() -> None:
     assert low_stretches(cells[:2], replace(KNOWN, likely=0.25)) == ((50.0, 150.0),)
 
 
-def cell(number: int, probability: float, value: float | None = 0.1, vehicles: int = 2) -> CellFriction:
-    estimate = NONE if value is None else Estimate(value, 0.01, 0.08, 0.12, 4.0, Status.ESTIMATED)
+def cell(
+    number: int, probability: float, value: float | None = 0.1, vehicles: int = 2, high: float = 0.12
+) -> CellFriction:
+    estimate = NONE if value is None else Estimate(value, 0.01, 0.08, high, 4.0, Status.ESTIMATED)
     return CellFriction(number, estimate, 0.08, probability, 4, vehicles)
 
 
@@ -228,3 +244,5 @@ def test_how_many_vehicles_an_alert_needs_and_what_is_certain_is_pinned() -> Non
     assert low_stretches([cell(1, 0.89, vehicles=1)], KNOWN) == ()
     assert low_stretches([cell(1, 0.90, vehicles=1)], KNOWN) == ((50.0, 100.0),)
     assert low_stretches([cell(1, 0.94, vehicles=1)], replace(KNOWN, likely=0.95)) == ()
+    assert low_stretches([cell(1, 0.9, high=0.41)], KNOWN) == ()
+    assert low_stretches([cell(1, 0.9, high=0.39)], KNOWN) == ((50.0, 100.0),)
