@@ -27,6 +27,9 @@ class VerdictLimits:
 
     understated: float = 5.0  # times the std on file that a survey's errors may be, for it to be of this section
     least_factor: float = 0.5  # of the factor that a survey with such errors has
+    least_of_unlike: float = 0.75  # the same where it is unlike what the passes show:
+    least_explained: float = 0.5  # of what the curves leave of y
+    most_error: float = 0.5  # of the survey's size
     most_scale: float = 0.06  # by which a survey may be too large or too small, besides its std
     widest_factor: float = 0.1  # relative std of the factor beyond which the passes do not know it
     largest_shift: float = 3.0  # m, of all journeys, besides the uncertainty of their mean
@@ -130,8 +133,11 @@ def _judged(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> SurveyVer
 
 def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
     """Whether a survey follows the passes by less than one of this section would, be its std understated or not."""
-    errors = min(p.understated * filed_std / fit.size, 1.0) if fit.size > 0.0 else 1.0
-    return fit.factor + p.stds * fit.factor_std < p.least_factor * (1.0 - errors**2)
+    errors = p.understated * filed_std
+    unlike = fit.explained < p.least_explained and fit.error > max(p.most_error * fit.size, errors)
+    least = p.least_of_unlike if unlike else p.least_factor
+    share = min(errors / fit.size, 1.0) if fit.size > 0.0 else 1.0
+    return fit.factor + p.stds * fit.factor_std < least * (1.0 - share**2)
 
 
 def _at_fault(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> str:
