@@ -43,6 +43,7 @@ WITH_OPTIONS = (
     "adhesion",
     "rails",
     "dampers",
+    "surveys",
 )
 LONG = (
     "signals",
