@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str]) -> int:
             for row in options.rows:
                 if (row, seed) in have:
                     continue
-                found = list(fleet_cases(row, seed))
+                found = list(fleet_cases(row, seed, options.surveys))
                 cases += found
                 with options.out.open("a", encoding="utf-8") as file:
                     file.writelines(json.dumps(case) + "\n" for case in found)
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0 if all(row.met for row in made) else 1
 
 
-def fleet_cases(row: str, seed: int) -> Iterator[dict[str, Any]]:
+def fleet_cases(row: str, seed: int, surveys: Sequence[str] = tuple(SURVEYS)) -> Iterator[dict[str, Any]]:
     """Yield the scores of one drawn fleet with every survey, as JSON values.
 
     Parameters
@@ -90,9 +90,11 @@ def fleet_cases(row: str, seed: int) -> Iterator[dict[str, Any]]:
         Name of the fleet.
     seed
         Of its draw.
+    surveys
+        Names of those that are tried; by default all.
     """
     fleet = drawn_fleet(ROWS[row], seed)
-    for survey, plan in SURVEYS.items():
+    for survey, plan in ((name, SURVEYS[name]) for name in surveys):
         for positions in POSITIONS if survey in ALL_POSITIONS else (USUAL,):
             at = moved(fleet, POSITIONS[positions], seed)
             found, rival = score(at, on_file(at, plan, seed), rival=plan.std is not None and plan.right)
@@ -118,6 +120,7 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m bench surveys", description=__doc__)
     parser.add_argument("--seeds", type=seed_range, default=[0], help="as in 0-19 or 3 (default: 0)")
     parser.add_argument("--rows", type=_rows, default=list(ROWS), help="names, with commas between (default: all)")
+    parser.add_argument("--surveys", type=_surveys, default=list(SURVEYS), help="likewise")
     parser.add_argument("--out", type=Path, default=Path("bench-results/surveys.jsonl"), help="lines of JSON")
     parser.add_argument("--print-only", action="store_true", help="print the tables of what --out holds")
     parser.add_argument("--write-docs", action="store_true", help="write docs/results/surveys.md")
@@ -125,8 +128,16 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _rows(text: str) -> list[str]:
+    return _known(text, ROWS)
+
+
+def _surveys(text: str) -> list[str]:
+    return _known(text, SURVEYS)
+
+
+def _known(text: str, known: Collection[str]) -> list[str]:
     names = text.split(",")
-    unknown = [name for name in names if name not in ROWS]
+    unknown = [name for name in names if name not in known]
     if unknown:
-        raise argparse.ArgumentTypeError(f"no row {', '.join(unknown)}; there are {', '.join(ROWS)}")
+        raise argparse.ArgumentTypeError(f"{', '.join(unknown)} unknown; there are {', '.join(known)}")
     return names

@@ -19,6 +19,7 @@ from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction
 
 CONFIRMED = "agrees with what the fleet has measured"
+MIRRORED = Reason(ReasonCode.SURVEY_MIRRORED, "left and right are exchanged: it is the mirror image")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +103,8 @@ def survey_verdict(
             " on this survey; which of parameters, survey and positions is wrong is open"
         )
         return SurveyVerdict(refused=False, reason=Reason(ReasonCode.MODEL_CONTRADICTED, text), contradicted=True)
+    if fit.factor + p.stds * fit.factor_std < 0.0:
+        return SurveyVerdict(refused=True, reason=MIRRORED)
     if _unrelated(fit, filed_std, p):
         text = (
             f"it explains {fit.explained:.0%} of what the curves leave of the passes,"
@@ -173,10 +176,8 @@ def _open(text: str) -> Reason:
 def _scaled(fit: SurveyFit, open_scale: float, p: VerdictLimits) -> Reason | None:
     """Return that a survey has another scale, by more than its fit and what the passes leave open (relative)."""
     allowed = p.most_scale + p.stds * fit.factor_std / abs(fit.factor) + open_scale
-    if abs(float(np.log(fit.scale))) <= float(np.log1p(allowed)) if fit.scale > 0.0 else False:
+    if fit.scale > 0.0 and abs(float(np.log(fit.scale))) <= float(np.log1p(allowed)):
         return None
-    if fit.scale < 0.0:
-        return Reason(ReasonCode.SURVEY_MIRRORED, "left and right are exchanged: it is the mirror image")
     return Reason(ReasonCode.SURVEY_UNIT, f"it is {fit.scale:.3g} times what the fleet has measured")
 
 

@@ -122,8 +122,8 @@ def test_a_survey_may_be_six_percent_and_three_stds_too_large() -> None:
             assert verdict(far) == refused(ReasonCode.SURVEY_UNIT)
     assert verdict(scaled(1.055)) == verdict(scaled(1.0 / 1.055)) == RIGHT
     assert verdict(scaled(1.2), converged=False) == MOVING
-    assert verdict(replace(scaled(-1.0), factor_std=0.5), filed=1e-3) == OPEN
-    assert verdict(scaled(-1.0), filed=1e-3) == refused(ReasonCode.SURVEY_MIRRORED)
+    assert verdict(replace(scaled(-1.0), factor_std=0.34), filed=1e-3) == OPEN
+    assert verdict(replace(scaled(-1.0), factor_std=0.33), filed=1e-3) == refused(ReasonCode.SURVEY_MIRRORED)
 
 
 def test_a_scale_that_the_passes_may_be_wrong_by_is_doubted() -> None:
