@@ -103,14 +103,9 @@ def survey_verdict(
             " on this survey; which of parameters, survey and positions is wrong is open"
         )
         return SurveyVerdict(refused=False, reason=Reason(ReasonCode.MODEL_CONTRADICTED, text), contradicted=True)
-    if fit.factor + p.stds * fit.factor_std < 0.0:
-        return SurveyVerdict(refused=True, reason=MIRRORED)
-    if _unrelated(fit, filed_std, p):
-        text = (
-            f"it explains {fit.explained:.0%} of what the curves leave of the passes,"
-            f" and differs from them by {1e3 * fit.error:.2f} mm of its {1e3 * fit.size:.2f} mm"
-        )
-        return SurveyVerdict(refused=True, reason=Reason(ReasonCode.SURVEY_UNRELATED, text))
+    other = _of_another(fit, filed_std, p)
+    if other is not None:
+        return SurveyVerdict(refused=True, reason=other)
     if not converged:
         return SurveyVerdict(refused=False, reason=None)
     if not fit.factor_std <= p.widest_factor * abs(fit.factor):
@@ -132,6 +127,19 @@ def _judged(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> SurveyVer
         scale = 0.0 if scaled is None else abs(float(np.log(fit.scale)))
         return SurveyVerdict(refused=False, reason=_open(text), doubted_scale=scale)
     return SurveyVerdict(refused=False, reason=Reason(ReasonCode.SURVEY_CONFIRMED, CONFIRMED))
+
+
+def _of_another(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> Reason | None:
+    """Return that a survey is the mirror image of this section, or of another one; None where it is neither."""
+    if fit.factor + p.stds * fit.factor_std < 0.0:
+        return MIRRORED
+    if not _unrelated(fit, filed_std, p):
+        return None
+    text = (
+        f"it explains {fit.explained:.0%} of what the curves leave of the passes,"
+        f" and differs from them by {1e3 * fit.error:.2f} mm of its {1e3 * fit.size:.2f} mm"
+    )
+    return Reason(ReasonCode.SURVEY_UNRELATED, text)
 
 
 def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
