@@ -47,6 +47,7 @@ WITH_OPTIONS = (
     "steps",
     "limits",
     "flats",
+    "surveys",
 )
 LONG = (
     "signals",

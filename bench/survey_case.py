@@ -8,22 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
-from estimation.track.journeys import Journey, journeys
+from estimation.track.journeys import PositionParameters, journeys
 from estimation.track.screening.screen import PassStatus
 from estimation.track.settings import AlignmentSettings
-from estimation.track.update import AlignmentUpdate, update_alignment
+from estimation.track.update import NOT_USED, AlignmentUpdate, UpdateOutcome, update_alignment
 from estimation.values.arrays import FloatArray
+from estimation.values.geometry import BinTable
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
-from estimation.vehicle.sensor_noise import USUAL_CUTOFF
 
 CHORD = 4.0  # m: errors of a survey are white, smoothed over it by a Hann window
 SURVEY_STEP = 0.25  # m
+TRUSTED = 0.3  # m, offsets up to which the rival takes positions as they are
 UNCERTAIN = Reason(ReasonCode.POSITION_UNCERTAIN, "its position along the section is not certain")
 
 
@@ -47,6 +47,7 @@ class SurveyPlan:
 class Conicity:
     """One published conicity against the truth."""
 
+    key: str  # serial and amplitude in mm
     error: float
     half_width: float
     covered: bool
@@ -59,8 +60,7 @@ class SurveyScore:
     outcome: str
     code: str  # of the verdict; empty for none
     refused: bool
-    alignment_std: float  # m, of what is in force; NaN for nothing
-    alignment_error: float  # m, rms below 40 m of what is in force; NaN for nothing
+    alignment_std: float | None  # m, of what is in force; None for nothing
     asked: int
     published: tuple[Conicity, ...]
     reasons: Mapping[str, int]  # codes of windows without motion
@@ -83,18 +83,22 @@ def on_file(fleet: Fleet, plan: SurveyPlan, seed: int) -> TrackAlignment | None:
     )
 
 
-def moved(fleet: Fleet, position_std: float, seed: int) -> tuple[Fleet, dict[Journey, float]]:
-    """Return the fleet with every journey off by a draw of its own, and by how much (m)."""
+def moved(fleet: Fleet, position_std: float, seed: int) -> Fleet:
+    """Return the fleet with every journey off by a draw of its own of this std, m."""
     rng = np.random.default_rng([seed, 3502])
     keys = sorted({(one.vehicle, one.start_ns) for one in fleet.windows})
     off = {key: position_std * float(rng.standard_normal()) for key in keys}
     passes = tuple(replace(one, at=one.at + off[one.vehicle, one.start_ns]) for one in fleet.passes)
     windows = tuple(replace(one, distance=one.distance + off[one.vehicle, one.start_ns]) for one in fleet.windows)
-    return replace(fleet, windows=windows, passes=passes), off
+    return replace(fleet, windows=windows, passes=passes)
 
 
-def score(fleet: Fleet, survey: TrackAlignment | None) -> SurveyScore:
-    """Return what a fleet makes of a section with this survey on file.
+def score(
+    fleet: Fleet, survey: TrackAlignment | None, *, rival: bool = False
+) -> tuple[SurveyScore, SurveyScore | None]:
+    """Return what a fleet makes of a section with this survey on file, and what the rival does, where asked for.
+
+    The rival takes the survey as it is on file, and corrects positions only from ``TRUSTED`` on.
 
     Parameters
     ----------
@@ -102,33 +106,41 @@ def score(fleet: Fleet, survey: TrackAlignment | None) -> SurveyScore:
         At the positions that were measured.
     survey
         On file; None where none is.
+    rival
+        Whether that is asked for.
     """
     section = TrackSectionRecord("S", 1, "S", "56E1", 0.05, 1.435, float(fleet.track.s[-1]))
-    settings = AlignmentSettings()
-    update = update_alignment(section, list(fleet.passes), survey, settings, survey_checked=False)
-    published, reasons = _conicities(fleet, update, settings)
+    update = update_alignment(section, list(fleet.passes), survey, AlignmentSettings(), survey_checked=False)
+    found = _scored(fleet, update, refused=survey is not None and str(update.survey or "").startswith(NOT_USED))
+    if not rival:
+        return found, None
+    far = {journey: one for journey, one in update.estimate.corrections.items() if abs(one.offset) > TRUSTED}
+    kept = replace(update, outcome=UpdateOutcome.SURVEY_KEPT, alignment=survey)
+    return found, _scored(fleet, replace(kept, estimate=replace(update.estimate, corrections=far)), refused=False)
+
+
+def _scored(fleet: Fleet, update: AlignmentUpdate, *, refused: bool) -> SurveyScore:
+    published, reasons = _conicities(fleet, update)
     track = update.alignment
     known = track is not None and bool(np.isfinite(track.alignment).any())
-    text = str(update.survey or "")
     return SurveyScore(
         outcome=str(update.outcome),
         code=str(code_of(update.survey) or ""),
-        refused=survey is not None and text.startswith("not used"),
-        alignment_std=float(np.nanmedian(track.alignment_std)) if known and track is not None else float("nan"),
-        alignment_error=_alignment_error(fleet, track) if known and track is not None else float("nan"),
+        refused=refused,
+        alignment_std=float(np.nanmedian(track.alignment_std)) if known and track is not None else None,
         asked=len(fleet.conicity) * len(AMPLITUDES),
         published=tuple(published),
         reasons=reasons,
     )
 
 
-def _conicities(
-    fleet: Fleet, update: AlignmentUpdate, settings: AlignmentSettings
-) -> tuple[list[Conicity], dict[str, int]]:
-    track, found, reasons = update.alignment, [], {}
+def _conicities(fleet: Fleet, update: AlignmentUpdate) -> tuple[list[Conicity], dict[str, int]]:
+    track = update.alignment
+    found: list[Conicity] = []
+    reasons: dict[str, int] = {}
     if track is None or not np.isfinite(track.alignment).any():
         return [], {"alignment_unknown": len(fleet.windows)}
-    placed = places(fleet, update, settings)
+    placed = places(fleet, update)
     for serial, true in fleet.conicity.items():
         tables = []
         for window in fleet.windows:
@@ -149,7 +161,7 @@ def _conicities(
 
 
 def _compared(
-    fleet: Fleet, track: TrackAlignment, serial: str, tables: Sequence[object], true: FloatArray
+    fleet: Fleet, track: TrackAlignment, serial: str, tables: Sequence[BinTable], true: FloatArray
 ) -> list[Conicity]:
     bins = bin_parameters(fleet.parameters)
     uncertainty = ParameterUncertainty.of(fleet.parameters.vehicle_class).on([track], serial)
@@ -158,21 +170,21 @@ def _compared(
         return []
     at = [int(np.argmin(np.abs(geometry.amplitude - amplitude))) for amplitude in AMPLITUDES]
     return [
-        one for place, value in zip(at, true, strict=True) if (one := _one(geometry.conicity[place], value)) is not None
+        one
+        for place, value, amplitude in zip(at, true, AMPLITUDES, strict=True)
+        if (one := _one(f"{serial} {1e3 * amplitude:g}", geometry.conicity[place], float(value))) is not None
     ]
 
 
-def _one(found: Estimate, true: float) -> Conicity | None:
+def _one(key: str, found: Estimate, true: float) -> Conicity | None:
     if found.value is None or found.low is None or found.high is None:
         return None
-    return Conicity(found.value - true, 0.5 * (found.high - found.low), bool(found.low <= true <= found.high))
+    return Conicity(key, found.value - true, 0.5 * (found.high - found.low), bool(found.low <= true <= found.high))
 
 
-def places(
-    fleet: Fleet, update: AlignmentUpdate, settings: AlignmentSettings
-) -> dict[tuple[str, int], Correction | Reason | None]:
+def places(fleet: Fleet, update: AlignmentUpdate) -> dict[tuple[str, int], Correction | Reason | None]:
     """Return by wheelset and start where the windows were, or why not, as the job of the alignment stores it."""
-    grouped = journeys(fleet.passes, settings.section.positions)
+    grouped = journeys(fleet.passes, PositionParameters())
     members = {(item.wheelset, item.start_ns): journey for journey, items in grouped.items() for item in items}
     refused = {
         (item.wheelset, item.start_ns): outcome.reason
@@ -193,17 +205,3 @@ def places(
         else:
             found[key] = correction
     return found
-
-
-def _alignment_error(fleet: Fleet, track: TrackAlignment) -> float:
-    """Return the rms error, m, of an alignment at wavelengths below ``USUAL_CUTOFF``, moved to where it fits best."""
-    step = float(track.s[1] - track.s[0])
-    weights = local_cubic_kernel(USUAL_CUTOFF, step)
-    known = np.isfinite(track.alignment)
-    inside = valid_support(known, weights)
-    found = high_pass(np.where(known, track.alignment, 0.0), weights)
-    best = np.inf
-    for move in np.arange(-2.0, 2.01, 0.05):
-        true = high_pass(np.interp(track.s + move, fleet.track.s, fleet.track.alignment), weights)
-        best = min(best, float(np.sqrt(np.mean((found - true)[inside] ** 2))))
-    return best

@@ -157,9 +157,11 @@ def _vehicle(plan: FleetPlan, code: str, rng: np.random.Generator) -> tuple[_Veh
     tables, conicity = [], {}
     for serial in serials:
         depth, skew = float(rng.uniform(0.0, DEEPEST)), float(rng.uniform(-0.1, 0.1))
-        courses = [wear_course(WearFamily.P8_ON_56E1, depth * (1 + side * skew)) for side in (1, -1)]
-        wheels, rail = [worn(wheel_profile("P8"), course) for course in courses], rail_profile("56E1")
-        on_track = WheelsetOnTrack(*wheels, rail, rail, 1 / 20, 1.435)
+        left, right = (
+            worn(wheel_profile("P8"), wear_course(WearFamily.P8_ON_56E1, depth * (1 + side * skew))) for side in (1, -1)
+        )
+        rail = rail_profile("56E1")
+        on_track = WheelsetOnTrack(left, right, rail, rail, 1 / 20, 1.435)
         table = contact_table(on_track, GRID, GAUGES if plan.switches else (0.0,), outside="hold")
         nominal = int(np.argmin(np.abs(table.gauge_deviation)))
         conicity[serial] = equivalent_conicity(GRID, table.rolling_radius_difference[:, nominal], AMPLITUDES)

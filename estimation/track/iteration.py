@@ -45,6 +45,8 @@ class IterationParameters:
     rounds: int = 24  # of positions and panel at most
     position_tolerance: float = 0.1  # m: positions that move less have converged
     survey_tolerance: float = 0.3  # m, on average, from positions by the regression of R on a survey
+    survey_rounds: int = 4  # of positions on a survey and stiffness ratios at most
+    survey_moved: float = 0.05  # m: positions on a survey that move less are found
     ratio_tolerance: float = 0.01
     gauge_tolerance: float = 0.3e-3  # m, rms: a gauge that changes less has converged
     pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
@@ -179,7 +181,8 @@ def first_rounds(
 ) -> IterationResult:
     """Return where the rounds without a gauge end; on a survey at positions by the regression of R.
 
-    That search begins where the panel ends, which is within a metre or two. A gauge that varies is noise in that
+    That search begins where the panel ends, which is within a metre or two; stiffness ratios that go with the panel's
+    positions are another error of R, so both are found in turn. A gauge that varies is noise in that
     regression, and not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
 
     Parameters
@@ -197,12 +200,18 @@ def first_rounds(
     if prior is None or not setting.anchored or not prior.surveyed:
         return _rounds(setting, panel, corrections, {}, std=std)
     found = _rounds(setting, panel, corrections, {}, std=False)
-    on_survey = positions_on_survey(found.placed, prior, panel.grid)
     varies = prior.gauge_known and bool(prior.gauge.any())
-    if on_survey is None or (varies and _hardly_moved(setting, found, on_survey)):
-        return _finished(setting, found) if std else found
     fixed = replace(setting, placed_on_survey=True)
-    return replace(_rounds(fixed, panel, on_survey, {}, std=std), placed_on_survey=True)
+    for _ in range(setting.parameters.survey_rounds):
+        on_survey = positions_on_survey(found.placed, prior, panel.grid)
+        hardly = varies and not found.placed_on_survey
+        if on_survey is None or (hardly and _hardly_moved(setting, found, on_survey)):
+            break
+        moved = _largest_move(setting.grouped, found.corrections, on_survey)
+        found = replace(_rounds(fixed, panel, on_survey, found.ratios, std=False), placed_on_survey=True)
+        if moved < setting.parameters.survey_moved:
+            break
+    return _finished(setting, found) if std else found
 
 
 def _hardly_moved(setting: Setting, found: IterationResult, corrections: Mapping[Journey, Correction]) -> bool:

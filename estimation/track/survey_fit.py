@@ -31,13 +31,15 @@ class SurveyFit:
     factor_std: float
     explained: float  # share of what the curves leave of y that the survey explains
     followed: float  # share of y - a d that the curves explain: little where vehicles obey other equations
-    error: float  # m, rms of the survey's own error in the band, sensors' noise taken off
+    error: float  # m, rms by which survey and passes differ in the band, sensors' noise taken off
     size: float  # m, rms of the survey in the band
+    coherent: float = 0.0  # m, rms of what of that follows the motion: no error that a survey has by itself
 
     @property
     def scale(self) -> float:
         """Survey over truth: an error of the survey makes the factor too small, which is taken back."""
-        share = min((self.error / self.size) ** 2, MOST_ERROR_SHARE) if self.size > 0.0 else 0.0
+        own = max(self.error**2 - self.coherent**2, 0.0)
+        share = min(own / self.size**2, MOST_ERROR_SHARE) if self.size > 0.0 else 0.0
         return (1.0 - share) / self.factor if self.factor != 0.0 else float("inf")
 
 

@@ -42,6 +42,8 @@ class SurveyPositionParameters:
     tolerance: float = 0.02  # m: offsets that move less are found
     largest_step: float = 2.0  # m a round
     farthest: float = 3.0  # m from where a journey was, on its way: beyond is another wave of the track
+    place_std: float = 1.0  # m, of where the panel has put a journey: where short waves say nothing, it stays
+    correlated: float = 4.0  # m, over which the errors of short waves are one
     scale_std: float = 3e-3  # of an odometer, known beforehand
     ridge: float = 1e-6  # of the curves' mean square: knots that no sample reaches
     least_points: int = 400  # of a journey; fewer say nothing of its place
@@ -181,7 +183,9 @@ class _Vehicle:
             normal[np.ix_(index, index)] += weights[one.life] * (design @ design.T)
             right[index] += weights[one.life] * (design @ one.difference[one.used])
         extra = np.full(unknowns, p.ridge * float(np.trace(normal[:curves, :curves])) / curves + 1e-30)
-        extra[curves:] = np.tile([1e-12, 1.0 / p.scale_std**2], self.journeys)
+        place = p.correlated / self.grid.step / p.place_std**2
+        extra[curves:] = np.tile([place, 1.0 / p.scale_std**2], self.journeys)
+        right[curves::2] -= place * moves[:, 0]
         return np.asarray(np.linalg.solve(normal + np.diag(extra), right)[curves:].reshape(self.journeys, 2))
 
     def _curves(self, columns: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:

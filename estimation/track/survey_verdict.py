@@ -19,6 +19,7 @@ from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction
 
 CONFIRMED = "agrees with what the fleet has measured"
+MIRRORED = Reason(ReasonCode.SURVEY_MIRRORED, "left and right are exchanged: it is the mirror image")
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,9 @@ class VerdictLimits:
 
     understated: float = 5.0  # times the std on file that a survey's errors may be, for it to be of this section
     least_factor: float = 0.5  # of the factor that a survey with such errors has
+    least_of_unlike: float = 0.75  # the same where it is unlike what the passes show:
+    least_explained: float = 0.5  # of what the curves leave of y
+    most_error: float = 0.5  # of the survey's size
     most_scale: float = 0.06  # by which a survey may be too large or too small, besides its std
     widest_factor: float = 0.1  # relative std of the factor beyond which the passes do not know it
     largest_shift: float = 3.0  # m, of all journeys, besides the uncertainty of their mean
@@ -99,12 +103,9 @@ def survey_verdict(
             " on this survey; which of parameters, survey and positions is wrong is open"
         )
         return SurveyVerdict(refused=False, reason=Reason(ReasonCode.MODEL_CONTRADICTED, text), contradicted=True)
-    if _unrelated(fit, filed_std, p):
-        text = (
-            f"it explains {fit.explained:.0%} of what the curves leave of the passes,"
-            f" and differs from them by {1e3 * fit.error:.2f} mm of its {1e3 * fit.size:.2f} mm"
-        )
-        return SurveyVerdict(refused=True, reason=Reason(ReasonCode.SURVEY_UNRELATED, text))
+    other = _of_another(fit, filed_std, p)
+    if other is not None:
+        return SurveyVerdict(refused=True, reason=other)
     if not converged:
         return SurveyVerdict(refused=False, reason=None)
     if not fit.factor_std <= p.widest_factor * abs(fit.factor):
@@ -128,10 +129,26 @@ def _judged(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> SurveyVer
     return SurveyVerdict(refused=False, reason=Reason(ReasonCode.SURVEY_CONFIRMED, CONFIRMED))
 
 
+def _of_another(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> Reason | None:
+    """Return that a survey is the mirror image of this section, or of another one; None where it is neither."""
+    if fit.factor + p.stds * fit.factor_std < 0.0:
+        return MIRRORED
+    if not _unrelated(fit, filed_std, p):
+        return None
+    text = (
+        f"it explains {fit.explained:.0%} of what the curves leave of the passes,"
+        f" and differs from them by {1e3 * fit.error:.2f} mm of its {1e3 * fit.size:.2f} mm"
+    )
+    return Reason(ReasonCode.SURVEY_UNRELATED, text)
+
+
 def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
     """Whether a survey follows the passes by less than one of this section would, be its std understated or not."""
-    errors = min(p.understated * filed_std / fit.size, 1.0) if fit.size > 0.0 else 1.0
-    return fit.factor + p.stds * fit.factor_std < p.least_factor * (1.0 - errors**2)
+    errors = p.understated * filed_std
+    unlike = fit.explained < p.least_explained and fit.error > max(p.most_error * fit.size, errors)
+    least = p.least_of_unlike if unlike else p.least_factor
+    share = min(errors / fit.size, 1.0) if fit.size > 0.0 else 1.0
+    return fit.factor + p.stds * fit.factor_std < least * (1.0 - share**2)
 
 
 def _at_fault(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> str:
@@ -167,10 +184,8 @@ def _open(text: str) -> Reason:
 def _scaled(fit: SurveyFit, open_scale: float, p: VerdictLimits) -> Reason | None:
     """Return that a survey has another scale, by more than its fit and what the passes leave open (relative)."""
     allowed = p.most_scale + p.stds * fit.factor_std / abs(fit.factor) + open_scale
-    if abs(float(np.log(fit.scale))) <= float(np.log1p(allowed)) if fit.scale > 0.0 else False:
+    if fit.scale > 0.0 and abs(float(np.log(fit.scale))) <= float(np.log1p(allowed)):
         return None
-    if fit.scale < 0.0:
-        return Reason(ReasonCode.SURVEY_MIRRORED, "left and right are exchanged: it is the mirror image")
     return Reason(ReasonCode.SURVEY_UNIT, f"it is {fit.scale:.3g} times what the fleet has measured")
 
 

@@ -151,7 +151,7 @@ class _Epoch:
 
     def _weighed(self, prior: TrackAlignment, survey: TrackAlignment) -> Weighed:
         estimate = self.estimate(prior)
-        if estimate.iterated is None:
+        if estimate.iterated is None or not survey.gauge_known:  # a gauge that is not known is an error of all passes
             return Weighed(estimate, None)
         return Weighed(estimate, survey_posterior(estimate.iterated, survey, self.parameters))
 
@@ -163,8 +163,7 @@ class _Epoch:
         cutoff = self.parameters.panel.cutoff_wavelength
         fit = fit_survey(iterated, prior_on_grid(survey, iterated.panel.grid, cutoff))
         if fit is not None and weighed.posterior is not None:
-            coherent = weighed.posterior.bands.coherent_std(cutoff)  # of the passes, or of the survey's scale
-            fit = replace(fit, error=float(np.sqrt(max(fit.error**2 - coherent**2, 0.0))))
+            fit = replace(fit, coherent=weighed.posterior.bands.coherent_std(cutoff))
         slope_std = 0.0 if iterated.slope is None else iterated.slope.std
         witnesses = Witnesses(iterated.corrections, slope_std)
         filed = float(np.nanmedian(survey.alignment_std))
@@ -220,7 +219,7 @@ def _with_survey(
     reason = None if survey_checked else verdict.reason
     gauge = epoch.judge_gauge(weighed.estimate, survey)
     if gauge is not None and _confirmed(verdict):
-        return _without_gauge(epoch, survey, combined([gauge, _of_alignment(reason)]), settings)
+        return _without_gauge(epoch, survey, combined([gauge, _of_alignment(reason)]))
     return _extended(epoch, weighed, survey, settings, reason, verdict, decided=survey_checked or _confirmed(verdict))
 
 
@@ -265,9 +264,7 @@ def _contradicted(
     return AlignmentUpdate(UpdateOutcome.SURVEY_KEPT, nowhere, survey, outcomes, reason)
 
 
-def _without_gauge(
-    epoch: _Epoch, survey: TrackAlignment, reason: Reason | None, settings: AlignmentSettings
-) -> AlignmentUpdate:
+def _without_gauge(epoch: _Epoch, survey: TrackAlignment, reason: Reason | None) -> AlignmentUpdate:
     """Return the survey without its gauge, which is wrong: as one of the alignment alone.
 
     What the passes disagree by says how much the true gauge varies; nothing that was found on the wrong one stays.
@@ -281,13 +278,11 @@ def _without_gauge(
         scale_std=float(np.hypot(survey.scale_std, epoch.parameters.scale_error)),
         findings=None,
     )
-    weighed = epoch.weigh(alone)
-    found = weighed.estimate.alignment
+    estimate = epoch.estimate(alone)
+    found = estimate.alignment
     if found is not None:
         alone = replace(alone, gauge_deviation_std=np.full_like(of_gauge, np.median(found.gauge_deviation_std)))
-    right = SurveyVerdict(refused=False, reason=reason)
-    extended = _extended(epoch, weighed, alone, settings, reason, right, decided=True)
-    return replace(extended, outcome=UpdateOutcome.SURVEY_EXTENDED)
+    return epoch.update(UpdateOutcome.SURVEY_EXTENDED, _placed_on_survey(estimate), alone, survey=reason)
 
 
 def _confirmed(verdict: SurveyVerdict) -> bool:

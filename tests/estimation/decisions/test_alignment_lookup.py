@@ -114,3 +114,14 @@ def test_a_cutoff_is_lost_at_both_ends_of_what_is_known(step: float) -> None:
 def test_an_alignment_without_cutoff_is_as_it_is() -> None:
     whole = track()
     assert deconvolved(whole) is whole.alignment
+
+
+@pytest.mark.parametrize(("std", "usual", "known"), [(0.249e-3, 1e-5, True), (0.251e-3, 1e-5, False),
+                                                     (0.29e-3, 1e-4, True), (0.31e-3, 1e-4, False)])  # fmt: skip
+def test_a_place_far_less_certain_than_the_rest_is_left_out(std: float, usual: float, *, known: bool) -> None:
+    stds = np.where(np.arange(len(S)) == 100, std, usual)
+    passed = replace(track(), alignment_std=stds, passes=np.ones(len(S), dtype=np.int64))
+    found = alignment_at(np.array([150.0, 200.0]), passed, 40.0)
+    assert np.isfinite(found).tolist() == [True, known]
+    unpassed = replace(passed, passes=np.zeros(len(S), dtype=np.int64))
+    assert np.isfinite(alignment_at(np.array([200.0]), unpassed, 40.0)).all()

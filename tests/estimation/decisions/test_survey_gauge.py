@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gauge_passes import LENGTH, Section, passes, section
 from test_survey_limits import D, N, track
-from test_update_limits import CERTAIN, FLEET, RIGHT, SETTINGS, SHIFT, WRONG, Solved, epoch
+from test_update_limits import CERTAIN, FLEET, OFF, RIGHT, SETTINGS, SHIFT, WRONG, Solved, epoch
 
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
@@ -216,13 +216,8 @@ def test_a_gauge_is_refused_only_where_the_alignment_is_confirmed(*, checked: bo
 
 
 def test_an_alignment_that_is_wrong_is_refused_before_its_gauge() -> None:
-    found = _with_survey(refusing(FLEET, CERTAIN, WRONG), SURVEY, SETTINGS, survey_checked=False)
-    assert (found.alignment, code_of(found.survey)) == (FLEET, ReasonCode.SURVEY_DIFFERS)
-
-
-def test_beside_a_refused_gauge_a_fleet_that_knows_far_more_replaces_the_survey() -> None:
-    found = _with_survey(refusing(None, CERTAIN, RIGHT), SURVEY, SETTINGS, survey_checked=False)
-    assert (found.outcome, found.alignment, code_of(found.survey)) == (UpdateOutcome.NEW_VERSION, CERTAIN, BAD.code)
+    found = _with_survey(refusing(OFF, CERTAIN, WRONG), SURVEY, SETTINGS, survey_checked=False)
+    assert (found.alignment, code_of(found.survey)) == (OFF, ReasonCode.SURVEY_DIFFERS)
 
 
 @pytest.mark.parametrize(("alone", "outcome"), [(FLEET, UpdateOutcome.NEW_VERSION), (None, UpdateOutcome.UNESTIMATED)])

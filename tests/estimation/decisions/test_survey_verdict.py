@@ -11,7 +11,7 @@ from test_section_limits import ELSEWHERE, LENGTH, P, a_pass, estimated, prior
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
 from estimation.track.survey_fit import SurveyFit, fit_survey
-from estimation.track.survey_verdict import SurveyVerdict, survey_verdict
+from estimation.track.survey_verdict import SurveyVerdict, Witnesses, survey_verdict
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment
 
@@ -72,16 +72,28 @@ def test_only_where_the_survey_is_known_counts() -> None:
     assert fit_survey(found.iterated, on_grid(nowhere)) is None
 
 
-def test_the_scale_takes_back_at_most_half() -> None:
+def test_the_scale_takes_back_what_the_errors_of_the_survey_make() -> None:
     assert replace(FIT, error=0.0, factor=0.8).scale == pytest.approx(1.25)
     assert replace(FIT, error=0.3e-3).scale == pytest.approx(0.91)
-    assert replace(FIT, error=0.9e-3).scale == pytest.approx(0.5)
+    assert replace(FIT, error=0.9e-3).scale == pytest.approx(0.19)
+    assert replace(FIT, error=2e-3).scale == pytest.approx(0.03)
     assert replace(FIT, factor=0.0).scale == np.inf
 
 
-def verdict(fit: SurveyFit | None, *offsets: float, converged: bool = True) -> tuple[bool, ReasonCode | None]:
-    corrections = {("V", k): Correction(offset) for k, offset in enumerate(offsets)}
-    found: SurveyVerdict = survey_verdict(fit, corrections, converged=converged)
+def judged(
+    fit: SurveyFit | None,
+    *offsets: float,
+    converged: bool = True,
+    filed: float = 0.1e-3,
+    slope_std: float = 0.0,
+    vehicles: int = 2,
+) -> SurveyVerdict:
+    corrections = {(f"V{k % vehicles}", k): Correction(offset) for k, offset in enumerate(offsets)}
+    return survey_verdict(fit, Witnesses(corrections, slope_std), filed, converged=converged)
+
+
+def verdict(fit: SurveyFit | None, *offsets: float, **changes: object) -> tuple[bool, ReasonCode | None]:
+    found = judged(fit, *offsets, **changes)  # type: ignore[arg-type]
     return found.refused, code_of(found.reason)
 
 
@@ -104,15 +116,37 @@ def test_a_right_survey_is_confirmed_once_positions_have_converged() -> None:
 
 def test_a_survey_may_be_six_percent_and_three_stds_too_large() -> None:
     for std, most in ((0.0, 1.07), (0.02, 1.13)):  # 1 % of the passes is left by the curves
-        assert verdict(scaled(most - 0.005, std)) == RIGHT
-        assert verdict(scaled(1.0 / (most - 0.005), std)) == RIGHT
-        assert verdict(scaled(most + 0.005, std)) == refused(ReasonCode.SURVEY_UNIT)
-        assert verdict(scaled(1.0 / (most + 0.005), std)) == refused(ReasonCode.SURVEY_UNIT)
-    stiff = replace(scaled(1.2), followed=0.8)  # of stiff bogies: errors of R flatten their curves
-    assert verdict(stiff) == RIGHT
-    assert verdict(replace(stiff, factor=1.0 / 1.3)) == refused(ReasonCode.SURVEY_UNIT)
+        for factor in (most, 1.0 / most):
+            near, far = (replace(scaled(factor ** (1.0 + d)), factor_std=std / factor) for d in (-0.05, 0.05))
+            assert verdict(near) in (RIGHT, OPEN)
+            assert verdict(far) == refused(ReasonCode.SURVEY_UNIT)
+    assert verdict(scaled(1.055)) == verdict(scaled(1.0 / 1.055)) == RIGHT
     assert verdict(scaled(1.2), converged=False) == MOVING
-    assert verdict(scaled(-1.0)) == refused(ReasonCode.SURVEY_MIRRORED)
+    assert verdict(replace(scaled(-1.0), factor_std=0.34), filed=1e-3) == OPEN
+    assert verdict(replace(scaled(-1.0), factor_std=0.33), filed=1e-3) == refused(ReasonCode.SURVEY_MIRRORED)
+
+
+def test_a_scale_that_the_passes_may_be_wrong_by_is_doubted() -> None:
+    stiff = replace(scaled(1.2), followed=0.8)  # of stiff bogies: errors of R flatten their curves
+    assert verdict(stiff) == OPEN
+    assert judged(stiff).doubted_scale == pytest.approx(np.log(1.2))
+    assert "stiff" in str(judged(stiff, 0.0, 0.0).reason)
+    assert verdict(replace(stiff, factor=1.0 / 1.3)) == refused(ReasonCode.SURVEY_UNIT)
+    assert verdict(scaled(1.2), slope_std=0.05) == OPEN
+    assert verdict(scaled(1.2), slope_std=0.04) == refused(ReasonCode.SURVEY_UNIT)
+    assert judged(scaled(1.2)).doubted_scale == judged(FIT).doubted_scale == 0.0
+
+
+def test_who_else_may_be_wrong_is_named() -> None:
+    doubted = replace(scaled(1.2), followed=0.91)
+    for offsets, vehicles, words in (
+        ((0.0, 0.0, 0.0, 0.0), 2, "what all vehicles have in common"),
+        ((0.0, 0.0, 0.0), 2, "the few passes (3 journeys)"),
+        ((0.0, 0.0, 0.0, 0.0), 1, "the only vehicle"),
+    ):
+        assert words in str(judged(doubted, *offsets, vehicles=vehicles, slope_std=0.05).reason)
+    slow = replace(doubted, followed=0.89)
+    assert "explain 89%" in str(judged(slow, 0.0, 0.0, 0.0, 0.0, slope_std=0.05).reason)
 
 
 def test_a_survey_may_be_three_metres_and_three_stds_off() -> None:
@@ -122,18 +156,32 @@ def test_a_survey_may_be_three_metres_and_three_stds_off() -> None:
     limit = 3.0 + 3.0 * np.sqrt(2.0)  # of two journeys, each 2 m from their mean
     assert verdict(FIT, limit - 2.1, limit + 1.9) == RIGHT
     assert verdict(FIT, limit - 1.9, limit + 2.1) == refused(ReasonCode.SURVEY_DISPLACED)
+    assert judged(FIT, 3.1, 3.1).harmless
+    assert not judged(scaled(1.3), 3.1, 3.1).harmless
+    assert verdict(FIT, 3.1, 3.1, vehicles=1) == OPEN  # its odometer may be as much off
+    assert verdict(FIT, 2.9, 2.9, vehicles=1) == RIGHT
 
 
-def test_a_survey_that_explains_less_than_half_is_of_another_section() -> None:
-    other = replace(FIT, explained=0.49, error=0.51e-3, factor=0.75)
-    assert verdict(other) == verdict(other, converged=False) == refused(ReasonCode.SURVEY_UNRELATED)
-    assert verdict(replace(other, explained=0.51)) == refused(ReasonCode.SURVEY_DIFFERS)
-    assert verdict(replace(other, error=0.49e-3)) == RIGHT
+def test_a_survey_that_the_passes_follow_by_less_than_half_is_of_another_section() -> None:
+    for std in (0.0, 0.1):
+        other = replace(FIT, factor=0.37 - 3.0 * std, factor_std=std)  # 5 x 0.1 mm of 1 mm: 0.75 is due
+        assert verdict(other) == verdict(other, converged=False) == refused(ReasonCode.SURVEY_UNRELATED)
+        assert verdict(replace(other, factor=other.factor + 0.01), converged=False) == MOVING
+    assert verdict(replace(FIT, factor=0.0), filed=0.19e-3) == refused(ReasonCode.SURVEY_UNRELATED)
+    assert verdict(replace(FIT, factor=0.0), filed=0.2e-3) == OPEN  # its errors may be as large as it is
+
+
+def test_errors_of_a_survey_however_large_are_no_reason_to_refuse_it() -> None:
+    """Of 3 mm on a track of 1 mm: it is a tenth of what it shows."""
+    noisy = replace(FIT, factor=0.1, factor_std=0.005, explained=0.08, error=3e-3, size=np.sqrt(10.0) * 1e-3)
+    assert verdict(noisy, filed=3e-3) == verdict(noisy, filed=0.6e-3 * np.sqrt(10.0 / 9.0) + 1e-6) == RIGHT
+    assert verdict(noisy, filed=0.3e-3) == refused(ReasonCode.SURVEY_UNRELATED)
 
 
 def test_what_the_passes_do_not_know_is_left_open() -> None:
     assert verdict(None) == OPEN
-    assert verdict(replace(FIT, factor_std=0.051)) == OPEN
-    assert verdict(replace(FIT, factor_std=0.049)) == RIGHT
+    assert verdict(replace(FIT, factor_std=np.nan)) == OPEN
+    assert verdict(replace(FIT, factor_std=0.101)) == OPEN
+    assert verdict(replace(FIT, factor_std=0.099)) == RIGHT
     assert verdict(replace(FIT, followed=0.49)) == (False, ReasonCode.MODEL_CONTRADICTED)
     assert verdict(replace(FIT, followed=0.51)) == RIGHT

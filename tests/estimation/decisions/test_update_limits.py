@@ -14,10 +14,14 @@ from estimation.track.screening.screen import Screened
 from estimation.track.section import SectionEstimate
 from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
+from estimation.track.survey_bands import SurveyBands
+from estimation.track.survey_check import worth_more
+from estimation.track.survey_posterior import SurveyPosterior
 from estimation.track.survey_verdict import CONFIRMED, SurveyVerdict
 from estimation.track.update import (
     AlignmentUpdate,
     UpdateOutcome,
+    Weighed,
     _Epoch,
     _with_gauge_shifts,
     _with_survey,
@@ -54,12 +58,17 @@ class Solved(_Epoch):
     alone: SectionEstimate
     with_prior: SectionEstimate
     verdict: SurveyVerdict | None
+    posterior: SurveyPosterior | None = None
 
     def estimate(self, prior: TrackAlignment | None) -> SectionEstimate:
         return self.alone if prior is None else self.with_prior
 
-    def judge(self, estimate: SectionEstimate, survey: TrackAlignment) -> SurveyVerdict | None:
-        assert (estimate, survey.source) == (self.with_prior, AlignmentSource.RECORDED)
+    def weigh(self, survey: TrackAlignment) -> Weighed:
+        assert survey.source == AlignmentSource.RECORDED
+        return Weighed(self.with_prior, self.posterior)
+
+    def judge(self, weighed: Weighed, survey: TrackAlignment) -> SurveyVerdict | None:
+        assert (weighed.estimate, survey.source) == (self.with_prior, AlignmentSource.RECORDED)
         return self.verdict
 
 
@@ -77,25 +86,46 @@ def by_survey(
     return _with_survey(epoch(alone, with_survey, verdict), survey, SETTINGS, survey_checked=checked)
 
 
-def test_a_survey_is_kept_unless_the_fleet_knows_far_more() -> None:
-    for known in (None, FLEET):
-        found = by_survey(None, known, checked=True)
-        assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, None)
-    found = by_survey(None, CERTAIN, checked=True)
-    assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.NEW_VERSION, CERTAIN, None)
-    moving = epoch(None, CERTAIN)
+def weighed(std: float, verdict: SurveyVerdict | None = None, **changes: object) -> Solved:
+    """Return an epoch whose passes and survey give an alignment of this std (m) together."""
+    together = replace(SURVEY, alignment_std=np.full(N, std), **changes)  # type: ignore[arg-type]
+    bands = SurveyBands((), D, np.ones(N, np.bool_), np.ones(N, np.bool_), np.ones(N), 1e-3)
+    return replace(epoch(None, None, verdict), posterior=SurveyPosterior(together, SURVEY, bands))
+
+
+def test_a_survey_that_the_passes_know_better_becomes_a_version_of_it() -> None:
+    for std, outcome in ((0.51e-4, UpdateOutcome.SURVEY_KEPT), (0.49e-4, UpdateOutcome.SURVEY_EXTENDED)):
+        found = _with_survey(weighed(std, RIGHT), SURVEY, SETTINGS, survey_checked=False)
+        assert (found.outcome, code_of(found.survey)) == (outcome, ReasonCode.SURVEY_CONFIRMED)
+        again = _with_survey(weighed(std, RIGHT), SURVEY, SETTINGS, survey_checked=True)
+        assert (again.outcome, again.survey) == (outcome, None)
+        assert found.alignment is not None
+        assert found.alignment.source == AlignmentSource.RECORDED
+    moving = weighed(1e-5, RIGHT)
     moving = replace(moving, with_prior=replace(moving.with_prior, report=replace(CONVERGED, converged=False)))
     assert _with_survey(moving, SURVEY, SETTINGS, survey_checked=True).outcome is UpdateOutcome.SURVEY_KEPT
 
 
-def test_a_survey_is_judged_until_it_has_been() -> None:
-    for known, outcome in ((None, UpdateOutcome.SURVEY_KEPT), (CERTAIN, UpdateOutcome.NEW_VERSION)):
-        found = by_survey(FLEET, known, RIGHT)
-        assert (found.outcome, code_of(found.survey)) == (outcome, ReasonCode.SURVEY_CONFIRMED)
-    assert by_survey(FLEET, None, RIGHT, checked=True).survey is None
+def test_a_survey_that_is_not_decided_on_is_kept_as_it_is() -> None:
     for undecided in (OPEN, None):
-        found = by_survey(None, None, undecided)
+        found = _with_survey(weighed(1e-5, undecided), SURVEY, SETTINGS, survey_checked=False)
         assert (found.outcome, found.alignment, found.survey) == (UpdateOutcome.SURVEY_KEPT, SURVEY, None)
+
+
+def test_a_scale_that_is_in_doubt_widens_what_rests_on_the_survey() -> None:
+    doubted = SurveyVerdict(refused=False, reason=None, doubted_scale=0.1)
+    found = _with_survey(weighed(1e-5, doubted, scale_std=0.01), SURVEY, SETTINGS, survey_checked=False)
+    assert found.outcome is UpdateOutcome.SURVEY_EXTENDED
+    assert found.alignment is not None
+    assert found.alignment.scale_std == pytest.approx(np.hypot(0.1, 0.01))
+
+
+def test_a_survey_whose_zero_point_alone_is_wrong_is_kept_where_the_fleet_has_none() -> None:
+    displaced = replace(WRONG, harmless=True)
+    kept = by_survey(None, None, displaced)
+    assert (kept.outcome, kept.alignment) == (UpdateOutcome.SURVEY_KEPT, SURVEY)
+    assert str(kept.survey).startswith("kept, with all positions on it")
+    assert by_survey(OFF, None, displaced).outcome is UpdateOutcome.NEW_VERSION
 
 
 @pytest.mark.parametrize("checked", [False, True])
@@ -107,11 +137,25 @@ def test_passes_that_contradict_their_model_are_not_used_even_on_a_confirmed_sur
     assert not found.estimate.grouped  # no window gets a position from such passes
 
 
+OFF = track(1.5 * D, std=0.29e-3, source=AlignmentSource.FLEET)  # a survey of D is wrong by 1 mm
+
+
 def test_a_survey_that_is_wrong_is_replaced_by_what_the_fleet_finds() -> None:
-    found = by_survey(FLEET, CERTAIN, WRONG)
-    assert (found.outcome, found.alignment) == (UpdateOutcome.NEW_VERSION, FLEET)
+    found = by_survey(OFF, CERTAIN, WRONG)
+    assert (found.outcome, found.alignment) == (UpdateOutcome.NEW_VERSION, OFF)
     assert (code_of(found.survey), str(found.survey)) == (ReasonCode.SURVEY_DIFFERS, "not used: it differs")
-    assert by_survey(FLEET, None, WRONG, checked=True).outcome is UpdateOutcome.SURVEY_KEPT
+    assert by_survey(OFF, None, WRONG, checked=True).outcome is UpdateOutcome.SURVEY_KEPT
+
+
+def test_what_replaces_a_survey_is_certain_and_better_than_half_of_what_is_wrong_with_it() -> None:
+    assert worth_more(OFF, SURVEY)
+    assert not worth_more(replace(OFF, alignment_std=np.full(N, 0.31e-3)), SURVEY)
+    wrong = float(np.sqrt(np.mean((0.02 * D) ** 2)))
+    near = track(1.02 * D, std=0.49 * wrong, source=AlignmentSource.FLEET)
+    assert worth_more(near, SURVEY)
+    assert not worth_more(replace(near, alignment_std=np.full(N, 0.51 * wrong)), SURVEY)
+    open_ = replace(OFF, alignment_std=np.full(N, 0.31e-3))
+    assert by_survey(open_, None, WRONG).outcome is UpdateOutcome.SURVEY_REFUSED
 
 
 def test_where_a_survey_is_wrong_and_the_fleet_finds_nothing_nothing_is_known() -> None:
@@ -175,9 +219,8 @@ def test_a_survey_is_extended_by_what_its_gauge_does_to_a_wheelset() -> None:
     assert (new.alignment.source, new.alignment.findings) == (AlignmentSource.RECORDED, SHIFT)
     np.testing.assert_array_equal(new.alignment.alignment, D)
     varied = replace(SURVEY, gauge_deviation=1e-3 * GAUGE)
-    for known, outcome in ((FLEET, UpdateOutcome.SURVEY_EXTENDED), (CERTAIN, UpdateOutcome.NEW_VERSION)):
-        found_with = replace(known, findings=SHIFT)
-        assert by_survey(None, found_with, checked=True, survey=varied).outcome is outcome
+    found_with = replace(FLEET, findings=SHIFT)
+    assert by_survey(None, found_with, checked=True, survey=varied).outcome is UpdateOutcome.SURVEY_EXTENDED
     for found in (None, FLEET, replace(FLEET, findings=NO_SHIFT)):
         assert extended(found).outcome is UpdateOutcome.SURVEY_KEPT
     assert extended(replace(FLEET, findings=SHIFT), gauge_known=False).outcome is UpdateOutcome.SURVEY_KEPT

@@ -9,7 +9,7 @@ import pytest
 
 from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_verdict import place_of
-from estimation.track.update import UpdateOutcome, better
+from estimation.track.update import UpdateOutcome
 from estimation.track.versions import (
     _apart,
     carry_over_findings,
@@ -217,28 +217,6 @@ def test_shifts_stay_with_a_gauge_that_correlates_by_four_fifths(correlation: fl
     of_flat = carry_over_findings(flat, replace(before, gauge_deviation=np.zeros(N))).findings
     assert of_flat is not None
     assert "W" not in of_flat.gauge_shifts
-
-
-def survey(**changes: object) -> TrackAlignment:
-    return replace(made(source=AlignmentSource.RECORDED), **changes)  # type: ignore[arg-type]
-
-
-def test_a_fleet_replaces_a_survey_at_half_its_std() -> None:
-    assert better(made(alignment_std=np.full(N, 0.49e-4)), survey())
-    assert not better(made(alignment_std=np.full(N, 0.51e-4)), survey())
-    good = np.where(S < 0.4 * N, 9e-4, 0.4e-4)  # the median counts
-    assert better(made(alignment_std=good), survey())
-
-
-def test_a_fleet_replaces_a_survey_only_where_it_covers_all_of_it() -> None:
-    sharp = made(alignment_std=np.full(N, 1e-5), cutoff_wavelength=120.0)
-    assert not better(sharp, survey())
-    assert better(sharp, survey(cutoff_wavelength=120.0))
-    assert better(sharp, survey(cutoff_wavelength=60.0))
-    assert not better(replace(sharp, gauge_known=False), survey(cutoff_wavelength=120.0))
-    assert better(replace(sharp, gauge_known=False), survey(cutoff_wavelength=120.0, gauge_known=False))
-    hole = np.where(S == 5.0, np.nan, 1e-5)
-    assert not better(replace(sharp, alignment_std=hole), survey(cutoff_wavelength=120.0))
 
 
 def test_a_fleet_knows_its_place_by_the_scatter_of_its_journeys() -> None:

@@ -76,6 +76,21 @@ def test_journeys_are_where_they_were(noise: float, survey_std: float) -> None:
     assert np.abs(left_over(found)).max() < 0.12
 
 
+def test_a_journey_whose_short_waves_say_nothing_stays_where_it_was() -> None:
+    vague = [replace(item, difference=1e-3 * item.difference) for item in moved(0.0)]
+    vague = [
+        replace(item, difference=item.difference + 0.1e-3 * np.random.default_rng(k).standard_normal(len(item.at)))
+        for k, item in enumerate(vague)
+    ]
+    on_grid = placed(vague)
+    found = positions_on_survey(on_grid, survey(), GRID)
+    assert found is not None
+    moves = [abs(found[journey].offset - one.correction.offset) for journey, one in on_grid.items()]
+    assert max(moves) < 0.6
+    bold = positions_on_survey(on_grid, survey(), GRID, SurveyPositionParameters(place_std=100.0))
+    assert bold is None or max(abs(bold[j].offset - on_grid[j].correction.offset) for j in on_grid) > max(moves)
+
+
 def test_a_journey_too_short_to_say_anything_keeps_its_place() -> None:
     on_grid = placed(moved(0.0, shortest=350.0))
     found = positions_on_survey(on_grid, survey(), GRID)
@@ -126,5 +141,6 @@ def test_the_shipped_figures() -> None:
     p = SurveyPositionParameters()
     assert (p.cutoff_wavelength, p.tolerance, p.largest_step, p.scale_std) == (15.0, 0.02, 2.0, 3e-3)
     assert (p.rounds, p.least_points, p.ridge) == (12, 400, 1e-6)
-    assert p.most_apart == 2.0
+    assert (p.most_apart, p.place_std, p.correlated) == (2.0, 1.0, 4.0)
+    assert (IterationParameters().survey_rounds, IterationParameters().survey_moved) == (4, 0.05)
     assert IterationParameters().survey_tolerance == 0.3
