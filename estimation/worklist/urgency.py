@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.alerts.rules.limit_forecast import LimitForecastRule
+from estimation.alerts.rules.measure import MeasureRule
 from estimation.alerts.rules.no_data import NoDataRule
 from estimation.values.alerts import Condition, Severity
 from estimation.values.quantities import Forecast
@@ -134,7 +135,9 @@ def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, 
 def _exceeded(alert: OpenAlert | None, probability: float | None) -> str:
     if alert is not None and alert.condition is Condition.UNKNOWN:
         return "limit exceeded when it could be assessed last"
-    return "limit exceeded" if probability is None else f"limit exceeded (probability {probability:.0%})"
+    if probability is None or probability < MORE_LIKELY_THAN_NOT:
+        return "limit exceeded"
+    return f"limit exceeded (probability {probability:.0%})"
 
 
 def _due(distance: Forecast) -> str:
@@ -158,7 +161,8 @@ def _of_alert(alert: OpenAlert, last_ns: int | None) -> tuple[Urgency, Reason]:
     urgency = {Severity.CRITICAL: Urgency.CRITICAL_ALERT, Severity.WARNING: Urgency.WARNING_ALERT}.get(
         alert.severity, Urgency.NOT_DUE
     )
-    text = f"{alert.severity.value} alert: {alert.kind.replace('_', ' ')}"
+    what = "may be beyond its limit: measure" if alert.kind == MeasureRule.kind else alert.kind.replace("_", " ")
+    text = f"{alert.severity.value} alert: {what}"
     if alert.condition is Condition.UNKNOWN:
         text += ", not assessable any more"
     return urgency, Reason(ReasonCode.ALERT_OPEN, text)
