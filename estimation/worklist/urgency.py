@@ -139,7 +139,9 @@ def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, 
 def _exceeded(alert: OpenAlert | None, probability: float | None) -> str:
     if alert is not None and alert.condition is Condition.UNKNOWN:
         return "limit exceeded when it could be assessed last"
-    return "limit exceeded" if probability is None else f"limit exceeded (probability {probability:.0%})"
+    if probability is None or probability < MORE_LIKELY_THAN_NOT:
+        return "limit exceeded"
+    return f"limit exceeded (probability {probability:.0%})"
 
 
 def _due(distance: Forecast) -> str:

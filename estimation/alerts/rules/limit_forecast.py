@@ -25,6 +25,8 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import WearTrend
 
+PROBABLY_OVER = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class LimitForecastRule(AlertRule):
@@ -92,7 +94,7 @@ def limit_forecast_finding(
         kind=LimitForecastRule.kind,
         breached=None if within is None else within >= rule.raise_probability,
         cleared=None if within_clear is None else 1.0 - within_clear >= rule.clear_probability,
-        severity=Severity.INFO if within is None or within < rule.clear_probability else Severity.WARNING,
+        severity=_severity(rule, trend, within),
         probability=number_evidence(within, 2),
         evidence={
             "quantity": trend.quantity,
@@ -110,3 +112,11 @@ def limit_forecast_finding(
         clear_limit=rule.clear_within_km,
         measured_ns=measured_ns,
     )
+
+
+def _severity(rule: LimitForecastRule, trend: WearTrend, within: float | None) -> Severity:
+    """Return how urgent it is: what is probably over the limit now is no mere information."""
+    if within is None:
+        return Severity.INFO
+    over = (trend.probability_over_limit or 0.0) >= PROBABLY_OVER
+    return Severity.WARNING if over or within >= rule.clear_probability else Severity.INFO

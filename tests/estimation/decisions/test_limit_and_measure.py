@@ -10,11 +10,12 @@ from plain_facts import VEHICLE, above, facts_of, geometry_record, trend_of, tre
 from wheelset_life import geometry_of, known
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, conicity_limit_finding
+from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
 from estimation.alerts.rules.limit_state import LimitState, limit_state
 from estimation.alerts.rules.measure import MeasureRule, measure_finding
 from estimation.trend.extrapolation import Extrapolation
 from estimation.values.alerts import Finding, Severity
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode
 
 LIMIT = 0.4
@@ -105,6 +106,12 @@ def test_a_conicity_known_at_3_mm_is_measured_where_it_is_rather_over_or_wide_op
     *, conicity: Estimate, breached: bool
 ) -> None:
     assert found(LimitState(conicity)).breached is breached
+
+
+@pytest.mark.parametrize(("over", "severity"), [(0.49, Severity.INFO), (0.5, Severity.WARNING), (None, Severity.INFO)])
+def test_a_forecast_of_what_is_probably_over_the_limit_now_is_a_warning(over: float | None, severity: Severity) -> None:
+    ahead = replace(trend_of(probability=over), distance_to_limit_km=Forecast(1e4, 2e4, 4e4))
+    assert limit_forecast_finding(LimitForecastRule(), "W", ahead, 5).severity is severity
 
 
 def test_a_measurement_decides_and_unknown_stays_unknown() -> None:
