@@ -13,7 +13,7 @@ import numpy as np
 from api import estimator_kernel_runs, ingest_kernel_runs
 from estimation.adhesion.saturation_kernels import add_saturated, excess_table
 from estimation.adhesion.smoother_kernels import filter_forward, smooth_back
-from estimation.contact.conicity import equivalent_conicity
+from estimation.contact.conicity import equivalent_conicity, middle_of_travel
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
@@ -98,6 +98,7 @@ def _conicity() -> Iterator[FloatArray]:
         y * (36e-6 - y * y) * 1e4,
     ):
         yield equivalent_conicity(y, curve, (0.5e-3, 1e-3, 2e-3, 3e-3, 5e-3, 7.5e-3, 20e-3))
+        yield np.array([middle_of_travel(y, curve, 3e-3)])
 
 
 def _paper() -> Iterator[FloatArray]:
