@@ -52,9 +52,9 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
         context = replace(job_context(settings, storage), stopping=stopping.is_set, executor=executor)
         with storage.owned(JobTrigger.CLI, process_name(), context.clock.now_ns()) as owned:
             runs = run_in_order(jobs, replace(context, storage=owned), console)
+        Console().print(summary(runs))
         with storage.read() as unit:
             without = summary_lines(fleet_reasons(unit))
-    Console().print(summary(runs))
     for line in without:
         typer.echo(line)
     return all(run.outcome is JobOutcome.SUCCEEDED for run in runs)
