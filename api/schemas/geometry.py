@@ -10,7 +10,15 @@ from api.schemas.common import Links, Representation, Uncertain, finite, finite_
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values.geometry import COMBINATIONS, LEFT_OUT, BinStatus, BinValues, Centre, CentreOrigin, GeometryRecord
+from estimation.values.geometry import (
+    COMBINATIONS,
+    LEFT_OUT,
+    BinStatus,
+    BinValues,
+    Centre,
+    CentreOrigin,
+    GeometryRecord,
+)
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of, text_of
 
