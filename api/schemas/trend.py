@@ -168,7 +168,9 @@ def trend(record: TrendRecord, current: GeometryRecord | None, without: WithoutE
     of_now = None if current is None or current.baseline != record.baseline else current
     own = f"/v1/wheelsets/{segment(record.wheelset)}"
     recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
-    unknown = found.not_comparable if found.status is Status.ESTIMATED else found.reason or _NO_TREND
+    unknown = (
+        found.not_comparable or found.few_behind if found.status is Status.ESTIMATED else found.reason or _NO_TREND
+    )
     return Trend(
         wheelset=record.wheelset,
         quantity=found.quantity,

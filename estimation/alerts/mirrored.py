@@ -66,12 +66,13 @@ def newest_mirrored(parts: Parts) -> Mirrored | None:
     even, odd, std = (1e3 * table[whole][:, bins] for table in (parts.even, parts.odd, parts.std))
     even = even - even.mean(axis=1, keepdims=True)  # a band-passed signal leaves the level open
     size, error = _sizes(even, std)
-    found = newest_change(Series(parts.x_km[whole], parts.t_ns[whole], size, error), EVEN)
+    x_km = parts.x_km[whole]
+    found = newest_change(Series(x_km, parts.t_ns[whole], size, error), EVEN)
     if found is None:
         return None
     sides = slice(max(0, found.last + 1 - BESIDE), found.last + 1), slice(found.first, found.first + BESIDE)
     before, after = (float(np.median(size[side])) for side in sides)
-    odd_change, even_change = (_change(table, sides) for table in (odd, even))
+    odd_change, even_change = (_change(table, x_km, sides) for table in (odd, even))
     unlike, common = abs(after + before), float(np.median(error))
     if odd_change > KEPT * even_change or unlike > SAME_SIZE * abs(found.size) + COMMON * common:
         return None
@@ -87,7 +88,12 @@ def _sizes(even: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
     return even @ pattern / root, np.maximum(std @ np.abs(pattern) / root, EVEN.noise_floor)
 
 
-def _change(table: FloatArray, sides: tuple[slice, slice]) -> float:
-    """Return by how much the curves change, rms over the bins."""
-    before, after = (np.median(table[side], axis=0) for side in sides)
-    return float(np.sqrt(np.mean((after - before) ** 2)))
+def _change(table: FloatArray, x_km: FloatArray, sides: tuple[slice, slice]) -> float:
+    """Return by how much the curves change, rms over the bins: as they are, or less for the wear on both sides."""
+    rates = [np.diff(table[side], axis=0) / np.maximum(np.diff(x_km[side]), 1.0)[:, np.newaxis] for side in sides]
+    wear = np.median(np.concatenate(rates), axis=0)
+    changes = []
+    for rate in (np.zeros_like(wear), wear):
+        before, after = (np.median(table[side] - rate * x_km[side][:, np.newaxis], axis=0) for side in sides)
+        changes.append(float(np.sqrt(np.mean((after - before) ** 2))))
+    return min(changes)

@@ -9,6 +9,7 @@ import numpy as np
 
 from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE
+from estimation.trend.trend import NO_FORECAST
 from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS
 from estimation.values.interval_conicities import IntervalConicities, KnownConicity
 from estimation.values.intervals import with_interval
@@ -78,7 +79,7 @@ def behind_step(records: Sequence[IntervalConicities], step: TrendStep | None) -
 
 
 def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
-    """Return the trend of the points behind a step, which says where it rests on few of them.
+    """Return the trend of the points behind a step; where they are few it says so and forecasts nothing.
 
     Parameters
     ----------
@@ -98,6 +99,9 @@ def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
     return replace(
         trend,
         step=step,
+        few_behind=few,
+        distance_to_limit_km=NO_FORECAST,
+        date_of_limit_ns=NO_FORECAST,
         fitted=marked(trend.fitted),
         slope_per_1000_km=marked(trend.slope_per_1000_km),
         slope_per_year=marked(trend.slope_per_year),

@@ -51,6 +51,7 @@ class WearTrend:
     converged: bool = True  # whether the robust fits over distance and date stopped changing
     not_comparable: Reason | None = None  # why the limit is not held against it; None where it is
     step: TrendStep | None = None  # that its points are behind
+    few_behind: Reason | None = None  # why nothing is forecast: too few points behind the step; None where enough are
 
     def __post_init__(self) -> None:
         k = len(self.value)

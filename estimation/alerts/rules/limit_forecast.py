@@ -85,6 +85,7 @@ def limit_forecast_finding(
     """
     points = len(trend.value)
     reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else trend.not_comparable)
+    reason = reason or trend.few_behind
     if reason is None and points < rule.minimum_points:
         reason = Reason(ReasonCode.TOO_FEW_POINTS, f"{points} points, {rule.minimum_points} needed")
     within = None if reason else probability_within(trend, rule.within_km)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from wheelset_life import geometry_of
 
-from estimation.alerts.identity import Mistake, identity_events
+from estimation.alerts.identity import Mistake, Observation, identity_events, reversed_between
 from estimation.alerts.mirrored import COMMON, KEPT, SAME_SIZE, Parts, newest_mirrored
 
 AT = np.arange(0.125, 3.5, 0.25)
 SHAPE = (AT / 3.0) ** 2 - np.mean((AT / 3.0) ** 2)
 SHAPE = SHAPE / np.sqrt(np.mean(SHAPE**2))
 COUNT, TURNED = 20, 12
+MONTH_NS = 30 * 86_400 * 10**9
 
 
 def parts(
@@ -63,14 +66,16 @@ def test_the_size_stays_the_same_but_for_what_is_common(share: float, shown: boo
 
 
 def test_a_year_of_monthly_visits_shows_a_turned_wheelset_that_pairs_of_intervals_do_not() -> None:
-    from test_identity_alerts import life  # noqa: PLC0415 - the same wheelset by day
-
     rng = np.random.default_rng(4)
-    seen = life("A", 0.2, 0.012, rng, days=14, reversed_from=8)
-    spread = [
-        replace(item, from_ns=30 * item.from_ns, to_ns=30 * item.to_ns, mileage_km=10.0 * item.mileage_km)
-        for item in seen
-    ]
-    event = identity_events({"A": spread})["A"]
+    seen = []
+    for month in range(14):
+        plain = geometry_of(conicity=0.2 + 0.005 * month, even=0.012)
+        values = plain.rolling_radius_difference
+        curve = -values.value[::-1] if month >= 8 else values.value
+        curve = curve * (1.0 + 0.01 * rng.standard_normal()) + 3e-6 * rng.standard_normal(len(curve))
+        geometry = replace(plain, rolling_radius_difference=replace(values, value=curve))
+        seen.append(Observation("A", month * MONTH_NS, (month + 1) * MONTH_NS - 1, 1e4 * month, geometry))
+    assert all(reversed_between(*pair) is None for pair in pairwise(seen))
+    event = identity_events({"A": seen})["A"]
     assert event.mistake is Mistake.REVERSED
-    assert (event.before_ns, event.after_ns) == (spread[7].to_ns, spread[8].from_ns)
+    assert (event.before_ns, event.after_ns) == (seen[7].to_ns, seen[8].from_ns)

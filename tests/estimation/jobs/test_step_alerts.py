@@ -11,16 +11,19 @@ from one_database import on_sqlite
 from test_wear_jobs import feed, open_alert, run_jobs
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
 
+from api.schemas.trend import trend as served_trend
 from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
 from estimation.alerts.rules.unregistered_change import UnregisteredChangeRule
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.trend_steps import last_change
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import Storage
 from estimation.values.alerts import CloseReason, Severity
+from estimation.values.quantities import Forecast
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.registry import Reprofiling
-from estimation.values.trend import WearTrend
+from estimation.values.trend import TrendRecord, WearTrend
 
 KIND = "unregistered_change"
 STEP_DAY = 21  # the first day behind it
@@ -76,7 +79,12 @@ def test_a_fall_is_raised_with_its_place_and_size_and_the_trend_begins_behind_it
     assert now.mileage_km.tolist() == [21_000.0, 22_000.0, 23_000.0]
     assert now.fitted.value == pytest.approx(0.12, abs=0.02)
     assert code_of(now.fitted.reason) is code_of(now.slope_per_1000_km.reason) is ReasonCode.BEHIND_STEP
-    assert code_of(now.reason) is ReasonCode.BEHIND_STEP
+    assert code_of(now.reason) is code_of(now.few_behind) is ReasonCode.BEHIND_STEP
+    assert now.distance_to_limit_km == now.date_of_limit_ns == Forecast(None, None, None)
+    served = served_trend(TrendRecord("W1", 0, now, "d", "v", 1), None)
+    assert served.distance_to_limit_km.reason_code is ReasonCode.BEHIND_STEP
+    finding = limit_forecast_finding(LimitForecastRule(), "W1", now, 1)
+    assert (finding.breached, finding.evidence["unknown_because_code"]) == (None, "behind_step")
     with storage.read() as unit:
         change = last_change(unit, unit.registry.wheelset("W1"))
         assert "W1" in unit.geometries.stale(10)  # the current geometry begins again behind the step
@@ -97,7 +105,7 @@ def test_a_rise_over_the_limit_is_critical_and_the_limit_is_held_behind_it(stora
     assert "conicity_limit" in kinds_open(storage)
     now = trend(storage)
     assert now.fitted.value == pytest.approx(0.57, abs=0.03)
-    assert now.fitted.reason is None  # five intervals behind it are enough
+    assert now.fitted.reason is now.few_behind is None  # five intervals behind it are enough
 
 
 @on_sqlite

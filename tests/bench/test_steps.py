@@ -1,0 +1,59 @@
+"""The bench of sudden changes: lives with their truth, and the page of its results, which every row has met."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from bench.steps import NEVER, SIZES, false_steps, found_in
+from bench.steps_lives import MOST_KM, MOST_WEAR, Case, life
+
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "steps.md"
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_a_life_has_its_step_where_it_says(mixed: bool) -> None:  # noqa: FBT001
+    given = life(Case(30, 0.2, 6, mixed=mixed), 1)
+    first = given.first
+    assert first is not None
+    assert given.event_km is not None
+    assert len(given.records) == 36 + mixed
+    assert given.records[29].mileage_km < given.event_km < given.records[first].mileage_km
+    assert given.level[first] - given.level[29] == pytest.approx(0.2, abs=0.02)
+    assert 0.0 < given.level[30] - given.level[29] < 0.2 + (0.01 if mixed else 0.03)
+    assert given.records[-1].mileage_km <= MOST_KM
+    assert life(Case(120), 1).level.max() - life(Case(120), 1).level.min() <= MOST_WEAR + 1e-9
+
+
+def test_a_large_step_is_found_and_a_quiet_life_has_none() -> None:
+    found = found_in(life(Case(30, 0.2, 8, singles=0.0, season=False), 3), 30)
+    assert found.after == 3 < NEVER
+    assert found.holds_place
+    assert found.level_error < found.level_error_without
+    steps, years = false_steps(life(Case(30), 4))
+    assert steps == 0
+    assert years > 0.0
+
+
+def rows() -> dict[str, tuple[str, str]]:
+    """Return what was measured, and whether it was met, by what it is."""
+    lines = [line for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+    return {what: (measured, met) for what, measured, _, met in cells}
+
+
+def test_the_page_of_results_has_met_what_is_to_be_reached() -> None:
+    found = rows()
+    assert {met for _, met in found.values()} == {"yes"}
+    for size in {abs(one) for one in SIZES}:
+        lives = re.search(r"(\d+) lives", found[f"step of {size:g}, history of 3 to 240 intervals"][0])
+        assert lives is not None
+        assert int(lives.group(1)) >= 300
+    text, _ = found["false steps, all together"]
+    rate, wheelsets = re.match(r"([\d.]+) a wheelset-year", text), re.search(r"of (\d+) wheelsets", text)
+    assert rate is not None
+    assert wheelsets is not None
+    assert float(rate.group(1)) <= 0.02
+    assert int(wheelsets.group(1)) >= 300
