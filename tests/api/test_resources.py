@@ -140,7 +140,7 @@ def test_geometry_and_trend_have_one_current_conicity(client: httpx.Client, when
     trend = get(client, "/v1/wheelsets/WS-000/trend", **when)
     assert geometry["equivalent_conicity_amplitude_mm"] == 2.0
     assert trend["current_1"] == geometry["equivalent_conicity_at_3_mm_1"]
-    assert trend["current_1"]["reason_code"] == "amplitude_not_comparable"
+    assert trend["current_1"]["reason_code"] == "amplitude_extrapolated"
     assert trend["current_mileage_km"] == geometry["mileage_km"] == 9500.5
 
 

@@ -21,6 +21,7 @@ from estimation.alerts.rules.rule import (
 )
 from estimation.trend.points import QUANTITY
 from estimation.values.alerts import Finding, Severity
+from estimation.values.reasons import code_of
 
 ANY_PROBABILITY = Interval(ge=0.01, le=0.9)
 
@@ -96,8 +97,9 @@ def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limi
     at_3_mm = 0.0 if at_limit is None else at_limit.probability
     reached = 0.0 if at_reached is None else at_reached.probability
     open_far = not state.extrapolated and (state.conicity.high or 0.0) >= rule.reaches * limit
-    may_be = at_3_mm >= needed or reached >= rule.raise_probability or open_far
-    silent, settled = decided.breached is None, measured or decided.breached is True
+    unsaid = at_limit is None and state.reached is not None and _is_of_shape(state, decided)
+    may_be = at_3_mm >= needed or reached >= rule.raise_probability or open_far or unsaid
+    silent, settled = decided.breached is None and not unsaid, measured or decided.breached is True
     is_clear = at_3_mm <= rule.clear_probability and reached <= rule.clear_probability and not may_be
     return Finding(
         wheelset=decided.wheelset,
@@ -120,3 +122,8 @@ def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limi
         clear_limit=limit,
         measured_ns=decided.measured_ns,
     )
+
+
+def _is_of_shape(state: LimitState, decided: Finding) -> bool:
+    """Return whether nothing else hides the state than that the curve cannot be extrapolated from where it ends."""
+    return decided.breached is not None or decided.evidence["unknown_because_code"] == code_of(state.conicity.reason)

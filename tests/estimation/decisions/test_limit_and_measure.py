@@ -59,7 +59,12 @@ def test_where_nothing_is_known_of_3_mm_the_amplitude_reached_decides_alone() ->
     perhaps = replace(over, reached=above(0.61, LIMIT, 0.01))
     assert (decided(perhaps).breached, found(perhaps).breached) == (False, True)
     below = replace(over, reached=above(0.4, LIMIT, 0.01))
-    assert (decided(below).breached, found(below).breached, found(below).cleared) == (None, None, None)
+    assert (decided(below).breached, found(below).breached, found(below).cleared) == (None, True, False)
+    assert found(below, measured=True).cleared is True
+    silent = measure_finding(RULE, below, decided(below, windows=2), LIMIT, measured=False)
+    assert (silent.breached, silent.cleared) == (None, None)
+    nothing = replace(below, reached=None)
+    assert (found(nothing).breached, found(nothing).cleared) == (None, None)
     assert decided(below).evidence["unknown_because_code"] == "amplitude_not_comparable"
 
 

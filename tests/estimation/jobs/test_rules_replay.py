@@ -84,7 +84,7 @@ def lived(storage: Storage) -> Storage:
 def test_a_replay_of_other_rules_shows_more_fewer_earlier_and_later_and_writes_nothing(lived: Storage) -> None:
     stored = on_file(lived, "W1")
     kinds = {one.kind for one in stored}
-    assert kinds == {"conicity_limit", "limit_forecast", "no_data", "sensor_fault"}
+    assert kinds == {"conicity_limit", "measure", "limit_forecast", "no_data", "sensor_fault"}
     in_force = tried(lived, "W1", RuleBook())
     assert shown(in_force) == shown(stored)  # the rules in force give what is on file
     assert {one.change for one in differences(stored, in_force)} <= {Change.SAME, Change.SHORTER}
