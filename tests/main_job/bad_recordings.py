@@ -86,7 +86,7 @@ def _stood(batch: FrameBatch) -> FrameBatch:
 
 WRONG: Mapping[str, tuple[Change, str]] = {
     "X-ELSE": (message(kinds.POSITION, kinds.VEHICLE_NODE, elsewhere), "other_section"),
-    "X-BACK": (_turned, "mirrored"),
+    "X-BACK": (_turned, "other_section"),
     "X-CRAWL": (
         message(kinds.MOTION, kinds.VEHICLE_NODE, crawling),
         "odometer_implausible",
