@@ -94,7 +94,11 @@ def test_counts_are_those_of_numpy(step: float, counts: np.ndarray, other: float
     assert (found.tolist(), same) == (wanted.tolist(), wanted_same)
 
 
-OF_CLASS = {"bridged", "frame_yaw_acceleration", "measures_gravity"}  # not stored: they follow from the class of the vehicle
+OF_CLASS = {
+    "bridged",
+    "frame_yaw_acceleration",
+    "measures_gravity",
+}  # not stored
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Window) if field.name not in OF_CLASS])

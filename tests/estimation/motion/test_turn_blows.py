@@ -42,6 +42,12 @@ def test_joints_are_none_though_a_turn_fits_into_their_distance(every: float) ->
     assert found(struck_at(np.arange(1.0, 3000.0, every), 30.0, 20.0)) == NO_BLOWS
 
 
+def test_most_of_the_blows_are_of_the_flat() -> None:
+    for by_turn, none in ((2, False), (3, True)):  # as on as many places of the wheel
+        blows = found(struck_at(np.arange(1.0, 3000.0, 2.83 / by_turn), 30.0, 15.0))
+        assert (blows == NO_BLOWS) == none
+
+
 def test_sleepers_and_places_at_random_are_none() -> None:
     assert found(struck_at(np.arange(1.0, 3000.0, 0.6), 30.0, 15.0)) == NO_BLOWS
     for seed in range(5):
