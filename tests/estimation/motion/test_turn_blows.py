@@ -10,6 +10,7 @@ from swaying import rough_track, sway
 from estimation.motion.blows import LEAST_BLOW, LEAST_STDS, struck
 from estimation.motion.hunting import find_hunting
 from estimation.motion.turn_blows import blow_times, blows_unless_hunting, find_turn_blows
+from estimation.values.arrays import BoolArray
 from estimation.values.windows import NO_BLOWS, TurnBlows
 
 
@@ -72,6 +73,20 @@ def test_a_wheelset_that_sways_between_its_flanges_has_no_flat() -> None:
         motion = sway(speed, conicity, stiffness, rough_track(speed, 20.0, 1e-3))
         hunting = find_hunting(motion.lateral, motion.yaw, motion.speed, motion.interval_s)
         assert blows_unless_hunting(hunting, motion.lateral, 0.3 * motion.lateral, motion.speed, INTERVAL) == NO_BLOWS
+
+
+def test_blows_from_either_side_in_turn_are_of_flanges() -> None:
+    for flipped, none in ((2, True), (3, False)):  # every second blow, every third
+        places = once_a_turn(2.83)
+        one, other = (struck_at(places[k], 20.0, 20.0, 0.0) for k in _shared(len(places), flipped))
+        lateral = one.lateral - (other.lateral - other.calm)
+        blows = find_turn_blows(lateral, one.roll + other.roll, one.speed, INTERVAL)
+        assert (blows == NO_BLOWS) == none
+
+
+def _shared(count: int, every: int) -> tuple[BoolArray, BoolArray]:
+    flipped = np.arange(count) % every == 0
+    return ~flipped, flipped
 
 
 def test_a_flat_is_of_a_vehicle_that_runs() -> None:
