@@ -32,6 +32,7 @@ MOST_CHANCE = 1e-6  # of as many on one place, over all lengths tried
 SAME_TURN = 0.02  # relative, by which blocks of one window may differ
 SIDED = 0.8  # of the blows have the signs of one wheel
 FEWEST_TURNS = 12.0
+MOST_ALTERNATING = 0.8  # share of the blows that come from the other side than the one before
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,8 +135,13 @@ def _blocks(
             continue
         run = np.cumsum(np.nan_to_num(speed[part], nan=float(np.mean(speed[part][known])))) * interval_s
         events = _events(fast[:, part], std[:, part], interval_s, None if lost is None else lost[part])
-        at = np.interp(events.middle, np.arange(size), run)
-        yield _Block(start, run, events, _comb(at, float(run[-1])))
+        comb = _comb(np.interp(events.middle, np.arange(size), run), float(run[-1]))
+        yield _Block(start, run, events, None if comb is None or _alternates(events.lateral[comb.on_place]) else comb)
+
+
+def _alternates(lateral: FloatArray) -> bool:
+    """Return whether blows (k,) come from either side in turn, as those of flanges."""
+    return bool(np.mean(lateral[1:] * lateral[:-1] < 0.0) > MOST_ALTERNATING)
 
 
 def _combined(found: list[tuple[float, _Events, BoolArray]], running: int) -> TurnBlows:
@@ -178,8 +184,8 @@ def _comb(events: FloatArray, run: float) -> _Comb | None:
     step = 0.25 * SHORTEST / (PLACES * run)
     turns = np.exp(np.arange(np.log(SHORTEST), np.log(LONGEST), step))
     place = np.floor(np.mod(events[None, :] / turns[:, None], 1.0) * PLACES).astype(np.int64) % PLACES
-    counts = np.zeros((len(turns), PLACES))
-    np.add.at(counts, (np.arange(len(turns))[:, None], place), 1.0)
+    cells = (np.arange(len(turns))[:, None] * PLACES + place).ravel()
+    counts = np.bincount(cells, minlength=len(turns) * PLACES).reshape(len(turns), PLACES)
     pairs = counts + np.roll(counts, -1, axis=1)
     best, where = np.unravel_index(int(np.argmax(pairs)), pairs.shape)
     on = (place[best] == where) | (place[best] == (where + 1) % PLACES)

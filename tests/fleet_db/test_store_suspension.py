@@ -8,7 +8,7 @@ import stored_values as make
 from same_values import same_values
 
 from estimation.values.suspension import SuspensionFinding
-from estimation.values.windows import NOT_HUNTING, Hunting
+from estimation.values.windows import NO_BLOWS, NOT_HUNTING, Hunting, TurnBlows
 from fleet_db.storage import SqlStorage
 from fleet_db.telemetry import pack_window, unpack_window, window_digest
 
@@ -50,3 +50,30 @@ def test_hunting_is_stored_with_its_window(fleet: SqlStorage) -> None:
         assert record is not None
         assert record.quality.hunting == window.quality.hunting
     assert calm.quality.hunting == NOT_HUNTING
+
+
+def test_blows_are_stored_with_their_window(fleet: SqlStorage) -> None:
+    calm = make.window(0)
+    struck = replace(make.window(1), quality=replace(calm.quality, blows=TurnBlows(0.8, 21.5, 2.8125, -1)))
+    assert same_values(unpack_window(pack_window(struck), where="here"), struck)
+    assert window_digest(struck) != window_digest(make.window(1))
+    for window in (calm, struck):
+        with fleet.write() as unit:
+            unit.windows.put(window, 10.0, 50)
+            record = unit.windows.get(window.wheelset, window.start_ns)
+        assert record is not None
+        assert record.quality.blows == window.quality.blows
+    assert calm.quality.blows == NO_BLOWS
+
+
+def test_a_vehicle_knows_when_one_of_its_wheelsets_hunts(fleet: SqlStorage) -> None:
+    windows = [make.window(index) for index in range(4)]
+    shares = (0.5, 0.49, 1.0, 0.0)
+    with fleet.write() as unit:
+        for window, share in zip(windows, shares, strict=True):
+            quality = replace(window.quality, hunting=Hunting(share, 4.0, 0.005) if share else NOT_HUNTING)
+            unit.windows.put(replace(window, quality=quality), 10.0, 50)
+        vehicle, first = windows[0].vehicle, windows[0].start_ns
+        assert unit.windows.hunted(vehicle, first) == {windows[0].start_ns, windows[2].start_ns}
+        assert unit.windows.hunted(vehicle, first + 1) == {windows[2].start_ns}
+        assert unit.windows.hunted("another", first) == frozenset()

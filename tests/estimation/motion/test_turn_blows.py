@@ -10,6 +10,7 @@ from swaying import rough_track, sway
 from estimation.motion.blows import LEAST_BLOW, LEAST_STDS, struck
 from estimation.motion.hunting import find_hunting
 from estimation.motion.turn_blows import blow_times, blows_unless_hunting, find_turn_blows
+from estimation.values.arrays import BoolArray
 from estimation.values.windows import NO_BLOWS, TurnBlows
 
 
@@ -42,6 +43,12 @@ def test_joints_are_none_though_a_turn_fits_into_their_distance(every: float) ->
     assert found(struck_at(np.arange(1.0, 3000.0, every), 30.0, 20.0)) == NO_BLOWS
 
 
+def test_most_of_the_blows_are_of_the_flat() -> None:
+    for by_turn, none in ((2, False), (3, True)):  # as on as many places of the wheel
+        blows = found(struck_at(np.arange(1.0, 3000.0, 2.83 / by_turn), 30.0, 15.0))
+        assert (blows == NO_BLOWS) == none
+
+
 def test_sleepers_and_places_at_random_are_none() -> None:
     assert found(struck_at(np.arange(1.0, 3000.0, 0.6), 30.0, 15.0)) == NO_BLOWS
     for seed in range(5):
@@ -66,6 +73,20 @@ def test_a_wheelset_that_sways_between_its_flanges_has_no_flat() -> None:
         motion = sway(speed, conicity, stiffness, rough_track(speed, 20.0, 1e-3))
         hunting = find_hunting(motion.lateral, motion.yaw, motion.speed, motion.interval_s)
         assert blows_unless_hunting(hunting, motion.lateral, 0.3 * motion.lateral, motion.speed, INTERVAL) == NO_BLOWS
+
+
+def test_blows_from_either_side_in_turn_are_of_flanges() -> None:
+    for flipped, none in ((2, True), (3, False)):  # every second blow, every third
+        places = once_a_turn(2.83)
+        one, other = (struck_at(places[k], 20.0, 20.0, 0.0) for k in _shared(len(places), flipped))
+        lateral = one.lateral - (other.lateral - other.calm)
+        blows = find_turn_blows(lateral, one.roll + other.roll, one.speed, INTERVAL)
+        assert (blows == NO_BLOWS) == none
+
+
+def _shared(count: int, every: int) -> tuple[BoolArray, BoolArray]:
+    flipped = np.arange(count) % every == 0
+    return ~flipped, flipped
 
 
 def test_a_flat_is_of_a_vehicle_that_runs() -> None:
