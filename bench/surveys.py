@@ -76,6 +76,8 @@ def main(arguments: Sequence[str]) -> int:
             "By fleet, over all right surveys.",
             markdown_table(HEADER, rows_of([case for case in cases if case["right"]], "row"), range(1, len(HEADER))),
         ]
+        shown = ", ".join(f"{row} {seed}" for row, seed in dict.fromkeys((case["row"], case["seed"]) for case in cases))
+        body.insert(0, f"Fleets and seeds: {shown}.")
         page = write_page("surveys", TITLE, "python -m bench surveys --write-docs", body)
         console.print(f"wrote {page}", highlight=False)
     return 0 if all(row.met for row in made) else 1

@@ -41,6 +41,7 @@ from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
+from estimation.values.quantities import Status
 from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.rolling_sums import RollingSums, WindowRollingSums
@@ -125,8 +126,11 @@ def _set_aside(context: JobContext, key: str, error: TreadwatchError) -> None:
 
 
 def _waits_for_place(record: AlignmentRecord) -> bool:
-    """Whether windows of a section wait until the alignment job has found their positions."""
-    return record.source == AlignmentSource.FLEET
+    """Whether windows of a section wait until the alignment job has found their positions.
+
+    Where nothing is known any more, as after a survey that was wrong, they are refused, with the reason.
+    """
+    return record.source == AlignmentSource.FLEET and record.status is Status.ESTIMATED
 
 
 JOB = Job("estimate_windows", "Reduce pending windows to bin tables", every_s=60.0, run=run)

@@ -240,7 +240,7 @@ def _extended(
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, _placed_on_survey(weighed.estimate), survey, survey=reason)
     posterior, doubted = weighed.posterior, verdict.doubted_scale
     if (decided or doubted > 0.0) and posterior is not None and weighed.estimate.report.converged:
-        found = carry_over_findings(posterior.alignment, survey)
+        found = carry_over_findings(posterior.alignment, posterior.before)  # on one grid
         found = replace(found, scale_std=float(np.hypot(found.scale_std, doubted)))
         if requires_reestimation(posterior.before, found, settings):
             return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=found)
