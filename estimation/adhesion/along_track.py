@@ -19,6 +19,7 @@ POINTS = 160
 GRID = frozen_array(np.geomspace(1.0, INVERSE[-1], POINTS), (POINTS,), name="GRID")
 """(g,) 1/mu, each a constant part above the one before: steps in the logarithm are alike."""
 
+WRONG_SHARE, WRONG_BY = 0.05, 3.0  # of places, whose error is so many times that of the others
 LEAST_LIKELIHOOD = 1e-12  # of the largest: no place makes another one impossible
 
 
@@ -85,9 +86,15 @@ def _likelihoods(misfits: FloatArray, place_std: FloatArray, width: FloatArray) 
     own = np.exp(-0.5 * (values - values.min(axis=1, keepdims=True)))
     widened = np.empty_like(own)
     for std in np.unique(place_std):
-        spread = np.exp(-0.5 * ((GRID[:, None] - GRID) / std) ** 2) * width
-        widened[place_std == std] = own[place_std == std] @ (spread / spread.sum(axis=1, keepdims=True)).T
+        spread = (1.0 - WRONG_SHARE) * _spread(std, width) + WRONG_SHARE * _spread(WRONG_BY * std, width)
+        widened[place_std == std] = own[place_std == std] @ spread.T
     return np.asarray(widened / widened.max(axis=1, keepdims=True) + LEAST_LIKELIHOOD)
+
+
+def _spread(std: float, width: FloatArray) -> FloatArray:
+    """Return the probabilities (g, g) of what a place shows, by row, at each 1/mu that it may have, by column."""
+    spread = np.exp(-0.5 * ((GRID[:, None] - GRID) / std) ** 2) * width
+    return np.asarray(spread / spread.sum(axis=1, keepdims=True))
 
 
 def _normal(values: FloatArray) -> FloatArray:

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.adhesion.along_track import GRID, Along, AlongParameters, along_track
+from estimation.adhesion.along_track import (
+    GRID,
+    WRONG_BY,
+    WRONG_SHARE,
+    Along,
+    AlongParameters,
+    along_track,
+)
 from estimation.values.adhesion import INVERSE
 from estimation.values.arrays import FloatArray
 
@@ -32,7 +39,14 @@ def test_three_places_are_the_sum_over_all_courses() -> None:
     prior /= prior.sum()
     step = density(np.log(GRID)[:, None], np.log(GRID), 0.2)
     step = 0.95 * step / step.sum(axis=1, keepdims=True) + 0.05 * prior
-    first, second, third = (density(GRID, one, float(np.hypot(0.3, 0.45))) for one in inverse)
+    first, second, third = (
+        sum(
+            share / std * density(GRID, one, std)
+            for share, std in ((0.95, np.hypot(0.3, 0.45)), (0.05, np.hypot(0.3, 1.35)))
+        )
+        for one in inverse
+    )
+    assert (WRONG_SHARE, WRONG_BY) == (0.05, 3.0)
     courses = np.einsum("a,ab,bc,a,b,c->abc", prior, step, step, first, second, third)
     courses /= courses.sum()
     found = chained(np.arange(3), misfits_of(inverse, 0.3), KNOWN)
