@@ -43,7 +43,9 @@ def main(arguments: Sequence[str]) -> int:
     for table in tables(found):
         console.print(table)
     if options.write_docs:
-        page = write_page("refusals", TITLE, "python -m bench refusals --write-docs", page_body(found))
+        last = max(one["seed"] for one in found)
+        command = f"python -m bench refusals --seeds 0-{last} --write-docs"
+        page = write_page("refusals", TITLE, command, page_body(found))
         console.print(f"wrote {page}", highlight=False)
     return 0 if rows_met(found) else 1
 
