@@ -71,8 +71,8 @@ def page_body(found: Sequence[Mapping[str, Any]]) -> list[str]:
         EXPLANATION,
         f"{skipped} seeds are left out: their wheelsets hunt until they derail.",
         markdown_table(HEADER, summary_rows(found), range(1, 4)),
-        f"{WRONG_TITLE}: {len({one['seed'] for one in found if one['kind'] not in (RIGHT, SKIPPED)})} of the seeds; in"
-        " doubt is also what a survey of 1 mm leaves open. A radius is not seen where little rolls.",
+        f"{WRONG_TITLE}: {len({one['seed'] for one in found if one['kind'] not in (RIGHT, SKIPPED)})} of the seeds; in "
+        + "doubt is also what a survey of 1 mm leaves open. A radius is not seen where little rolls.",
         markdown_table(WRONG_HEADER, wrong_rows(found), range(1, 5)),
     ]
 
