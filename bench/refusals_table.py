@@ -71,10 +71,15 @@ def page_body(found: Sequence[Mapping[str, Any]]) -> list[str]:
         EXPLANATION,
         f"{skipped} seeds are left out: their wheelsets hunt until they derail.",
         markdown_table(HEADER, summary_rows(found), range(1, 4)),
-        f"{WRONG_TITLE}: {len({one['seed'] for one in found if one['kind'] not in (RIGHT, SKIPPED)})} of the seeds; in "
-        + "doubt is also what a survey of 1 mm leaves open. A radius is not seen where little rolls.",
+        _what_is_wrong(found),
         markdown_table(WRONG_HEADER, wrong_rows(found), range(1, 5)),
     ]
+
+
+def _what_is_wrong(found: Sequence[Mapping[str, Any]]) -> str:
+    seeds = {row["seed"] for row in found if row["kind"] not in (RIGHT, SKIPPED)}
+    doubt = "in doubt is also what a survey of 1 mm leaves open. A radius is not seen where little rolls."
+    return f"{WRONG_TITLE}: {len(seeds)} of the seeds; {doubt}"
 
 
 def _groups(
