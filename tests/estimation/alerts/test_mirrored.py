@@ -52,12 +52,14 @@ def test_wheels_that_hardly_differ_are_not_shown_and_no_other_change_is_taken_fo
 
 @pytest.mark.parametrize(("share", "shown"), [(0.9, True), (1.1, False)])
 def test_the_odd_part_stays_as_it_is(share: float, shown: bool) -> None:  # noqa: FBT001
+    assert KEPT == 0.35
     found = newest_mirrored(parts(0.1, -0.1, odd=share * KEPT * 0.2))
     assert (found is not None) is shown
 
 
 @pytest.mark.parametrize(("share", "shown"), [(0.8, True), (1.2, False)])
 def test_the_size_stays_the_same_but_for_what_is_common(share: float, shown: bool) -> None:  # noqa: FBT001
+    assert (SAME_SIZE, COMMON) == (0.25, 2.0)
     common = 0.005 * np.abs(SHAPE).sum() / len(AT) * COMMON
     step = 0.4
     unlike = share * (SAME_SIZE * step + common)
