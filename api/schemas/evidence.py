@@ -85,9 +85,7 @@ class NoDataEvidence(Representation):
     last_usable_at: Timestamp | None = Field(description="End of the newest usable window; null where there is none.")
     in_service_since: Timestamp | None = Field(description="When the wheelset was mounted.")
     limit_days: float | None = Field(description="Limit in days that the silence has passed.")
-    refused_windows: int | None = Field(
-        description="Windows since then, of the latest, that cannot be used."
-    )
+    refused_windows: int | None = Field(description="Windows since then, of the latest, that cannot be used.")
     reasons: dict[str, int] = Field(description="These windows by reason code.")
     reason: str | None = Field(description="Why the newest of the most frequent reason cannot be used.")
     delays: Delays | None = Field(description="The delays that it was raised with.")
