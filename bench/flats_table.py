@@ -14,7 +14,7 @@ HEADER = (
     *(f"vibration {one:g} m/s2" for one in VIBRATIONS),
     "below 15 m/s",
     "faster",
-    "side told, right",
+    "side known, right",
 )
 FALSE_ALARMS = 0.003  # share of the windows without a flat
 POWER = 0.99  # from 40 m/s2 on, of vibration up to 5 m/s2
@@ -67,7 +67,7 @@ def bench_rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
     yield _false("all without a flat", others)
     told = [one.side_right for one in found if one.side_right is not None]
     right = sum(told) / len(told) if told else 0.0
-    yield BenchRow("side, where it is told", f"right in {right:.1%} of {len(told)}", "99.0%", right >= POWER)
+    yield BenchRow("side, where it is known", f"right in {right:.1%} of {len(told)}", "99.0%", right >= POWER)
 
 
 def _power(what: str, flats: Sequence[Judged], reach: float) -> BenchRow:
