@@ -1,0 +1,81 @@
+"""The tables of the bench of surveys, and what its page of results shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from bench.results_page import RESULTS
+from bench.survey_fleets import drawn_track
+from bench.survey_table import Figures, rows_of, summary
+from bench.surveys import ROWS, SURVEYS
+
+
+def conicity(error: float, half_width: float = 0.02, key: str = "W 3") -> dict[str, Any]:
+    return {"key": key, "error": error, "half_width": half_width, "covered": abs(error) <= half_width}
+
+
+def case(survey: str, *published: dict[str, Any], **changes: Any) -> dict[str, Any]:  # noqa: ANN401 - JSON values
+    plan = SURVEYS[survey]
+    plain = {
+        "row": "plain", "seed": 0, "survey": survey, "positions": "0.5 m", "code": "survey_confirmed",
+        "right": plan.std is not None and plan.right, "understated": plan.stated is not None, "refused": False,
+        "asked": 1, "published": list(published), "rival": None,
+    }  # fmt: skip
+    return plain | changes
+
+
+def met(cases: list[dict[str, Any]], what: str) -> bool:
+    return next(row.met for row in summary(cases) if what in row.what)
+
+
+def test_figures_of_published_numbers() -> None:
+    found = Figures([conicity(0.01), conicity(-0.03)])
+    assert (found.count, found.cover) == (2, 0.5)
+    assert found.error == pytest.approx(0.02)
+    assert found.score == pytest.approx(0.04 + 0.5 * 40 * 0.01)
+    assert found.z == pytest.approx(1.96 * (0.5 * (0.25 + 2.25)) ** 0.5)
+
+
+def test_a_right_survey_that_is_refused_and_a_wrong_one_that_is_confirmed_fall_short() -> None:
+    right, wrong = case("0.3 mm", conicity(0.0)), case("sign", conicity(0.1), code="survey_mirrored", refused=True)
+    assert met([right, wrong], "right surveys refused")
+    assert met([right, wrong], "wrong surveys found")
+    assert not met([right | {"refused": True}, wrong], "right surveys refused")
+    assert not met([right, wrong | {"code": "survey_confirmed", "refused": False}], "wrong surveys found")
+    doubted = wrong | {"code": "survey_not_assessable", "refused": False}
+    assert not met([right, doubted], "wrong surveys found")  # its interval does not hold the truth
+    assert met([right, doubted | {"published": [conicity(0.1, 0.2)]}], "wrong surveys found")
+
+
+def test_a_survey_is_compared_with_none_over_what_both_publish() -> None:
+    none = case("none", conicity(0.01), conicity(0.5, key="other"), code="")
+    assert met([none, case("0.3 mm", conicity(0.01), conicity(0.0, key="third"))], "survey of 0.3 mm for none")
+    assert not met([none, case("0.3 mm", conicity(0.01, 0.03), conicity(0.0, key="third"))], "survey of 0.3 mm for")
+    assert not met([none, case("0.3 mm", conicity(0.01))], "survey of 0.3 mm for none")  # fewer are published
+
+
+def test_coverage_of_understated_surveys() -> None:
+    rows = [conicity(0.0)] * 92 + [conicity(0.1)] * 8
+    assert met([case("0.5 mm stated as 0.1", *rows)], "understated")
+    assert not met([case("0.5 mm stated as 0.1", *rows, conicity(0.1))], "understated")
+    assert rows_of([case("0.5 mm stated as 0.1", *rows)], "survey")[0][4] == "100 of 1"
+
+
+def test_a_track_has_its_switches() -> None:
+    plain, with_switches = drawn_track(3), drawn_track(3, switches=True)
+    assert abs(plain.gauge_deviation).max() == 0.0
+    assert abs(with_switches.gauge_deviation).max() == pytest.approx(8e-3, rel=0.05)
+
+
+def test_the_page_of_results_shows_what_has_to_be_reached_and_it_is() -> None:
+    page = (RESULTS / "surveys.md").read_text(encoding="utf-8")
+    lines = [line for line in page.splitlines() if line.startswith("| ")]
+    for what in ("right surveys refused", "wrong surveys found", "std understated five times"):
+        (line,) = [line for line in lines if line.startswith(f"| {what}")]
+        assert line.endswith("| yes |")
+    for survey in ("0.05 mm", "0.3 mm", "1 mm", "3 mm"):
+        (line,) = [line for line in lines if line.startswith(f"| survey of {survey} for none")]
+        assert line.endswith("| yes |")
+    assert set(ROWS) >= {"plain", "coach", "slow", "few passes", "one vehicle", "switches", "one flat"}
