@@ -41,7 +41,7 @@ def newest_step(records: Sequence[IntervalConicities], model: StepModel | None =
     """
     model = model or StepModel()
     covered = sorted(((r, _by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
-    amplitude = _amplitude([known for _, known in covered if known])
+    amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points)
     having = [(r, known) for r, known in covered if amplitude in known]
     if len(having) < 2 * model.least_points:
         return None
@@ -123,13 +123,17 @@ def _by_amplitude(record: IntervalConicities) -> dict[int, KnownConicity]:
     return {round(one.amplitude / SAME_AMPLITUDE): one for one in record.known}
 
 
-def _amplitude(covered: Sequence[Mapping[int, KnownConicity]]) -> int:
-    """Return the key of the largest amplitude that most intervals cover, the newest and those before alike."""
+def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> int:
+    """Return the key of an amplitude that most intervals cover, the newest and those before alike.
+
+    Of several it is the one that most of the very newest cover, then the largest: a worn wheelset moves ever less, and a
+    step that its newest intervals show must not wait until they cover what it once did.
+    """
     limit = round(LIMIT_AMPLITUDE / SAME_AMPLITUDE)
     sides = [covered[-NEWEST:], covered[-NEWEST - BEFORE : -NEWEST]]
     keys = {key for one in covered for key in one if key <= limit}
     enough = [key for key in keys if all(sum(key in one for one in s) >= COVERING * len(s) for s in sides)]
-    return max(enough, default=0)
+    return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)
 
 
 def _series(having: Sequence[_Covered], amplitude: int) -> Series:
