@@ -41,6 +41,7 @@ ROWS: Mapping[str, float | None] = {  # 95th percentile of the conicity error; N
     "flat": 0.015,
     "flat_unknown": 0.02,
     "frozen_positions": 0.015,
+    "push_pull": 0.01,
     "coach_parameters_drawn": 0.02,
     "wrong_class_coach_as_paper": None,
     "wrong_radius_420_as_460": None,

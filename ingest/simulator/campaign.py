@@ -11,6 +11,7 @@ from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.blows import with_flat, with_track_blows
 from ingest.simulator.motion import STEP, WheelsetMotion, travelled
 from ingest.simulator.random_streams import Stream, generator, seed_of
+from ingest.simulator.rear_first import length_ahead, runs_rear_first
 from ingest.simulator.running import CONTACT_STEP
 from ingest.simulator.scenario import NORMAL_REACH, Scenario, SpeedRange, VehiclePlan, WheelsetPlan
 from ingest.simulator.sensor_errors import NodeErrors, draw_node_errors
@@ -121,6 +122,8 @@ def _across(scenario: Scenario, vehicle: VehiclePlan, speed: FloatArray) -> tupl
 def _run(
     scenario: Scenario, vehicle: VehiclePlan, campaign: int, speed: FloatArray, distance: FloatArray
 ) -> VehicleRun:
+    if runs_rear_first(scenario, campaign):
+        distance = distance - length_ahead(vehicle)  # the reference is at the other end of the train
     return VehicleRun(
         vehicle=vehicle,
         campaign=campaign,
@@ -193,7 +196,8 @@ def _with_blows(scenario: Scenario, run: VehicleRun, axle: int, motion: Wheelset
     for flat in scenario.running.flats:
         if flat.wheelset == wheelset.serial and run.campaign + 1 >= flat.from_campaign:
             rng = generator(scenario.seed, Stream.WHEEL_FLAT, order, axle, run.campaign)
-            motion = with_flat(motion, flat, wheelset.nominal_radius, rng)
+            ahead = replace(flat, left=not flat.left) if runs_rear_first(scenario, run.campaign) else flat
+            motion = with_flat(motion, ahead, wheelset.nominal_radius, rng)
     blows = scenario.running.track_blows
     return motion if blows is None else with_track_blows(motion, blows)
 

@@ -6,7 +6,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,14 +15,16 @@ from ingest.frames import FrameBatch
 from ingest.logs.blf_writer import write_blf
 from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of, together, true_geometry
 from ingest.simulator.bus_frames import vehicle_frames
-from ingest.simulator.campaign import failed, scenario_track, vehicle_run, wheelset_record
+from ingest.simulator.campaign import VehicleRun, failed, scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
+from ingest.simulator.motion import WheelsetMotion
+from ingest.simulator.rear_first import as_measured, length_ahead, runs_rear_first, seen_from_ahead
 from ingest.simulator.scenario import Scenario, VehiclePlan
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
 from ingest.simulator.survey import surveyed
 from ingest.simulator.track import TrackTruth
-from ingest.simulator.wear import GeometryTruth
+from ingest.simulator.wear import GeometryTruth, WornContact
 
 STAMP = "%Y%m%dT%H%M%SZ"
 
@@ -213,12 +215,27 @@ def _group(
         if not any(working):
             continue
         run = vehicle_run(scenario, track, plan, campaign)
-        motions = axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
+        motions = _motions(scenario, track, run, group, contacts)
         for found, axle, motion, works in zip(records, group, motions, working, strict=True):
             if works:
-                found[campaign] = wheelset_record(scenario, run, axle, motion)
+                record = wheelset_record(scenario, run, axle, motion)
+                back = runs_rear_first(scenario, campaign)
+                found[campaign] = replace(record, values=as_measured(record.values)) if back else record
     truths = (true_geometry(scenario, *pair) for pair in zip(wheelsets, contacts, strict=True))
     return [_Axle(*pair) for pair in zip(records, truths, strict=True)]
+
+
+def _motions(
+    scenario: Scenario, track: TrackTruth, run: VehicleRun, group: tuple[int, ...], contacts: Sequence[WornContact]
+) -> Sequence[WheelsetMotion]:
+    """Return the motions of wheelsets that move together, in the axes of travel."""
+    if not runs_rear_first(scenario, run.campaign):
+        return axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
+    seen, vehicle = seen_from_ahead(scenario, run.vehicle)
+    ahead = replace(run, vehicle=vehicle, distance=run.distance + length_ahead(run.vehicle))
+    last = len(vehicle.wheelsets) - 1
+    places = tuple(last - axle for axle in reversed(group))
+    return axle_motions(seen, track, ahead, places, [None] * len(places))[::-1]
 
 
 def _campaign(

@@ -191,6 +191,7 @@ class Sessions:
     first_odometer: float  # m
     distance_per_day: float  # m
     start_within: float  # m, of the begin of the section: where runs begin; inf for all of it
+    push_pull: bool = False  # every second campaign is run with the rear end first
     whole_section: bool = False  # runs begin before the section and end behind it; ``duration`` is the longest
 
 

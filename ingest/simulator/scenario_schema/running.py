@@ -59,6 +59,7 @@ class SessionsTable(InputTable):
     start: Moment
     campaigns: int = Field(ge=1, le=10_000)
     minutes_each: float | None = Field(default=None, gt=0.0, le=600.0)
+    push_pull: bool = False
     whole_section: bool = False
     km_between: Positive
     first_odometer_km: NotNegative = 0.0
@@ -86,6 +87,7 @@ class SessionsTable(InputTable):
             start_ns=round(self.start.timestamp()) * 1_000_000_000,
             campaigns=self.campaigns,
             duration=longest_s if self.minutes_each is None else 60.0 * self.minutes_each,
+            push_pull=self.push_pull,
             whole_section=self.whole_section,
             distance_between=KM * self.km_between,
             first_odometer=KM * self.first_odometer_km,
