@@ -296,7 +296,8 @@ def _solve(
     settings = context.settings.alignment
     records, lives = [record for record, _ in chosen], [life for _, life in chosen]
     with context.storage.read() as unit:
-        known: Measured = measured(unit, due.section, records, lives, settings.measured_km)
+        classes = ClassLookup(unit, context.settings.estimation)
+        known: Measured = measured(unit, due.section, records, lives, settings.measured_km, classes)
     made = epoch_passes(context, chosen)
     update = update_alignment(
         due.section, made.found, alignment, settings, survey_checked=checked, measured=known.curves

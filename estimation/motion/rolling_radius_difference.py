@@ -33,7 +33,7 @@ class MotionSignals:
 
     run: FloatArray  # m, increasing
     speed: FloatArray  # V, m/s
-    displacement: FloatArray  # y where EN 15302 means it, m; see ``cross_level``
+    displacement: FloatArray  # y, m: at rail level where the track may roll, else of the axle
     difference: FloatArray  # R by Eq. 2, m
     stiffness_term: FloatArray  # its part that scales with yaw stiffness over creep coefficient, m
     rolling_yaw: FloatArray  # (y' + r0 phi') / V, rad: psi of a wheelset without lateral creep
@@ -195,7 +195,9 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
     return MotionSignals(
         run=segment.run if run is None else run,
         speed=V,
-        displacement=observed_displacement(y, φ, p.nominal_radius, level=segment.level),
+        # without roll of the track y needs no roll, which is measured with more noise: a curve h(R) is turned round in
+        # the displacement that it was found in, and d is the same
+        displacement=observed_displacement(y, φ, p.nominal_radius, level=True) if segment.level else y,
         difference=np.asarray(per_moment * moment),
         stiffness_term=np.asarray(per_moment * stiffness_term),
         rolling_yaw=np.asarray(rolling_velocity / V),

@@ -126,8 +126,8 @@ def _by_amplitude(record: IntervalConicities) -> dict[int, KnownConicity]:
 def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> int:
     """Return the key of an amplitude that most intervals cover, the newest and those before alike.
 
-    Of several it is the one that most of the very newest cover, then the largest: a worn wheelset moves ever less, and a
-    step that its newest intervals show must not wait until they cover what it once did.
+    Of several it is the one that most of the very newest cover, then the largest: a worn wheelset moves ever less, and
+    a step that its newest intervals show must not wait until they cover what it once did.
     """
     limit = round(LIMIT_AMPLITUDE / SAME_AMPLITUDE)
     sides = [covered[-NEWEST:], covered[-NEWEST - BEFORE : -NEWEST]]

@@ -111,7 +111,15 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "status",
         "version",
     }
-    counts |= {"interval", "windows", "faulty_windows", "hunting_windows", "implausible_windows", "rejected_recordings"}
+    counts |= {
+        "interval",
+        "windows",
+        "faulty_windows",
+        "hunting_windows",
+        "striking_windows",
+        "implausible_windows",
+        "rejected_recordings",
+    }
     counts |= {"rejected_reasons", "reasons", "more_than", "member_count", "open_member_count", "numbers"}
     counts |= {"on_evaluations", "off_evaluations", "clear_seen"}
     counts |= {"geometry_baseline", "left_out", "library_sections", "library_wheelsets", "n_periods", "n_wheelsets"}
@@ -125,6 +133,7 @@ def test_numbers_say_their_unit_in_their_names() -> None:
         "_m",
         "_km",
         "_m_s",
+        "_m_s2",
         "_1",
         "_s",
         "_hz",

@@ -57,7 +57,7 @@ def test_a_row_says_where_it_runs_how_it_is_and_why(client: httpx.Client) -> Non
     assert place == ("V-0", "regional", 1, {"bogie": 1, "place": "leading"})
     state = row["state"]
     assert state["urgency"] == "over_limit"
-    assert state["reasons"][0] == {"code": "limit_exceeded", "text": "limit exceeded (probability 0%)"}
+    assert state["reasons"][0] == {"code": "limit_exceeded", "text": "limit exceeded"}
     assert {alert["kind"] for alert in state["alerts"]} == {"conicity_limit", "no_data"}
     # the last window was read at 9,029 km, before the trend's last point at 11,000.5 km
     assert (state["mileage_km"], state["since_trend_km"]) == (9029.0, 0.0)
@@ -133,7 +133,7 @@ def test_a_table_goes_on_by_its_link_and_guards_formulas(client: httpx.Client) -
     assert {row["fleet"] for row in rows} == {"alpha", "'=beta"}
     (first,) = [row for row in rows if row["serial"] == "WS-000"]
     assert (first["mounting_vehicle"], first["mounting_reversed"]) == ("V-0", "false")
-    assert (first["state_conicity_1_status"], first["state_distance_to_limit_km_p10"]) == ("unestimated", "8000.0")
+    assert (first["state_conicity_1_status"], first["state_distance_to_limit_km_p10"]) == ("estimated", "8000.0")
     assert json.loads(first["state_reasons"])[0]["code"] == "limit_exceeded"
     names = [column.name for column in columns_of(WheelsetRow)]
     assert len(set(names)) == len(names)

@@ -14,7 +14,6 @@ from bench.house import (
     documented_parameters,
     entered_files,
     import_faults,
-    loose_words,
     static_counts,
     undocumented_functions,
 )
@@ -104,10 +103,6 @@ def test_every_parameter_of_a_public_function_is_documented(package: str, fewest
     undocumented, public = undocumented_functions(ROOT, [package])
     assert undocumented == ()
     assert public > fewest, "the count reads the functions of the package"
-
-
-def test_no_loose_word_is_left_in_code_and_docs() -> None:
-    assert loose_words(ROOT) == {}
 
 
 def test_every_mutant_has_its_place_and_its_tests() -> None:

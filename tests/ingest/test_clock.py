@@ -199,7 +199,8 @@ def test_the_clipping_bit_marks_the_second_that_it_belongs_to() -> None:
     ticks = Run(seconds=5.0).ticks
     bit = (ticks * INTERVAL_NS == START_NS + 2 * SECOND_NS).astype(float)
     samples = samples_of(Run(seconds=5.0, changes={(kinds.STATUS, 1): {"roll_clipped": bit}}).frames())
-    marked = samples.block.t_ns[samples.clipped]
+    assert samples.clipped_seconds is not None
+    marked = samples.block.t_ns[samples.clipped_seconds]
     assert (marked[0], marked[-1]) == (START_NS + SECOND_NS + INTERVAL_NS, START_NS + 2 * SECOND_NS)
     assert len(marked) == 250
     assert samples.block.valid.all(), "the sample itself may be good: the gate decides"

@@ -36,7 +36,7 @@ def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path)
     true, value, low, high = map(float, line.groups()[:4])
     assert abs(true - value) < 0.03
     assert low - 0.02 < true < high + 0.02
-    (dead,) = (row for row in done.stdout.splitlines() if row.strip().startswith(DEAD))
+    dead, *_ = (row for row in done.stdout.splitlines() if row.strip().startswith(DEAD))
     assert "no_data (critical)" in dead
     assert "conicity_limit (critical, unknown)" in dead
     assert "http://" not in done.stdout  # nothing is served any more

@@ -8,9 +8,11 @@ from datetime import UTC, datetime
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ContactError, DamagedError, ProfileError
+from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
 from estimation.track.profile_life import ProfileLife
+from estimation.values.reasons import Reason
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowRecord
 
@@ -29,6 +31,7 @@ def measured(
     records: Sequence[WindowRecord],
     lives: Sequence[ProfileLife],
     within_km: float,
+    classes: ClassLookup,
 ) -> Measured:
     """Return the curves of profiles that were measured within ``within_km`` of the windows, by the lathe's last visit.
 
@@ -42,6 +45,8 @@ def measured(
         Windows, and the life of its wheelset for each.
     within_km
         Mileage between measurement and window at which the profile still is what it was.
+    classes
+        Of the vehicles: sensors that measure gravity show the displacement at rail level.
     """
     curves: dict[ProfileLife, MeasuredCurve] = {}
     notes: list[str] = []
@@ -55,7 +60,7 @@ def measured(
             continue
         name = measurement_name(found)
         try:
-            curves[life] = _curve(name, found, section)
+            curves[life] = _curve(name, found, section, at_rails=_measures_gravity(classes, record.vehicle))
         except (ContactError, ProfileError) as error:
             notes.append(f"measured profiles of {name} are not used: {error}")
     return Measured(curves, tuple(dict.fromkeys(notes)))
@@ -84,7 +89,12 @@ def measurement_name(item: MeasuredProfiles) -> str:
     return f"{item.wheelset} of {datetime.fromtimestamp(item.at_ns // 10**9, UTC):%Y-%m-%d}"
 
 
-def _curve(name: str, item: MeasuredProfiles, section: TrackSectionRecord) -> MeasuredCurve:
+def _measures_gravity(classes: ClassLookup, vehicle: str) -> bool:
+    on_file = classes.of_vehicle(vehicle)
+    return not isinstance(on_file, Reason) and on_file.vehicle_class.sensors.measures_gravity
+
+
+def _curve(name: str, item: MeasuredProfiles, section: TrackSectionRecord, *, at_rails: bool) -> MeasuredCurve:
     return measured_curve(
         name,
         item.left,
@@ -93,4 +103,5 @@ def _curve(name: str, item: MeasuredProfiles, section: TrackSectionRecord) -> Me
         rail=section.rail_profile,
         inclination=section.rail_inclination,
         gauge=section.nominal_gauge_m,
+        at_rails=at_rails,
     )

@@ -9,6 +9,7 @@ import numpy as np
 from estimation.contact.geometry import WheelsetOnTrack
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.contact.radius_difference import radius_difference_curve
+from estimation.contact.table import ContactMethod
 from estimation.values.arrays import FloatArray, frozen_array
 
 REACH = 8e-3  # m of lateral displacement
@@ -45,7 +46,15 @@ class MeasuredCurve:
 
 
 def measured_curve(
-    name: str, left: Profile, right: Profile, std: float, *, rail: str, inclination: float, gauge: float
+    name: str,
+    left: Profile,
+    right: Profile,
+    std: float,
+    *,
+    rail: str,
+    inclination: float,
+    gauge: float,
+    at_rails: bool = True,
 ) -> MeasuredCurve:
     """Return the curve of the measured profiles of a wheelset on a track.
 
@@ -59,6 +68,8 @@ def measured_curve(
         Of the displacement that follows, m.
     rail, inclination, gauge
         Name of the rail's profile; tangent; nominal gauge, m.
+    at_rails
+        Whether passes have their displacement at rail level, as EN 15302, or that of the axle, which rolls.
 
     Raises
     ------
@@ -70,7 +81,7 @@ def measured_curve(
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)
     x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
-    curve = radius_difference_curve(wheelset, x)
+    curve = radius_difference_curve(wheelset, x, method=ContactMethod.EN15302 if at_rails else ContactMethod.RIGID)
     x, R = curve.displacement, curve.difference
     risen = np.maximum.accumulate(R)  # h(R) is the inverse of what rises: a step of R is a flat of h
     first = np.concatenate([[True], np.diff(risen) > 0.0])

@@ -179,7 +179,8 @@ def test_hours_that_come_in_late_change_no_alert(estimated_fleet: EstimatedFleet
             before = unit.adhesion.section(code, late[0].start_ns)
             assert before is not None
             assert before.to_ns < newest.from_ns
-            assert before.low_stretches == newest.low_stretches
+            # the edge of a stretch is where its probability passes a limit: one place of 50 m may be on either side
+            np.testing.assert_allclose(before.low_stretches, newest.low_stretches, atol=50.0)
 
 
 def test_a_section_that_nobody_passed_has_none(estimated_fleet: EstimatedFleet, tmp_path: Path) -> None:

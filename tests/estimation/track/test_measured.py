@@ -135,3 +135,13 @@ def test_a_fleet_that_determines_the_track_hardly_heeds_a_wrong_measurement() ->
     wrong = estimated(passes, {ProfileLife("cone 0.1"): curve(stretched=1.2)})
     assert wrong.report.evidence
     assert alignment_error(wrong) < alignment_error(without) + 0.02
+
+
+def test_passes_with_the_displacement_of_the_axle_are_held_against_a_curve_that_rolls() -> None:
+    wheel = wheel_profile("P8")
+    grid = np.arange(-40, 41) * 0.05e-3
+    table = contact_table(WheelsetOnTrack.symmetric(wheel, rail_profile("56E1"), 0.05, 1.435), grid)
+    found = measured_curve("W", wheel, wheel, STD, rail="56E1", inclination=0.05, gauge=1.435, at_rails=False)
+    back, reached = found.at(table.rolling_radius_difference[:, 0])
+    assert reached.all()
+    np.testing.assert_allclose(back, grid, atol=0.06e-3)
