@@ -76,7 +76,8 @@ def judged(
         found.append((Urgency.NOT_MOUNTED, Reason(ReasonCode.NOT_MOUNTED, "runs under no vehicle")))
     found += _of_limit(ahead, [alert for alert in standing if alert.kind in OF_LIMIT])
     found += [_of_alert(alert, last_ns, refused=refused) for alert in standing if alert.kind not in OF_LIMIT]
-    if not ahead.known and ahead.reason is not None:
+    exceeded = any(one.kind == ConicityLimitRule.kind and one.condition is Condition.ACTIVE for one in standing)
+    if not ahead.known and ahead.reason is not None and not exceeded:
         found.append((Urgency.UNKNOWN, ahead.reason))
     if not mounted:
         return Verdict(Urgency.NOT_MOUNTED, tuple(reason for _, reason in found))
@@ -145,6 +146,8 @@ def _exceeded(alert: OpenAlert | None, probability: float | None) -> str:
 
 
 def _due(distance: Forecast) -> str:
+    if distance.p50 is not None and distance.p50 <= 0.0:
+        return "due now"
     if distance.p50 is None:
         return "due beyond the horizon" + ("" if distance.p10 is None else f" (p10 {_km(distance.p10)})")
     return f"due in {_km(distance.p50)}" + ("" if distance.p10 is None else f" (p10 {_km(distance.p10)})")

@@ -47,6 +47,8 @@ def verdict(of: Ahead, *alerts: OpenAlert, mounted: bool = True, last_ns: int | 
             Urgency.OVER_LIMIT,
             ["limit exceeded when it could be assessed last", "the data leave it open"],
         ),
+        (UNKNOWN, [alert("conicity_limit")], Urgency.OVER_LIMIT, ["limit exceeded"]),
+        (ahead(0.0, 0.0), [], Urgency.DUE, ["due now"]),
         (BEYOND, [alert("conicity_limit", condition=Condition.PENDING)], Urgency.NOT_DUE, ["beyond"]),
         (BEYOND, [alert("hunting", condition=Condition.CLEARED)], Urgency.NOT_DUE, ["beyond"]),
         (
