@@ -169,7 +169,7 @@ def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[
     urgency = {Severity.CRITICAL: Urgency.CRITICAL_ALERT, Severity.WARNING: Urgency.WARNING_ALERT}.get(
         alert.severity, Urgency.NOT_DUE
     )
-    text = f"{alert.severity.value} alert: {ADVICE.get(alert.kind, alert.kind.replace('_', ' '))}"
+    text = ADVICE.get(alert.kind) or f"{alert.severity.value} alert: {alert.kind.replace('_', ' ')}"
     if alert.condition is Condition.UNKNOWN:
         text += ", not assessable any more"
     return urgency, Reason(ReasonCode.ALERT_OPEN, text)
