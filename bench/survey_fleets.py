@@ -15,6 +15,7 @@ from bench.signature_cases import NODE
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.contact.table import ContactMethod
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.bogie_frame import with_frame_yaw
@@ -163,8 +164,8 @@ def _vehicle(plan: FleetPlan, code: str, rng: np.random.Generator) -> tuple[_Veh
         rail = rail_profile("56E1")
         on_track = WheelsetOnTrack(left, right, rail, rail, 1 / 20, 1.435)
         table = contact_table(on_track, GRID, GAUGES if plan.switches else (0.0,), outside="hold")
-        nominal = int(np.argmin(np.abs(table.gauge_deviation)))
-        conicity[serial] = equivalent_conicity(GRID, table.rolling_radius_difference[:, nominal], AMPLITUDES)
+        standard = contact_table(on_track, GRID, (0.0,), outside="hold", method=ContactMethod.EN15302)
+        conicity[serial] = equivalent_conicity(GRID, standard.rolling_radius_difference[:, 0], AMPLITUDES)
         tables.append(PreparedTable.of(table))
     return _Vehicle(code, gear, serials, tables), conicity
 

@@ -147,5 +147,6 @@ def _against_none(members: Sequence[Case], cases: Sequence[Case], name: str) -> 
         f"error {with_survey.error:.4f} for {alone.error:.4f}, interval score {with_survey.score:.4f}"
         f" for {alone.score:.4f}, published {counts[0]} for {counts[1]}"
     )
-    met = with_survey.score <= SAME * alone.score and counts[0] >= counts[1]
-    return BenchRow(f"survey of {name} for none, numbers of both", text, "score and count not worse", met)
+    no_worse = with_survey.score <= SAME * alone.score and with_survey.error <= SAME * alone.error
+    met = no_worse and counts[0] >= counts[1]
+    return BenchRow(f"survey of {name} for none, numbers of both", text, "error, score and count not worse", met)
