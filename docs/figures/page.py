@@ -13,6 +13,7 @@ from playwright.sync_api import Page, sync_playwright
 IMAGES = Path(__file__).resolve().parent.parent / "img"
 SIZE = {"width": 1440, "height": 740}
 COLOURS = 256
+SHOWN = "WS-1011"  # the wheelset of the demo that wears fastest
 DRAWN_MS = 1500.0  # charts are drawn after their data have come
 
 
@@ -25,7 +26,7 @@ def main() -> None:
         rows = page.locator("tbody tr[data-index]")
         rows.first.wait_for()
         _take(page, "page-fleet")
-        rows.first.focus()
+        rows.filter(has_text=SHOWN).first.focus()
         page.keyboard.press("Enter")
         page.locator("canvas").first.wait_for()
         _take(page, "page-wheelset")

@@ -22,6 +22,7 @@ DUE_WITHIN_KM = 30_000.0
 """A wheelset is due where the limit is reached within this distance with a probability of 10 %. It is the distance
 beyond which the shipped rule on the forecast lets its alert go."""
 
+TURN = "turn the wheelset, or measure its profiles"
 MORE_LIKELY_THAN_NOT = 0.5
 FAR_KM = 1e9  # stands for a distance that is not known, behind all that are
 BAND_KM = 1e10  # from one class of urgency to the next
@@ -139,10 +140,10 @@ def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, 
 
 def _exceeded(alert: OpenAlert | None, probability: float | None) -> str:
     if alert is not None and alert.condition is Condition.UNKNOWN:
-        return "limit exceeded when it could be assessed last"
+        return f"limit exceeded when it could be assessed last: {TURN}"
     if probability is None or probability < MORE_LIKELY_THAN_NOT:
-        return "limit exceeded"
-    return f"limit exceeded (probability {probability:.0%})"
+        return f"limit exceeded: {TURN}"
+    return f"limit exceeded (probability {probability:.0%}): {TURN}"
 
 
 def _due(distance: Forecast) -> str:

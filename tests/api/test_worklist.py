@@ -21,6 +21,7 @@ from api.csv_tables import columns_of
 from api.schemas.worklist import WheelsetRow, WorklistSort
 from estimation.values.alerts import AlertEventKind, Severity
 from estimation.values.worklist import Urgency
+from estimation.worklist.urgency import TURN
 
 DOCUMENT = json.loads(committed_document())
 OF_FLEET = {"serial": "WS-000", "code": "V-0", "name": "estimate_windows", "alert_id": "1", "section": "S-3"}
@@ -57,7 +58,7 @@ def test_a_row_says_where_it_runs_how_it_is_and_why(client: httpx.Client) -> Non
     assert place == ("V-0", "regional", 1, {"bogie": 1, "place": "leading"})
     state = row["state"]
     assert state["urgency"] == "over_limit"
-    assert state["reasons"][0] == {"code": "limit_exceeded", "text": "limit exceeded"}
+    assert state["reasons"][0] == {"code": "limit_exceeded", "text": f"limit exceeded: {TURN}"}
     assert {alert["kind"] for alert in state["alerts"]} == {"conicity_limit", "no_data"}
     # the last window was read at 9,029 km, before the trend's last point at 11,000.5 km
     assert (state["mileage_km"], state["since_trend_km"]) == (9029.0, 0.0)

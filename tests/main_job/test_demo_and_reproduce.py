@@ -39,6 +39,10 @@ def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path)
     dead, *_ = (row for row in done.stdout.splitlines() if row.strip().startswith(DEAD))
     assert "no_data (critical)" in dead
     assert "conicity_limit (critical, unknown)" in dead
+    _, to_do = done.stdout.split("what to do, the most urgent first")
+    (first, *_) = (line.strip() for line in to_do.splitlines() if line.strip())
+    assert first.startswith(f"{DEAD} (vehicle ")
+    assert "limit exceeded when it could be assessed last: turn the wheelset" in first
     assert "http://" not in done.stdout  # nothing is served any more
     assert (tmp_path / "own" / "data" / "treadwatch.sqlite").is_file()
 

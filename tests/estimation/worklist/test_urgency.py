@@ -8,7 +8,7 @@ from estimation.values.alerts import Condition, Severity
 from estimation.values.quantities import Forecast
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.worklist import OpenAlert, Urgency
-from estimation.worklist.urgency import DUE_WITHIN_KM, Ahead, Verdict, judged
+from estimation.worklist.urgency import DUE_WITHIN_KM, TURN, Ahead, Verdict, judged
 
 NOWHERE = Forecast(None, None, None)
 UNKNOWN = Ahead(NOWHERE, None, Reason(ReasonCode.CONICITY_OPEN, "the data leave it open"))
@@ -32,7 +32,7 @@ def verdict(of: Ahead, *alerts: OpenAlert, mounted: bool = True, last_ns: int | 
 @pytest.mark.parametrize(
     ("of", "alerts", "urgency", "texts"),
     [
-        (ahead(0.0, 0.0, 0.98), [], Urgency.OVER_LIMIT, ["limit exceeded (probability 98%)"]),
+        (ahead(0.0, 0.0, 0.98), [], Urgency.OVER_LIMIT, [f"limit exceeded (probability 98%): {TURN}"]),
         (ahead(500.0, 900.0, 0.49), [], Urgency.DUE, ["due in 900 km (p10 500 km)"]),
         (ahead(8_049.0, 12_351.0), [], Urgency.DUE, ["due in 12,400 km (p10 8,000 km)"]),
         (ahead(DUE_WITHIN_KM, 9e4), [], Urgency.DUE, ["due in 90,000 km (p10 30,000 km)"]),
@@ -45,9 +45,9 @@ def verdict(of: Ahead, *alerts: OpenAlert, mounted: bool = True, last_ns: int | 
             UNKNOWN,
             [alert("conicity_limit", condition=Condition.UNKNOWN)],
             Urgency.OVER_LIMIT,
-            ["limit exceeded when it could be assessed last", "the data leave it open"],
+            [f"limit exceeded when it could be assessed last: {TURN}", "the data leave it open"],
         ),
-        (UNKNOWN, [alert("conicity_limit")], Urgency.OVER_LIMIT, ["limit exceeded"]),
+        (UNKNOWN, [alert("conicity_limit")], Urgency.OVER_LIMIT, [f"limit exceeded: {TURN}"]),
         (ahead(0.0, 0.0), [], Urgency.DUE, ["due now"]),
         (BEYOND, [alert("conicity_limit", condition=Condition.PENDING)], Urgency.NOT_DUE, ["beyond"]),
         (BEYOND, [alert("hunting", condition=Condition.CLEARED)], Urgency.NOT_DUE, ["beyond"]),
