@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
@@ -19,7 +20,6 @@ from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment, TrackLayout
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from ingest.align.samples import widened
 from ingest.align.windows import CLIPPING_GUARD_S
 from ingest.simulator.curves import Curve
 from ingest.simulator.motion import STEP, ContactGeometryTable, WheelsetMotion, simulate_wheelset
@@ -174,7 +174,7 @@ def _windows(motion: WheelsetMotion, course: str, rng: np.random.Generator) -> I
     n = round(WINDOW_S / dt)
     missing = _missing(course, rng, len(record.t), dt)
     clipped: BoolArray = np.asarray(record.clipped.any(axis=1))
-    valid = ~missing & ~widened(clipped, np.arange(len(clipped)), round(CLIPPING_GUARD_S / dt))
+    valid = ~missing & ~binary_dilation(clipped, iterations=round(CLIPPING_GUARD_S / dt))
     values = np.where(valid[:, None], record.values, np.nan)
     for k in range(len(record.t) // n):
         part = slice(k * n, (k + 1) * n)
