@@ -124,6 +124,11 @@ class Weighed:
     estimate: SectionEstimate
     posterior: SurveyPosterior | None
 
+    def lost_by(self, other: Weighed) -> bool:
+        """Return whether another solution no longer has its journeys on the survey, where this one has."""
+        here, there = self.estimate.iterated, other.estimate.iterated
+        return here is not None and here.placed_on_survey and (there is None or not there.placed_on_survey)
+
 
 @dataclass(frozen=True, slots=True)
 class _Epoch:
@@ -146,7 +151,9 @@ class _Epoch:
         found = self._weighed(survey, survey)
         factor = 1.0 if found.posterior is None else found.posterior.std_factor
         if not 1.0 / SAME_STD <= factor <= SAME_STD:
-            found = self._weighed(replace(survey, alignment_std=factor * survey.alignment_std), survey)
+            again = self._weighed(replace(survey, alignment_std=factor * survey.alignment_std), survey)
+            # held less by the survey, the journeys of a wheelset alone may come to rest at another wave of the track
+            found = found if found.lost_by(again) else again
         return found
 
     def _weighed(self, prior: TrackAlignment, survey: TrackAlignment) -> Weighed:

@@ -95,6 +95,19 @@ def test_a_survey_that_could_not_be_assessed_is_judged_again(sqlite_storage: Sql
     assert verdict(storage) == "survey_confirmed"
 
 
+@pytest.mark.parametrize(("factor", "left"), [(1.0, "estimated"), (-1.0, "refused_alignment_unknown")])
+def test_one_wheelset_alone_keeps_a_right_survey_and_no_window_waits_for_a_wrong_one(
+    sqlite_storage: SqlStorage, factor: float, left: str
+) -> None:
+    storage = sqlite_storage
+    register(storage)
+    with storage.write() as unit:
+        unit.tracks.add_alignment(surveyed(factor))
+    stored = [window for day in (0, 2, 3) for window in put(storage, [0], day=day)]
+    counts(storage, "refresh_alignment")
+    assert counts(storage, "estimate_windows")[left] == len(stored)
+
+
 def gauged() -> TrackAlignment:
     """Return the recording with a gauge that varies by 1 mm SD; to the wheelsets of these runs it does nothing."""
     known = surveyed()
