@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from estimation.motion.integration import segments
@@ -16,6 +18,7 @@ from estimation.motion.rolling_sums import (
     USUAL_RATE,
     WAVELENGTHS,
 )
+from estimation.motion.travel import runs_backwards
 from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.rolling_sums import RollingSums
@@ -27,6 +30,9 @@ from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:
     """Return the sums of each part of a window, as the product's own does."""
+    if runs_backwards(window):
+        # With its rear end first a vehicle moves to the right when it yaws to the left.
+        window = replace(window, yaw_acceleration=-window.yaw_acceleration)
     dt = window.sample_interval_s
     size, each = round(PIECE_S / dt), round(PART_S / dt)
     parts: dict[int, list[RollingSums]] = {}
