@@ -20,6 +20,7 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
+from estimation.geometry.contact_roll import ContactRoll
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.rolling_line import SLOPES, held_shares, left_in_difference
 from estimation.geometry.uncertainty import ParameterUncertainty
@@ -42,6 +43,7 @@ BOGIES = ("coach", "soft_bogie", "freight")
 OPPOSITE = (0.5e-3, -0.5e-3)  # m, rho of the front and the rear wheelset: 1 mm of diameter each
 HELD_REACH = 0.06e-3  # m
 FORMS = ("level", "rolling", "axle", "alike")
+ROLLS = {"level": ContactRoll.SEEN, "rolling": ContactRoll.HIDDEN}
 ALIKE = 0.105  # rad/m
 
 
@@ -118,7 +120,8 @@ def _estimated(ran: WheelsetMotion, vehicle: VehicleParameters, form: str) -> Fl
         x = standard_displacement(motion.displacement, motion.roll, vehicle.nominal_radius, level=form == "rolling")
         motion = replace(motion, displacement=x)
     parameters = bin_table.BinParameters(vehicle=vehicle)
-    certain = GeometryParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
+    exact = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0, contact_roll=ROLLS.get(form))
+    certain = GeometryParameters(uncertainty=exact)
     found = estimate_geometry(bin_table.tabulate(motion, parameters), parameters, certain)
     values = np.array([np.nan if one.value is None else one.value for one in found.conicity])
     places = [int(np.argmin(np.abs(found.amplitude - amplitude))) for amplitude in AMPLITUDES]
