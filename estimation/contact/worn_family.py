@@ -129,7 +129,7 @@ def conicities_of(pair: Pair) -> FloatArray:
     pair
         Design profiles.
     """
-    found = [conicities_on_track(*wheels, rail, pair.inclination) for wheels, rail in _wheelsets(pair)]
+    found = [conicities_on_track(*wheels, rail, pair.inclination) for wheels, rail in wheelsets(pair)]
     rows = np.concatenate(found)
     low, high = USUAL_CONICITY
     with np.errstate(invalid="ignore"):
@@ -155,7 +155,7 @@ def conicities_on_track(left: Profile, right: Profile, rail: Profile, inclinatio
     return np.stack([equivalent_conicity(DISPLACEMENT, curve, AMPLITUDES) for curve in curves])
 
 
-def _wheelsets(pair: Pair) -> Iterator[tuple[tuple[Profile, Profile], Profile]]:
+def wheelsets(pair: Pair) -> Iterator[tuple[tuple[Profile, Profile], Profile]]:
     """Yield left and right wheel of each wheelset, with the rail it runs on."""
     wheel, rail = wheel_profile(pair.wheel), rail_profile(pair.rail)
     yield (wheel, wheel), rail
