@@ -7,6 +7,7 @@ that they are registered on, or the bogie is another one.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -23,6 +24,7 @@ FARTHEST = 5.0  # m; beyond, the next wave of the band looks alike
 FILTERED = 30.0  # m that the filter takes at each end
 LEAST_RUN = 300.0  # m
 LEAST_SHARE = 0.5  # of the samples of a window that both nodes must have
+SIGNIFICANT = 5.0  # times the std of the correlation of two nodes that have nothing in common
 LEAST_CORRELATION = 0.65  # wheelsets that run on their own waves, and not on the track, agree by up to 0.64 further on
 LEAST_EXCHANGED = 0.5  # the same at one distance that is known beforehand: that of nodes that are exchanged
 TOLERANCE = 0.4  # m; what is found is within 0.25 m of the truth
@@ -43,7 +45,7 @@ class AxleDistance:
     correlation: float  # of the rolls there, its magnitude
     expected: float  # the highest magnitude within ``TOLERANCE`` of the expected distance
     exchanged: float  # the same of the expected distance with the other sign
-    nearest: float = np.inf  # m from the expected distance to the nearest maximum of a clear correlation
+    nearest: float = np.inf  # m from the expected distance to the nearest maximum that is no chance
 
     @property
     def leads(self) -> bool | None:
@@ -58,11 +60,9 @@ class AxleDistance:
         """Whether the rolls say that the distance is another one."""
         if self.leads is False:
             return True
-        if self.correlation < LEAST_CORRELATION or self.nearest <= TOLERANCE:
-            return False
         if self.nearest <= NEXT_WAVE:
-            return True
-        return _clearer(self.correlation, self.expected) >= CLEAR
+            return self.nearest > TOLERANCE
+        return self.correlation >= LEAST_CORRELATION and _clearer(self.correlation, self.expected) >= CLEAR
 
 
 def _clearer(correlation: float, other: float) -> float:
@@ -109,29 +109,42 @@ def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance
     run = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) * window.sample_interval_s
     if run[-1] < LEAST_RUN:
         return None
-    grid = np.arange(0.0, run[-1], STEP)
-    own, other = (_short_waves(grid, run, node.roll_acceleration, known) for node in (window, partner))
+    own, other = (_short_waves(run, node.roll_acceleration, known) for node in (window, partner))
     power = float(np.sqrt((own @ own) * (other @ other)))
     if not power > 0.0:
         return None
-    return _highest(_correlation(own, other) / power, ahead)
+    return _highest(_correlation(own, other) / power, ahead, SIGNIFICANT * _std_by_chance(STEP * len(own)))
 
 
-def _short_waves(grid: FloatArray, run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
-    """Return a signal on a grid of distance, zero where it is unknown, of the wavelengths of the band."""
+def _std_by_chance(length: float) -> float:
+    """Return the std of the correlation of two signals of the band, this long (m), that have nothing in common."""
+    shortest, longest = BAND
+    return 1.0 / math.sqrt(2.0 * length * (1.0 / shortest - 1.0 / longest))
+
+
+def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
+    """Return a signal every ``STEP``, zero where it is unknown, of the wavelengths of the band.
+
+    It is filtered on a grid as fine as its samples: noise of high frequencies would fold into the band, and that of a
+    gyroscope, differentiated, grows with frequency.
+    """
     from scipy.signal import sosfiltfilt  # noqa: PLC0415 - slow to import, and only windows in bogies need it
 
+    finer = math.ceil(STEP * (len(run) - 1) / run[-1])
+    grid = np.arange(0.0, run[-1], STEP / finer)
     values = np.interp(grid, run, np.where(known, roll, 0.0))
-    ends = round(FILTERED / STEP)
-    return np.asarray(sosfiltfilt(_band_pass(), values)[ends:-ends])
+    ends = finer * round(FILTERED / STEP)
+    return np.asarray(sosfiltfilt(_band_pass(finer), values)[ends:-ends:finer])
 
 
-@lru_cache(maxsize=1)
-def _band_pass() -> FloatArray:
+@lru_cache(maxsize=16)
+def _band_pass(finer: int) -> FloatArray:
+    """Return the filter of a grid that is so many times finer than ``STEP``."""
     from scipy.signal import butter  # noqa: PLC0415 - the same
 
     shortest, longest = BAND
-    return np.asarray(butter(ORDER, (1.0 / longest, 1.0 / shortest), btype="bandpass", fs=1.0 / STEP, output="sos"))
+    ends = (1.0 / longest, 1.0 / shortest)
+    return np.asarray(butter(ORDER, ends, btype="bandpass", fs=finer / STEP, output="sos"))
 
 
 def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
@@ -142,14 +155,17 @@ def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
     return np.concatenate([products[-reach:], products[: reach + 1]])
 
 
-def _highest(correlation: FloatArray, ahead: float) -> AxleDistance:
-    """Return the maximum of the magnitude of a correlation beside those at the expected distance, of either sign."""
+def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistance:
+    """Return the maximum of the magnitude of a correlation beside those at the expected distance, of either sign.
+
+    Maxima below ``least`` may be chance.
+    """
     size = np.abs(correlation)
     distance = STEP * (np.arange(len(size)) - len(size) // 2)
     at = int(np.argmax(size))
     near = [np.abs(distance - expected) <= TOLERANCE for expected in (ahead, -ahead)]
     expected, exchanged = (float(size[part].max()) if part.any() else 0.0 for part in near)
     inner = size[1:-1]
-    clear = np.flatnonzero((inner >= size[:-2]) & (inner >= size[2:]) & (inner >= LEAST_CORRELATION)) + 1
+    clear = np.flatnonzero((inner >= size[:-2]) & (inner >= size[2:]) & (inner >= min(least, LEAST_CORRELATION))) + 1
     nearest = float(np.abs(distance[clear] - ahead).min()) if len(clear) else np.inf
     return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest)

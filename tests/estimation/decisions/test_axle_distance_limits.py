@@ -80,6 +80,27 @@ def test_nodes_that_measure_little_of_the_track_are_silent() -> None:
         assert (check_axle_distance(rear, front, WHEELBASE) is None) == silent
 
 
+@pytest.mark.parametrize(("noise", "found"), [(0.9, True), (1.15, False)])
+def test_another_wheelbase_is_found_from_what_is_no_chance(noise: float, *, found: bool) -> None:
+    """Five times the std by chance is 0.26 over 1.14 km: noise as large as the roll of the track."""
+    front, rear = nodes(noise=noise)
+    assert check_axle_distance(front, rear, WHEELBASE) is None
+    assert isinstance(check_axle_distance(front, rear, 1.8), Reason) is found
+
+
+def test_noise_of_high_frequencies_does_not_hide_the_track() -> None:
+    """A gyroscope, differentiated: its noise grows with frequency, and a slow vehicle is sampled every 5 cm."""
+    slow = [
+        replace(node, roll_acceleration=node.roll_acceleration + 3.0 * np.diff(noise))
+        for node, noise in zip(
+            nodes(count=10_000, speed=2.5), np.random.default_rng(4).standard_normal((2, 10_001)), strict=True
+        )
+    ]
+    found = axle_distance(slow[0], slow[1], WHEELBASE)
+    assert found is not None
+    assert found.expected > 0.75
+
+
 def narrow(*waves: tuple[float, float]) -> tuple[Window, Window]:
     """Return front and rear node on waves of (wavelength in m, by how much the rear one is late in m)."""
     at, size = np.arange(COUNT) * SPEED / RATE, 1.0 / len(waves)
