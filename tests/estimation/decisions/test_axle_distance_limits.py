@@ -80,7 +80,7 @@ def test_nodes_that_measure_little_of_the_track_are_silent() -> None:
         assert (check_axle_distance(rear, front, WHEELBASE) is None) == silent
 
 
-@pytest.mark.parametrize(("noise", "found"), [(0.9, True), (1.15, False)])
+@pytest.mark.parametrize(("noise", "found"), [(0.95, True), (1.05, False)])
 def test_another_wheelbase_is_found_from_what_is_no_chance(noise: float, *, found: bool) -> None:
     """Five times the std by chance is 0.26 over 1.14 km: noise as large as the roll of the track."""
     front, rear = nodes(noise=noise)
