@@ -96,7 +96,7 @@ def _open(on_file: float, shown: str) -> Contradiction:
     """Return that the number rests on a radius on file that neither the motion nor a measurement confirms."""
     text = (
         f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius {MISTAKE:.0%} off moves the"
-        f" conicity by {MISTAKE:.0%}; put its std on file once it is measured"
+        f" conicity by {MISTAKE:.0%}; put its std on file, as measured or as wheels wear"
     )
     return Contradiction(Reason(ReasonCode.ROLLING_RADIUS_OPEN, text), certain=False, relative=0.0)
 

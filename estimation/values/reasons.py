@@ -199,7 +199,7 @@ class ReasonCode(StrEnum):
     )
     ROLLING_RADIUS_OPEN = (
         "rolling_radius_open",
-        "The motion does not confirm the nominal radius on file. Measure the wheels, and put the std on file.",
+        "The motion does not confirm the nominal radius on file. Put its std on file, as measured or as wheels wear.",
     )
     SAMPLES_PURGED = (
         "samples_purged",

@@ -19,6 +19,7 @@ def line(kind: str, *, withheld: bool = False, doubted: bool = False, published:
     return {
         "seed": 0, "kind": kind, "drawn": drawn_case(0), "published": published, "withheld": withheld,
         "doubted": doubted, "code": "why" if withheld or doubted else "", "errors": [0.01], "covered": [True],
+        "axle": 0, "values": [0.1], "radius": None,
     }  # fmt: skip
 
 
