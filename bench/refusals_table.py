@@ -174,7 +174,7 @@ def _moved(of_kind: Sequence[Mapping[str, Any]], right: Mapping[tuple[int, int],
     """Return by how much conicities are others than with the right file, in the median."""
     moved = []
     for one in of_kind:
-        before = right[one["seed"], one["axle"]]
+        before = right.get((one["seed"], one["axle"]), ())
         pairs = zip(one["values"], before, strict=True) if one["values"] and before else ()
         moved += [now / then - 1.0 for now, then in pairs if now is not None and then is not None]
     return f"{np.median(moved):+.0%}".replace("%", " %") if moved else ""

@@ -10,7 +10,7 @@ import pytest
 from bench.refusals import SKIPPED, run_seed, stored
 from bench.refusals_case import DIMENSIONS, drawn_case, simulated
 from bench.refusals_judged import OnFile, judged, registered
-from bench.refusals_table import HEADER, summary_rows, wrong_rows
+from bench.refusals_table import HEADER, WRONG_HEADER, radius_rows, summary_rows, wrong_rows
 
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "refusals.md"
 
@@ -70,6 +70,17 @@ def test_rows_count_what_is_withheld_and_in_doubt() -> None:
     assert wrong[-1] == "yes"
     (wrong,) = wrong_rows([*(line("radius +10 %", doubted=True) for _ in range(98)), line("radius +10 %")])
     assert wrong[-1] == "NO"
+
+
+def test_an_open_radius_is_a_doubt_on_a_radius_alone_and_what_a_mistake_moves_is_counted() -> None:
+    open_radius = {**line("right", doubted=True), "code": "rolling_radius_open", "values": [0.11, None]}
+    before = {**line("right"), "values": [0.1, 0.2], "radius": (-0.05, 0.03, 0.01)}
+    for kind, share in (("radius +10 %", "100 %"), ("wheelbase -30 %", "0 %")):
+        (row,) = wrong_rows([before, {**open_radius, "kind": kind}])
+        said = dict(zip(WRONG_HEADER, row, strict=True))
+        assert (said["found"], said["moved"], said["covers"]) == (share, "+10 %", "100 %")
+    (row,) = radius_rows([before, {**before, "radius": (0.03, 0.03, 0.01)}])
+    assert row == ("{track}, {sensors}".format(**before["drawn"]), "2", "-1.0 / 4.1", "3.0", "1.0", "1")  # type: ignore[arg-type]
 
 
 def test_a_seed_that_derails_is_skipped_and_results_are_read_again(tmp_path: Path) -> None:
