@@ -29,6 +29,7 @@ LEAST_CORRELATION = 0.65  # wheelsets that run on their own waves, and not on th
 LEAST_EXCHANGED = 0.5  # the same at one distance that is known beforehand: that of nodes that are exchanged
 TOLERANCE = 0.4  # m; what is found is within 0.25 m of the truth
 NEXT_WAVE = 1.0  # m: further away the maximum may be that of another wave
+STANDS_OUT = 1.03  # times the next maximum; those of a wheelset's own waves are alike, on rough track 0.87
 CLEAR = 1.9  # times what the distance found leaves unexplained, that the expected one leaves: right ones reach 1.8
 CLEAR_EXCHANGED = 1.25  # the same where the other distance is that of nodes that are exchanged; right ones are below 1
 
@@ -46,12 +47,14 @@ class AxleDistance:
     expected: float  # the highest magnitude within ``TOLERANCE`` of the expected distance
     exchanged: float  # the same of the expected distance with the other sign
     nearest: float = np.inf  # m from the expected distance to the nearest maximum that is no chance
+    stands_out: bool = False  # whether that one is the highest, and not by chance: those a wave away are lower
+    ordered: bool | None = None  # whether such a one is where it is expected (True) or where exchanged nodes have it
 
     @property
     def leads(self) -> bool | None:
         """Whether the axle meets the track in the order of the registry; None where the rolls do not say."""
         if max(self.expected, self.exchanged) < LEAST_EXCHANGED:
-            return None
+            return self.ordered
         clearer = _clearer(self.exchanged, self.expected)
         return False if clearer >= CLEAR_EXCHANGED else True if 1.0 / clearer >= CLEAR_EXCHANGED else None
 
@@ -60,8 +63,10 @@ class AxleDistance:
         """Whether the rolls say that the distance is another one."""
         if self.leads is False:
             return True
-        if self.nearest <= NEXT_WAVE:
-            return self.nearest > TOLERANCE
+        if self.nearest <= TOLERANCE:
+            return False
+        if self.nearest <= NEXT_WAVE and self.stands_out:
+            return True
         return self.correlation >= LEAST_CORRELATION and _clearer(self.correlation, self.expected) >= CLEAR
 
 
@@ -166,6 +171,12 @@ def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistanc
     near = [np.abs(distance - expected) <= TOLERANCE for expected in (ahead, -ahead)]
     expected, exchanged = (float(size[part].max()) if part.any() else 0.0 for part in near)
     inner = size[1:-1]
-    clear = np.flatnonzero((inner >= size[:-2]) & (inner >= size[2:]) & (inner >= min(least, LEAST_CORRELATION))) + 1
+    maxima = np.flatnonzero((inner >= size[:-2]) & (inner >= size[2:])) + 1
+    clear = maxima[size[maxima] >= min(least, LEAST_CORRELATION)]
     nearest = float(np.abs(distance[clear] - ahead).min()) if len(clear) else np.inf
-    return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest)
+    others = size[maxima[np.abs(distance[maxima] - distance[at]) > TOLERANCE]]
+    alone = bool(len(clear) and size[at] >= STANDS_OUT * max(others, default=0.0))
+    off, exchanged_off = abs(distance[at] - ahead), abs(distance[at] + ahead)
+    ordered = bool(off < exchanged_off) if alone and min(off, exchanged_off) <= TOLERANCE else None
+    stands_out = alone and off <= nearest
+    return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest, stands_out, ordered)
