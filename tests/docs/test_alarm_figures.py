@@ -16,7 +16,7 @@ MOST_BY_A_CODE = 0.01
 REACHED = {"radius +10 %": 85.0, "radius -10 %": 59.0, "wheelbase -30 %": 90.0}
 """Found, %: short of what is wanted, and not to become less."""
 
-SHORT = {"adhesion": (), "surveys": ("survey of ",), "refusals": tuple(REACHED)}
+SHORT = {"adhesion": ("file or sensors wrong",), "surveys": ("survey of ",), "refusals": tuple(REACHED)}
 """How the rows begin that may fall short of their number."""
 
 
