@@ -8,7 +8,8 @@ of these, and what is left over is the spread. Where few are like it, wider diff
 Where the motion ends is evidence too: a wheelset runs out until the energy of a deflection, which is as conicity times
 amplitude squared, is that of the track's irregularity. Of an energy of which only the order is not known, the share
 that ends between an amplitude and the next one is the logarithm of the ratio of both. So a member whose conicity rises
-beyond counts for more than one that stays flat, whose motion would have gone on.
+beyond counts for more than one that stays flat, whose motion would have gone on; not for much more, since yaw springs
+hold a wheelset too.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ ALIKE = 0.06  # relative difference of conicities that are alike
 LEAST_ALIKE = 0.012  # and the least difference that counts
 SLOPE_ALIKE = 0.7  # of that, for the difference between two amplitudes
 WIDER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
-BESIDE = 2.0  # widths that those alike may lie off the wheelset on the mean: then it is beside all of them
+BESIDE = 2.0  # widths that those alike may lie off the wheelset on the mean; where they do, wider differences count
 SHARED = 0.5  # part of the errors that all amplitudes have in common
 NEAR = 0.5e-3  # m, within which the rest of them is alike
 RIDGE = 2.0  # members' weight with which the fit is held flat
@@ -43,7 +44,7 @@ LEAST_MEMBERS = 25.0  # weight of members that are like the wheelset
 NO_WEIGHT = 1e-6  # of a member that does not count, which most are
 NEXT_AMPLITUDE = 0.25e-3  # m, to the amplitude that is not covered
 FLAT = 0.02  # conicity below which nothing holds a wheelset
-STOPPED = (0.3, 2.0)  # least and most weight by where the motion ends: yaw springs hold a wheelset of even conicity too
+STOPPED = (0.3, 2.0)  # least and most weight by where the motion ends, of a conicity that stays as it is
 LARGEST_STD = 0.15  # of an extrapolated conicity
 SHOWN = 40  # values that show how the changes of members are spread
 SMOOTH = 0.2  # std about each of them, in that of all
@@ -245,9 +246,9 @@ def _alike(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the weights (m,) of the members and the width (n,) within which enough are alike.
 
-    Where those alike lie to one side, wider differences count too; None where too few are alike even so. Members count by how far level and slopes (m, n) are
-    from the wheelset's, in the errors of the estimate and the width of what is alike, and by how likely their motion
-    ends there (m,).
+    Where those alike lie to one side, wider differences count too; None where too few are alike even so. Members count
+    by how far level and slopes (m, n) are from the wheelset's, in the errors of the estimate and the width of what is
+    alike, and by how likely their motion ends there (m,).
     """
     for wider in WIDER:
         inverse = np.linalg.inv(covariance + np.diag((wider * width) ** 2))
