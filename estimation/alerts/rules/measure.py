@@ -41,8 +41,8 @@ class MeasureRule(AlertRule):
     )
 
     raise_probability: Annotated[float, ANY_PROBABILITY] = 0.5  # that it is over where the motion covers 3 mm
-    extrapolated_probability: Annotated[float, ANY_PROBABILITY] = 0.15  # and where it does not: no data will decide it
-    clear_probability: Annotated[float, ANY_PROBABILITY] = 0.12
+    extrapolated_probability: Annotated[float, ANY_PROBABILITY] = 0.12  # and where it does not: no data will decide it
+    clear_probability: Annotated[float, ANY_PROBABILITY] = 0.1
     reaches: Annotated[float, Interval(ge=1.0, le=10.0)] = 1.5  # limits that an interval at 3 mm goes up to
     measured_within_km: Kilometres = 10_000.0  # a measurement decides for as long
 

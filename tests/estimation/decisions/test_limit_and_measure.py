@@ -87,7 +87,7 @@ def test_the_last_two_points_over_the_limit_are_over_it_whatever_the_smooth_curv
 
 @pytest.mark.parametrize(
     ("probability", "breached", "cleared"),
-    [(0.16, True, False), (0.14, False, False), (0.125, False, False), (0.115, False, True), (0.91, False, True)],
+    [(0.13, True, False), (0.11, False, False), (0.105, False, False), (0.095, False, True), (0.91, False, True)],
 )
 def test_an_extrapolated_conicity_that_may_be_over_is_measured(
     *, probability: float, breached: bool, cleared: bool
