@@ -4,7 +4,7 @@ Each row is one wheelset on one track: a wheel of a standard on a rail of a stan
 (depth, place and width of the hollow, wear of the flange and of the rail drawn over their ranges, both wheels alike or
 one less worn than the other), or worn by its contact and then run on that rail and on another, both new and worn; at
 one gauge or blurred over several. A shape between two of the draws is like neither: fewer draws leave more wheelsets
-that are like no member, or like a few that happen to stay flat.
+that are like a few members only, which happen to stay flat.
 The rows are computed once and kept in ``worn_family.npy``; ``python -m bench.worn_family`` writes them again.
 """
 

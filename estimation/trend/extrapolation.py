@@ -36,7 +36,6 @@ ALIKE = 0.06  # relative difference of conicities that are alike
 LEAST_ALIKE = 0.012  # and the least difference that counts
 SLOPE_ALIKE = 0.7  # of that, for the difference between two amplitudes
 WIDER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
-BESIDE = 2.0  # widths that those alike may lie off the wheelset on the mean; where they do, wider differences count
 SHARED = 0.5  # part of the errors that all amplitudes have in common
 NEAR = 0.5e-3  # m, within which the rest of them is alike
 RIDGE = 2.0  # members' weight with which the fit is held flat
@@ -246,17 +245,14 @@ def _alike(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the weights (m,) of the members and the width (n,) within which enough are alike.
 
-    Where those alike lie to one side, wider differences count too; None where too few are alike even so. Members count
-    by how far level and slopes (m, n) are from the wheelset's, in the errors of the estimate and the width of what is
-    alike, and by how likely their motion ends there (m,).
+    None where too few are alike. Members count by how far level and slopes (m, n) are from the wheelset's, in the
+    errors of the estimate and the width of what is alike, and by how likely their motion ends there (m,). That all of
+    them lie to one side is no reason to say nothing: the fit is carried on to the wheelset.
     """
     for wider in WIDER:
         inverse = np.linalg.inv(covariance + np.diag((wider * width) ** 2))
         weight = stopped * np.exp(-0.5 * ((error @ inverse) * error).sum(axis=1))
-        if weight.sum() < LEAST_MEMBERS:
-            continue
-        off = np.abs(weight @ error) / weight.sum() / (wider * width)
-        if off.max() <= BESIDE:
+        if weight.sum() >= LEAST_MEMBERS:
             return weight, wider * width
     return None
 

@@ -101,8 +101,8 @@ def test_a_shape_unlike_all_of_the_family_is_not_extrapolated() -> None:
     assert conicity_at_limit_amplitude(geometry(FAMILY.conicity[100], TO_2_25, std=0.09)).status is Status.UNESTIMATED
 
 
-def test_a_wheelset_beside_those_alike_is_held_against_wider_differences() -> None:
-    """A cone of 0.118, whose errors alone look like no member: it is like those that are a little further off."""
+def test_a_wheelset_beside_all_those_alike_is_extrapolated() -> None:
+    """A cone of 0.118, whose errors alone put it beside all members that are like it."""
     rng = np.random.default_rng(0)
     cone, std = np.full(ALL, 0.118), 0.019
     near = np.exp(-np.abs(np.subtract.outer(FAMILY.amplitude, FAMILY.amplitude)) / 0.5e-3)
