@@ -98,7 +98,7 @@ def rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
     beyond = [one for one in asked if one.worn.above >= MARGIN]
     raised, over = _share(beyond, lambda one: one.over or one.measure), _share(beyond, lambda one: one.over)
     yield BenchRow(
-        f"beyond the limit by {MARGIN:g} or more at 3 mm, 1.75 or 2 mm covered, {len(beyond)} wheelsets: raised",
+        f"beyond the limit by {MARGIN:g} or more at 3 mm, 1.75 or 2 mm covered, {_size(beyond)}: raised",
         f"{raised:.1%} (`conicity_limit` {over:.1%}); {_former(beyond)}",
         "98 % or more",
         raised >= 0.98,
@@ -110,7 +110,7 @@ def rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
     for name, group in (("at 3 mm", below), ("at 3 mm and at or below it at the amplitude reached", quiet)):
         false = _share(group, lambda one: one.over)
         yield BenchRow(
-            f"below the limit by {MARGIN:g} or more {name}, {len(group)} wheelsets: `conicity_limit`",
+            f"below the limit by {MARGIN:g} or more {name}, {_size(group)}: `conicity_limit`",
             f"{false:.2%}; {_former(group)}",
             "1 % or less",
             false <= 0.01,
@@ -141,6 +141,11 @@ def _counted(name: str, group: Sequence[Judged]) -> Iterator[BenchRow]:
         text = f"`conicity_limit` {_share(group, lambda one: one.over):.1%}, `measure`"
         text += f" {_share(group, lambda one: one.measure and not one.over):.1%}; {_former(group)}"
         yield BenchRow(f"{name}, {len(group)} wheelsets", text, "for information", True)  # noqa: FBT003 - nothing to be reached
+
+
+def _size(group: Sequence[Judged]) -> str:
+    """Return how many wheelsets of how many shapes: those of one shape are raised, or not, together."""
+    return f"{len(group)} wheelsets of {len({one.worn.conicity.tobytes() for one in group})} shapes"
 
 
 def _former(group: Sequence[Judged]) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "limits.md"
 ROW = re.compile(r"^\| (?P<what>.+?) \| (?P<measured>.+?) \| (?P<reach>.+?) \| (?P<met>yes|NO) \|$", re.MULTILINE)
 
-REACHED = 95.0
+REACHED = 96.3
 """Of the wheelsets beyond their limit, %: short of what is wanted, and not to become less."""
 
 
