@@ -10,13 +10,17 @@ import pytest
 DOCS = Path(__file__).parents[2] / "docs"
 FEWEST_STRETCHES, FEWEST_UNSEEN, FEWEST_KM = 60, 60, 600.0
 FEWEST_WHEELSETS, FEWEST_WRONG, FEWEST_SURVEYS = 300, 20, 30
-MOST_BY_A_CODE = 0.01
-"""Share of the right wheelsets that one code withholds or doubts."""
+MOST_BY_A_CODE = 0.02
+"""Share of the right wheelsets that one code contradicts: doubts or withholds."""
 
-REACHED = {"radius +10 %": 85.0, "radius -10 %": 59.0, "wheelbase -30 %": 90.0}
-"""Found, %: short of what is wanted, and not to become less."""
+REACHED = {"radius +10 %": 99.0, "radius -10 %": 99.0, "wheelbase -30 %": 99.0, "bogie as single wheelset": 97.0}
+"""Found, %: not to become less."""
 
-SHORT = {"adhesion": ("file or sensors wrong",), "surveys": ("survey of ",), "refusals": tuple(REACHED)}
+SHORT = {
+    "adhesion": ("file or sensors wrong",),
+    "surveys": ("survey of ",),
+    "refusals": ("arrangement: push-pull single", "bogie as single wheelset"),
+}
 """How the rows begin that may fall short of their number."""
 
 
