@@ -99,7 +99,7 @@ def fleet_cases(row: str, seed: int, surveys: Sequence[str] = tuple(SURVEYS)) ->
     for survey, plan in ((name, SURVEYS[name]) for name in surveys):
         for positions in POSITIONS if survey in ALL_POSITIONS else (USUAL,):
             at = moved(fleet, POSITIONS[positions], seed)
-            found, rival = score(at, on_file(at, plan, seed), rival=plan.std is not None and plan.right)
+            found, rival = score(at, on_file(at, plan, seed), rival=plan.right)
             yield {
                 "row": row,
                 "seed": seed,

@@ -211,7 +211,22 @@ def first_rounds(
         found = replace(_rounds(fixed, panel, on_survey, found.ratios, std=False), placed_on_survey=True)
         if moved < setting.parameters.survey_moved:
             break
+    if found.placed_on_survey and float(np.median(prior.std[np.isfinite(prior.std)])) > found.noise:
+        found = _moved_as_a_whole(fixed, found, prior)
     return _finished(setting, found) if std else found
+
+
+def _moved_as_a_whole(fixed: Setting, found: IterationResult, survey: PriorAlignment) -> IterationResult:
+    """Return the rounds with all journeys moved alike, to where y - h(R) is on the survey.
+
+    The errors of a survey flatten the regression of R on y - d, and what is left of R moves all journeys alike. Those
+    of R do the same the other way round: which is right depends on which are smaller.
+    """
+    step = fleet_step(found.state, found.solution, survey)
+    if step is None:
+        return found
+    moved = {journey: replace(one, offset=one.offset + step) for journey, one in found.corrections.items()}
+    return replace(_rounds(fixed, found.panel, moved, found.ratios, std=False), placed_on_survey=True)
 
 
 def _hardly_moved(setting: Setting, found: IterationResult, corrections: Mapping[Journey, Correction]) -> bool:

@@ -182,6 +182,6 @@ def test_the_shipped_figures() -> None:
 
     assert of_bands.EDGES == (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)
     assert (of_bands.SHORTEST, of_bands.FILED_SAMPLES, of_bands.LOCAL, of_bands.LOCAL_STDS) == (2.5, 6.0, 100.0, 4.0)
-    assert (of_bands.MODEL_SHARE, of_bands.NEIGHBOUR, of_bands.NEXT) == (0.5, 0.48, 0.06)
+    assert (of_bands.MODEL_SHARE, of_bands.NEIGHBOUR, of_bands.NEXT) == (2.0, 0.48, 0.06)
     assert (positions.CORRELATED, positions.REPORTED_STD) == (20.0, 1.0)
     assert (of_posterior.STATED, of_posterior.INDEPENDENT, of_posterior.MOST_DIFFERENCE_ERROR) == (60.0, 5.0, 0.08)
