@@ -47,6 +47,7 @@ class IterationParameters:
     survey_tolerance: float = 0.3  # m, on average, from positions by the regression of R on a survey
     survey_rounds: int = 4  # of positions on a survey and stiffness ratios at most
     survey_moved: float = 0.05  # m: positions on a survey that move less are found
+    survey_flattens: float = 4.0  # times what curves leave of y: a survey with such errors moves positions more
     ratio_tolerance: float = 0.01
     gauge_tolerance: float = 0.3e-3  # m, rms: a gauge that changes less has converged
     pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
@@ -211,7 +212,8 @@ def first_rounds(
         found = replace(_rounds(fixed, panel, on_survey, found.ratios, std=False), placed_on_survey=True)
         if moved < setting.parameters.survey_moved:
             break
-    if found.placed_on_survey and float(np.median(prior.std[np.isfinite(prior.std)])) > found.noise:
+    of_survey, of_curves = float(np.median(prior.std[np.isfinite(prior.std)])), found.noise
+    if found.placed_on_survey and of_survey > setting.parameters.survey_flattens * of_curves:
         found = _moved_as_a_whole(fixed, found, prior)
     return _finished(setting, found) if std else found
 
