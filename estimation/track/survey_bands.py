@@ -33,9 +33,7 @@ SHORTEST = 2.5  # m, of the last one
 FILED_SAMPLES = 6.0  # independent ones that the std on file counts as, against those of the passes
 LOCAL = 100.0  # m over which both are compared for local differences
 LOCAL_STDS = 4.0  # of a local mean square, beyond which it is more than chance
-MODEL_SHARE = (
-    2.0  # of the rms of h(R) times the share of y that curves leave: they are flattened by it, and all passes alike
-)
+MODEL_SHARE = 2.0  # of the rms of h(R) times the share that curves leave of y, by which they are flattened for all
 NEIGHBOUR, NEXT = 0.48, 0.06  # correlation of one error in two bands next to each other, with one band between
 
 
