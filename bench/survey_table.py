@@ -36,6 +36,7 @@ FOUND = 0.99  # share of wrong ones
 COVER_UNDERSTATED = 0.92
 RESOLUTION = 0.0005  # of a conicity: half of the last digit that is shown
 BEYOND = 2.0  # stds of a mean difference, beyond which it is no chance
+FEWEST_FLEETS = 4  # for a std of such a mean
 LEVEL = 0.95  # of the bounds of shares
 USUAL = "0.5 m"  # error of positions
 Case = Mapping[str, Any]
@@ -184,7 +185,8 @@ class Paired:
     """Mean by which numbers that two cases both publish differ; its std by fleets, whose numbers share their errors."""
 
     mean: float
-    std: float
+    std: float  # infinite where too few fleets show it
+    fleets: int
 
     @classmethod
     def of(cls, by_fleet: Sequence[FloatArray]) -> Paired:
@@ -192,17 +194,20 @@ class Paired:
         count = sum(len(one) for one in by_fleet)
         mean = sum(float(one.sum()) for one in by_fleet) / count
         squares = sum(float((one - mean).sum()) ** 2 for one in by_fleet)
-        several = len(by_fleet) / (len(by_fleet) - 1.0) if len(by_fleet) > 1 else float("inf")
-        return cls(mean, float(np.sqrt(squares * several)) / count if squares > 0.0 else 0.0)
+        fleets = len(by_fleet)
+        if fleets < FEWEST_FLEETS:
+            return cls(mean, float("inf"), fleets)
+        return cls(mean, float(np.sqrt(squares * fleets / (fleets - 1.0))) / count, fleets)
 
     @property
     def text(self) -> str:
-        """Mean and std."""
-        return f"{self.mean:+.4f} +- {self.std:.4f}"
+        """Mean and std, or that it is not decided."""
+        known = f"+- {self.std:.4f}" if np.isfinite(self.std) else "not decided"
+        return f"{self.mean:+.4f} {known} (fleets: {self.fleets})"
 
-    def worse(self, resolution: float) -> bool:
-        """Whether the difference is more than chance, and than what anybody sees."""
-        return self.mean > max(BEYOND * self.std, resolution)
+    def no_worse(self, resolution: float) -> bool:
+        """Whether it is decided that the difference is no more than chance, or than what anybody sees."""
+        return bool(np.isfinite(self.std)) and self.mean <= max(BEYOND * self.std, resolution)
 
 
 def paired(cases: Sequence[Case], others: Mapping[Any, Case], name: str) -> tuple[list[FloatArray], list[FloatArray]]:
@@ -248,9 +253,9 @@ def _against_none(cases: Sequence[Case], name: str) -> Iterator[BenchRow]:
         yield BenchRow(f"{what}: numbers of both", "none", "some", met=False)
         return
     error = Paired.of(errors)
-    met = not error.worse(RESOLUTION) and own >= alone
+    met = error.no_worse(RESOLUTION) and own >= alone
     yield BenchRow(f"{what}: error, numbers", f"{error.text}, {own} for {alone}", "not worse, not fewer", met)
     for label, found in (("interval score", scores), ("the same with its true std", paired(cases, honest, name)[1])):
         if found:
             score = Paired.of(found)
-            yield BenchRow(f"{what}: {label}", score.text, "not worse", met=not score.worse(2.0 * RESOLUTION))
+            yield BenchRow(f"{what}: {label}", score.text, "not worse", met=score.no_worse(2.0 * RESOLUTION))
