@@ -122,7 +122,7 @@ class ParameterUncertainty:
         return replace(
             self,
             ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
-            expected_noise=math.hypot(self.expected_noise, max((_alignment_std(one) for one in used), default=0.0)),
+            expected_noise=math.hypot(self.expected_noise, max((alignment_std(one) for one in used), default=0.0)),
             displacement=math.hypot(self.displacement, max((_scale_std(one, wheelset) for one in used), default=0.0)),
             jump_position_std=max(
                 (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
@@ -159,11 +159,16 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
     return track.findings if wheelset in track.findings.gauge_shifts else None
 
 
-def _alignment_std(track: TrackAlignment) -> float:
+def alignment_std(track: TrackAlignment) -> float:
     """Return the median std, m, of an alignment where it is known, at the usual cut-off of the motion.
 
     That of a fleet is of all waves up to its own cut-off, and nearly all of it of the longest, for accelerations are
     integrated twice: its variance grows as the cube of the cut-off.
+
+    Parameters
+    ----------
+    track
+        The alignment.
     """
     known = np.isfinite(track.alignment_std)
     std = float(np.median(track.alignment_std[known])) if known.any() else 0.0
