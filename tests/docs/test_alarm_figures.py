@@ -17,7 +17,7 @@ REACHED = {"radius +10 %": 99.0, "radius -10 %": 99.0, "wheelbase -30 %": 99.0, 
 """Found, %: not to become less."""
 
 SURVEYS_FOUND = 0.96
-"""Share of the wrong surveys: what is missed are those under coaches."""
+"""Share of the wrong surveys: mirrored ones under coaches, and one of another scale, are missed."""
 
 SHORT = {
     "adhesion": ("file or sensors wrong",),
