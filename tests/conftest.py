@@ -18,6 +18,7 @@ import pytest
 import same_product  # noqa: F401 - before any process is started
 import sqlalchemy
 import usual_signals  # noqa: F401 - before any process is started
+from hypothesis import HealthCheck, settings
 from in_process_command import Run, command_line
 from postgres_server import running_server
 from psycopg import sql
@@ -31,6 +32,10 @@ from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 
 GIVEN = "TREADWATCH_TEST_POSTGRES_URL"
+
+# how long an example takes says how busy the machine is, and what is compiled first
+settings.register_profile("any-load", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any-load")
 
 
 @pytest.fixture

@@ -71,3 +71,19 @@ def _port(process: subprocess.Popen[bytes], log: Path) -> int:
         assert time.monotonic() < until, log.read_text()
         time.sleep(0.05)
     return int(found[1])
+
+
+def wait_for(word: str, log: Path) -> None:
+    """Wait until a word is in a log: services write theirs in the background, after they have answered.
+
+    Parameters
+    ----------
+    word
+        In a line of the log.
+    log
+        File of the log.
+    """
+    until = time.monotonic() + START_S
+    while word not in log.read_text():
+        assert time.monotonic() < until, log.read_text()
+        time.sleep(0.05)

@@ -210,7 +210,6 @@ def test_the_service_answers_whatever_it_is_asked_as_the_document_says(
                 max_examples=6,
                 derandomize=True,
                 database=None,
-                deadline=None,
                 phases=[Phase.explicit, Phase.generate],
                 suppress_health_check=list(HealthCheck),
             )

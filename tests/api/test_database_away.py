@@ -18,7 +18,7 @@ import psycopg
 import pytest
 from in_process_command import Run
 from postgres_server import PostgresServer, stoppable_server
-from service_process import COMMAND, ROOT, service_process
+from service_process import COMMAND, ROOT, service_process, wait_for
 
 from estimation.errors import ParameterError
 from fleet_db.migrate import upgrade
@@ -171,13 +171,6 @@ def eventually_ready(client: httpx.Client) -> None:
             return
         time.sleep(0.05)
     pytest.fail("never ready")
-
-
-def wait_for(word: str, log: Path) -> None:
-    until = time.monotonic() + 60.0
-    while word not in log.read_text():
-        assert time.monotonic() < until, log.read_text()
-        time.sleep(0.05)
 
 
 @pytest.mark.parametrize("arguments", [("ingest", "--registry", "none.json"), ("estimate",), ("db", "check")])

@@ -57,7 +57,7 @@ def pages(client: httpx.Client, path: str, limit: int) -> list[list[object]]:
 def test_pages_of_any_length_join_to_the_whole_list(client: httpx.Client, path: str) -> None:
     (whole,) = pages(client, path, 1000)
 
-    @settings(max_examples=5, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=5, derandomize=True, suppress_health_check=list(HealthCheck))
     @given(st.integers(1, 12))
     def walk(limit: int) -> None:
         found = pages(client, path, limit)
@@ -102,7 +102,7 @@ def test_garbage_for_a_cursor_is_400(client: httpx.Client, path: str, cursor: st
     assert response.headers["content-type"] == "application/problem+json"
 
 
-@settings(max_examples=300, derandomize=True, deadline=None)
+@settings(max_examples=300, derandomize=True)
 @given(
     st.text(max_size=20),
     st.dictionaries(st.text(max_size=5), st.none() | st.text(max_size=5) | st.integers(), max_size=3),
@@ -120,7 +120,7 @@ def test_a_cursor_gives_its_key_back_and_only_under_its_filter(
         assert refused.value.status == 400
 
 
-@settings(max_examples=300, derandomize=True, deadline=None)
+@settings(max_examples=300, derandomize=True)
 @given(
     st.one_of(
         st.text(),

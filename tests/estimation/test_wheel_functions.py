@@ -84,7 +84,7 @@ def test_a_radius_difference_that_falls_is_never_run_through() -> None:
     assert np.abs(table.shift).max() < 22e-3
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     slopes=st.tuples(st.floats(0.05, 0.3), st.floats(0.05, 0.3)),
     R=st.floats(-0.5e-3, 0.5e-3),

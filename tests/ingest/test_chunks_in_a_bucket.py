@@ -20,7 +20,7 @@ from each_store import recordings
 from in_process_command import Run
 from obstore.store import S3Store
 from s3_server import SECRET_KEY, S3Server, running_s3_server
-from service_process import ServiceProcess, service_process
+from service_process import ServiceProcess, service_process, wait_for
 from test_reassembly import made_of
 from uploading import Upload, storage_in, upload
 from vehicle_bus import VEHICLE, register
@@ -116,7 +116,7 @@ def test_while_the_bucket_is_away_chunks_are_refused_and_taken_when_it_is_back(
             assert (refused.status_code, refused.headers["retry-after"]) == (503, "60")
             assert refused.json()["detail"].startswith("the raw store takes nothing now")
         assert (service.receipts(), service.left()) == ({first.digest}, [])
-        assert f"{server.endpoint} cannot be reached" in service.process.log
+        wait_for(f"{server.endpoint} cannot be reached", service.process.file)
         server.start()
         assert [one.put(service.client).status_code for one in (second, third, first)] == [201, 201, 200]
         assert service.names() == sorted(name_of(one) for one in (first, second, third))
@@ -131,7 +131,7 @@ def test_a_wrong_key_refuses_chunks_and_is_named_in_the_log(
         with deployed(s3_server, tmp_path, monkeypatch) as service:
             refused = upload(1).put(service.client)
             assert (refused.status_code, service.receipts(), service.names()) == (503, set(), [])
-            assert "403 Forbidden" in service.process.log
+            wait_for("403 Forbidden", service.process.file)
             assert "not-the-key" not in service.process.log + refused.text
 
 

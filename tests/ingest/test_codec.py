@@ -31,7 +31,7 @@ def test_catalogue_and_cantools_hold_the_same_messages() -> None:
 
 
 @pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(payloads=st.lists(st.binary(min_size=8, max_size=8), min_size=1, max_size=20))
 def test_cantools_reads_the_same_bytes_to_the_same_values(plan: MessagePlan, payloads: list[bytes]) -> None:
     batch = frames_of(plan.arbitration_id, payloads, plan.length)
@@ -56,7 +56,7 @@ def test_cantools_reads_the_same_bytes_to_the_same_values(plan: MessagePlan, pay
 
 
 @pytest.mark.parametrize("plan", PLANS, ids=lambda plan: plan.name)
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(data=st.data())
 def test_encode_is_what_cantools_encodes(plan: MessagePlan, data: st.DataObject) -> None:
     raws = {s.name: data.draw(st.integers(s.raw_minimum, s.raw_maximum), label=s.name) for s in plan.signals}
@@ -86,7 +86,7 @@ def test_encode_refuses_what_it_cannot_say() -> None:
         encode(CATALOGUE.find("SYNC"), np.arange(2), {"counter": np.array([1.0, np.nan])})
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(order=st.permutations(range(8)), repeats=st.integers(1, 3))
 def test_every_frame_is_counted_once(order: list[int], repeats: int) -> None:
     payload = np.zeros((1, 8), np.uint8)

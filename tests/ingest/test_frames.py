@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from same_values import same_values
 
@@ -20,7 +20,6 @@ def batch_of_rows(rows: list[tuple[int, int, int]]) -> FrameBatch:
     )
 
 
-@settings(deadline=None)
 @given(rows=st.lists(FRAME, min_size=1, max_size=40), seed=st.integers(0, 1000))
 def test_merge_is_the_sorted_set_of_frames(rows: list[tuple[int, int, int]], seed: int) -> None:
     merged = merge([batch_of_rows(rows)])

@@ -40,7 +40,7 @@ def frames(rng: np.random.Generator, cycles: int, delay_ns: int, width_ns: int, 
     return found
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(data=st.data(), seed=st.integers(0, 2**32 - 1))
 def test_frames_are_placed_as_by_numpy(data: st.DataObject, seed: int) -> None:
     def drawn(*values: Any) -> Any:  # noqa: ANN401 - one of them

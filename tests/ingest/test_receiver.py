@@ -104,7 +104,7 @@ def whole() -> dict[str, object]:
     return {}
 
 
-@settings(deadline=None, max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_cutting_in_any_order_repeated_or_late_gives_the_same_windows(
     registered: SqlStorage, tmp_path: Path, whole: dict[str, object], data: st.DataObject

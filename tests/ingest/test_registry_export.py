@@ -93,8 +93,8 @@ KM = st.floats(0.0, 2000.0)
 
 
 @settings(
-    max_examples=15, deadline=None, database=None, derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    max_examples=15, database=None, derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )  # fmt: skip
 @given(
     names=st.tuples(NAMES, NAMES, NAMES),

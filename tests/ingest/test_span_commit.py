@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import sqlalchemy
+from executed_statements import executed_statements
 from test_receiver import CountingClock, content, files_of
 from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
 
@@ -35,21 +35,6 @@ def receiver_on(storage: SqlStorage, directory: Path) -> Receiver:
     )
 
 
-@contextmanager
-def statements(storage: SqlStorage) -> Iterator[list[str]]:
-    """Yield the statements that are executed."""
-    asked: list[str] = []
-
-    def keep(_c: object, _cursor: object, statement: str, *_: object) -> None:
-        asked.append(statement)
-
-    sqlalchemy.event.listen(storage.engine, "before_cursor_execute", keep)
-    try:
-        yield asked
-    finally:
-        sqlalchemy.event.remove(storage.engine, "before_cursor_execute", keep)
-
-
 def test_a_recording_takes_as_many_statements_however_many_windows_it_has(
     registered: SqlStorage, tmp_path: Path
 ) -> None:
@@ -57,7 +42,7 @@ def test_a_recording_takes_as_many_statements_however_many_windows_it_has(
     paths = files_of([run.frames() for run in runs], tmp_path)
     receiver, counts, windows = receiver_on(registered, tmp_path), [], []
     for path in paths:
-        with statements(registered) as asked:
+        with executed_statements() as asked:
             windows.append(receiver.receive_file(path, VEHICLE).windows_changed)
         counts.append(len(asked))
     assert windows[1] >= 5 * windows[0] > 0
@@ -78,7 +63,7 @@ def test_more_frames_of_windows_without_bin_tables_replace_them_in_one_statement
         for key in before:
             unit.windows.mark(*key, WindowState.ESTIMATED)
             unit.tracks.put_position(WindowPosition(*key, before[key][0], 1))
-    with statements(registered) as asked:
+    with executed_statements() as asked:
         assert receiver.receive_file(paths[1], VEHICLE).windows_changed == 2
     assert sum(statement.startswith("UPDATE windows") for statement in asked) == 1
     changed = {("WS-1", START_NS + 7 * SECOND_NS), ("WS-2", START_NS + 7 * SECOND_NS)}

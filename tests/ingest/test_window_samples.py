@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
@@ -21,7 +21,6 @@ def near_clipped(clipped: BoolArray, slot: IntArray, guard: int) -> BoolArray:
     return np.asarray(counted[last] > counted[first])
 
 
-@settings(deadline=None)
 @given(seed=SEEDS, share=st.sampled_from([0.0, 0.05, 0.5, 1.0]), guard=st.integers(0, 12))
 def test_samples_count_that_are_valid_where_the_speed_is_known_away_from_clipped_ones(
     seed: int, share: float, guard: int
@@ -45,7 +44,6 @@ def test_samples_count_that_are_valid_where_the_speed_is_known_away_from_clipped
     assert np.array_equal(gridded(values, slot, good, COUNT, 3), grid, equal_nan=True)
 
 
-@settings(deadline=None)
 @given(seed=SEEDS)
 def test_the_distance_of_a_wheelset_is_that_on_its_section(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -73,7 +71,6 @@ def by_search(tick: IntArray, values: FloatArray, slope: FloatArray) -> tuple[Fl
     return np.where(before >= 0, inside, np.nan), np.where(before >= 0, slope[before], np.nan), before
 
 
-@settings(deadline=None)
 @given(seed=SEEDS, frames=st.sampled_from([0, 1, 5, 40]))
 def test_values_between_frames_are_on_the_line_from_the_one_before(seed: int, frames: int) -> None:
     rng = np.random.default_rng(seed)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from oracles.conicity_methods import harmonic_conicity, linear_regression_conicity
 from scipy.integrate import quad
@@ -24,7 +24,6 @@ AMPLITUDES = np.arange(1, 7) * 1e-3
 
 
 @given(tangent=st.floats(0.01, 1.0), offset=st.floats(-2e-3, 2e-3))
-@settings(deadline=None)
 def test_a_straight_line_has_half_its_slope(tangent: float, offset: float) -> None:
     difference = 2 * tangent * (Y - offset)
     for method in (equivalent_conicity, harmonic_conicity, linear_regression_conicity):
@@ -107,7 +106,6 @@ def test_where_the_potential_falls_outwards_the_wheelset_comes_to_rest() -> None
 
 
 @given(seed=st.integers(0, 2**32 - 1), noise=st.floats(0.0, 2e-4))
-@settings(deadline=None)
 def test_an_estimated_curve_gives_finite_values_near_the_truth(seed: int, noise: float) -> None:
     y = np.linspace(-7e-3, 7e-3, 29)
     measured = 0.5 * y + noise * np.random.default_rng(seed).standard_normal(29)

@@ -81,7 +81,7 @@ def test_the_papers_pair() -> None:
     displacement=st.floats(-8e-3, 8e-3).filter(lambda y: abs(y) > 1e-5),
     radius=st.floats(0.3, 0.6),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_cones_on_round_rails(conicity: float, displacement: float, radius: float) -> None:
     """Without roll rL - rR = 2 lambda y; with roll tan(phi) = lambda y / (Yc - lambda h), h the centre's depth."""
     head = 0.040

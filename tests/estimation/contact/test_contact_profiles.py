@@ -150,7 +150,7 @@ def test_no_wear_gives_the_new_profile() -> None:
     half_width=st.floats(20e-3, 50e-3),
     flange_wear=st.floats(0.0, 4e-3),
 )
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 def test_wear_only_takes_material_away_and_keeps_slopes_true(
     depth: float, centre: float, half_width: float, flange_wear: float
 ) -> None:

@@ -60,7 +60,7 @@ def test_what_is_left_of_a_wave_follows_the_formula(wavelength: float, left: flo
     assert found @ wave[inner] / (wave[inner] @ wave[inner]) == pytest.approx(left, abs=0.01)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     seed=st.integers(0, 10_000),
     gaps=st.lists(st.tuples(st.integers(300, 2500), st.integers(2, 60)), max_size=3),

@@ -18,7 +18,7 @@ def run_of(speed: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(0.002 * (speed[1:] + speed[:-1]))])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     n=st.integers(8, 1500),
@@ -75,7 +75,7 @@ def test_places_beyond_the_last_knot_are_in_the_last_interval() -> None:
     np.testing.assert_allclose(pieces[:, 3], [0.0, 1 / 6, 4 / 6, 1 / 6], atol=1e-11)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 1000), size=st.integers(1, 40), sides=st.integers(0, 5))
 def test_a_band_is_solved_as_the_whole_matrix(seed: int, size: int, sides: int) -> None:
     rng = np.random.default_rng(seed)

@@ -25,7 +25,7 @@ def oracle(system: FloatArray, wanted: FloatArray) -> FloatArray:
     return np.append(found[0] - found[-1], found[1:-1])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10_000), columns=st.integers(1, 40))
 def test_the_solution_is_that_of_lawson_and_hanson(seed: int, columns: int) -> None:
     system, wanted = drawn(seed, 60, columns)

@@ -109,7 +109,7 @@ def test_where_nothing_fits_the_nodes_stay_and_so_does_the_blur() -> None:
     assert found.left == pytest.approx(np.hypot(0.2e-3, WIDTH / np.sqrt(12.0)))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     place=st.floats(-1.5e-3, 1.5e-3),
     height=st.floats(-0.3e-3, 0.6e-3),

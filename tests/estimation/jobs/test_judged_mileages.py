@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
+from executed_statements import executed_statements
 from one_database import on_sqlite
-from sqlalchemy import Engine, event, select
+from sqlalchemy import select
 from wheelset_life import DAY_NS, START_NS, WINDOW_NS, SetClock, register, sample_window
 
 from estimation.jobs.job import JobContext
@@ -88,17 +89,11 @@ def test_new_windows_are_judged_beside_those_next_to_them(storage: SqlStorage, m
         judge(storage)
         put(storage, 10 * count + 5)
         put(storage, 55)
-        asked = [0]
-
-        def count_one(*_: object, asked: list[int] = asked) -> None:
-            asked[0] += 1
-
-        event.listen(Engine, "before_cursor_execute", count_one)
         monkeypatch.setattr(plausibility, "implausible_mileages", lambda *_: read.append(1))
-        assert judge(storage) == 0
+        with executed_statements() as executed:
+            assert judge(storage) == 0
         monkeypatch.undo()
-        event.remove(Engine, "before_cursor_execute", count_one)
-        statements.append(asked[0])
+        statements.append(len(executed))
     assert read == []
     assert max(statements) <= 16
 

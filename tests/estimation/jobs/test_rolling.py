@@ -10,10 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 from alignment_job import counts
+from executed_statements import executed_statements
 from paper_class import PAPER_CLASS, WINDOWS
 from section_runs import windows
 from smooth_wheelset import alignment, track
-from sqlalchemy import Engine, event
 
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.jobs.steps import rolling
@@ -261,24 +261,17 @@ def test_one_more_window_costs_itself(
 
 def cost(storage: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int]:
     """Return how many tables were added and how many statements executed by a run."""
-    added, executed = [0], [0]
+    added = [0]
     original = ExactSum.add
 
     def add(self: ExactSum, cells: FilledCells, weight: float = 1.0) -> None:
         added[0] += 1
         original(self, cells, weight)
 
-    def count(*_: object) -> None:
-        executed[0] += 1
-
-    monkeypatch.setattr(ExactSum, "add", add)
-    event.listen(Engine, "before_cursor_execute", count)
-    try:
+    with monkeypatch.context() as patch, executed_statements() as executed:
+        patch.setattr(ExactSum, "add", add)
         counts(storage, "refresh_geometry", SETTINGS)
-    finally:
-        event.remove(Engine, "before_cursor_execute", count)
-        monkeypatch.setattr(ExactSum, "add", original)
-    return added[0] // 2, executed[0]
+    return added[0] // 2, len(executed)
 
 
 def test_few_windows_wait_before_their_sums_are_written(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:

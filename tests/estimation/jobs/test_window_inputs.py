@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bogie_run import of_bogie
-from sqlalchemy import event
+from executed_statements import executed_statements
 from test_load_window import SECOND, register, window
 
 from estimation.errors import NotFoundError
@@ -136,22 +136,15 @@ def test_the_samples_of_a_bogie_are_read_once_for_both_of_its_axles(bogie: SqlSt
 
 def test_statements_do_not_grow_with_the_windows_of_a_batch(bogie: SqlStorage) -> None:
     def statements(keys: list[WindowKey]) -> int:
-        count = 0
-
-        def one_more(*_: object) -> None:
-            nonlocal count
-            count += 1
-
         with bogie.read() as unit:
             records = unit.windows.several(keys)
-            event.listen(bogie.engine, "before_cursor_execute", one_more)
-            inputs_of_batch(unit, records, ClassLookup(unit, EstimationSettings()))
-            tracks = tracks_of_batch(unit, records)
-            for record in records:
-                tracks.alignment(record)
-                tracks.layout(record)
-            event.remove(bogie.engine, "before_cursor_execute", one_more)
-        return count
+            with executed_statements() as executed:
+                inputs_of_batch(unit, records, ClassLookup(unit, EstimationSettings()))
+                tracks = tracks_of_batch(unit, records)
+                for record in records:
+                    tracks.alignment(record)
+                    tracks.layout(record)
+        return len(executed)
 
     assert statements(KEYS[:2]) == statements(KEYS[:1]) <= 14
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from oracles import hunting_blocks
 from swaying import Swaying, rough_track, sway
@@ -89,7 +89,6 @@ def test_what_resembles_hunting_in_part_is_none() -> None:
     assert find_hunting(lateral[:100], yaw[:100], speed[:100], interval) == NOT_HUNTING
 
 
-@settings(deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
     gain=st.sampled_from([0.0, 0.45, 0.5, 0.9, 1.0, 1.1]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from estimation.motion.integration_kernels import integrate_once, integrate_twice, take_out_mean
@@ -18,7 +18,6 @@ def running_integrals(rows: FloatArray) -> FloatArray:
     return found
 
 
-@settings(deadline=None)
 @given(seed=st.integers(0, 10_000), rows=st.integers(1, 5), n=st.integers(2, 400))
 def test_integrals_are_those_of_arrays(seed: int, rows: int, n: int) -> None:
     accelerations = np.random.default_rng(seed).normal(3.0, 1.0, (rows, n))

@@ -45,7 +45,7 @@ def class_of(*, gravity: bool, yaw_rate: bool, roll_rate: bool, on_file: bool) -
 
 # A window that runs with its rear end first.
 @example(seed=70, n=1000, gaps=[], kind=(False, False, False, False))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10_000),
     n=st.integers(300, 3000),

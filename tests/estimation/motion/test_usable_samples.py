@@ -38,7 +38,7 @@ def layout(*points: tuple[float, float, float]) -> TrackLayout:
     return TrackLayout("S1", 1, *np.array(points).T)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     corners=st.lists(st.floats(0.0, 2000.0), min_size=4, max_size=8, unique=True),
     radius=st.sampled_from([500.0, -900.0, 3000.0, 9000.0, 30_000.0]),

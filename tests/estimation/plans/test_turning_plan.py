@@ -133,7 +133,7 @@ def drawn(rows: list[tuple[float | None, float | None, float]], vehicle: str = "
     return found
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=60, derandomize=True)
 @given(vehicles, vehicles, st.one_of(st.none(), st.floats(0.0, 6e-3)), bounds, bounds, bounds)
 def test_nobody_due_is_left_out_limits_hold_and_vehicles_are_apart(
     rows: list[tuple[float | None, float | None, float]],

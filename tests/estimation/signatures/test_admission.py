@@ -122,7 +122,7 @@ def slow_families(groups: list[frozenset[str]]) -> set[frozenset[str]]:
 
 
 @given(groups_of)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_families_are_what_joining_pair_by_pair_gives(groups: list[frozenset[str]]) -> None:
     found = families(groups)
     assert set(found) == slow_families(groups)

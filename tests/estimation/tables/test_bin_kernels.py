@@ -61,7 +61,7 @@ def plain_moments(motion: Motion, parameters: BinParameters) -> tuple[FloatArray
     return lateral.weight, lateral.packed, yaw.packed
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 3000), in_bogie=st.booleans())
 def test_filled_cells_have_the_sums_of_plain_arrays(seed: int, n: int, *, in_bogie: bool) -> None:
     motion, parameters = motion_of(seed, n, in_bogie=in_bogie), BOGIE if in_bogie else SINGLE
@@ -77,7 +77,7 @@ def test_filled_cells_have_the_sums_of_plain_arrays(seed: int, n: int, *, in_bog
     assert pack_bin_table(table) == pack_bin_table(found)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=st.integers(0, 10_000), n=st.integers(1, 300), in_bogie=st.booleans())
 def test_equations_are_those_of_plain_arrays(seed: int, n: int, *, in_bogie: bool) -> None:
     motion = motion_of(seed, n, in_bogie=in_bogie)

@@ -71,7 +71,7 @@ def test_a_bin_equals_least_squares_on_its_samples() -> None:
     assert table.weight.sum(axis=0)[b] == inside.sum()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(cuts=st.lists(st.integers(0, 60_000), max_size=6), order=st.randoms(use_true_random=False))
 def test_any_split_in_any_order_gives_the_same_table(cuts: list[int], order: object) -> None:
     motion = ideal(run(60))

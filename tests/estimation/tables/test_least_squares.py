@@ -29,7 +29,7 @@ def _theta(moments: least_squares.Moments) -> np.ndarray:
     return least_squares.solve(moments.packed, moments.weight, moments.regressors, moments.targets).theta[0, :, 0]
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),
     forgetting=st.sampled_from([1.0, 0.999, 0.97]),

@@ -114,7 +114,7 @@ def test_alignment_and_conicity_come_out_of_unknown_track() -> None:
         assert np.nanmax(np.abs(found - expected)) < 0.02, life
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(order=st.permutations(range(6)), cut=st.integers(1, 5))
 def test_any_order_and_grouping_of_the_passes_gives_the_same(order: list[int], cut: int) -> None:
     found = fleet_passes()

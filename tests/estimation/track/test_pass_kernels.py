@@ -46,7 +46,7 @@ def _plain_design(item: GriddedPass, panel: Panel) -> FloatArray:
 @pytest.mark.parametrize("gauge", [False, True])
 @pytest.mark.parametrize("side", [1, -1])
 @given(seed=SEEDS, length=st.integers(5, 300), gap=st.booleans())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_rows_are_those_of_functions_filtered_one_by_one(
     gauge: bool,  # noqa: FBT001 - a test's switch
     side: int,
@@ -71,7 +71,7 @@ def test_rows_are_those_of_functions_filtered_one_by_one(
 
 
 @given(seed=SEEDS, n=st.integers(3, 60), reach=st.integers(0, 20), p=st.integers(1, 2), q=st.integers(1, 2))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_products_at_lags_are_those_of_shifted_signals(seed: int, n: int, reach: int, p: int, q: int) -> None:
     rng = np.random.default_rng(seed)
     reach = min(reach, n - 1)
@@ -87,7 +87,7 @@ def test_products_at_lags_are_those_of_shifted_signals(seed: int, n: int, reach:
 
 
 @given(seed=SEEDS, n=st.integers(2, 80), count=st.integers(2, 30), finer=st.integers(1, 4), first=st.integers(-9, 9))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_sampling_is_interpolation_then_convolution(seed: int, n: int, count: int, finer: int, first: int) -> None:
     rng = np.random.default_rng(seed)
     step = 0.0625

@@ -85,7 +85,7 @@ def solved(used: Sequence[Pass]) -> PanelSolution:
     return result(update(init(panel), [grid_pass(item, panel.grid) for item in used]))
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(kind=st.sampled_from(sorted(BAD)), number=st.integers(0, 5), place=st.integers(0, 12))
 def test_a_bad_pass_leaves_the_solution_of_the_others_as_it_was(kind: str, number: int, place: int) -> None:
     found = list(valid_passes())
@@ -207,7 +207,7 @@ def test_valid_windows_are_examined_without_a_reason() -> None:
             assert examined.outcome.reason is None
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(at=st.integers(3500, 11_500), metres=st.floats(2.0, 60.0), back=st.booleans())
 def test_a_position_that_jumps_inside_a_window_ends_the_pass_there(at: int, metres: float, back: bool) -> None:  # noqa: FBT001 - drawn
     jump = -metres if back else metres

@@ -55,14 +55,14 @@ def test_a_trend_holds_its_truth() -> None:
     assert trend.probability_over_limit == pytest.approx(0.0, abs=1e-3)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.permutations(range(12)))
 def test_the_order_of_points_does_not_matter_to_the_last_bit(order: list[int]) -> None:
     points = worn()
     assert same_values(refresh([points[i] for i in order], 0.4), refresh(points, 0.4))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     scale=st.floats(0.01, 100.0),
     shift=st.floats(-50.0, 50.0),
@@ -172,7 +172,7 @@ def test_probability_within_a_distance_follows_the_published_quantiles() -> None
     assert probability_within(refresh([], 0.15), 1.0) is None
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(seed=st.integers(0, 10**6), n=st.integers(2, 30), spread=st.floats(-6, 3), worst=st.floats(-8, 1))
 def test_whatever_the_points_a_trend_is_finite_and_its_quantiles_are_in_order(
     seed: int, n: int, spread: float, worst: float
