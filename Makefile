@@ -6,7 +6,7 @@ ARGS ?=
 # what one process has compiled serves the others: the tests start many
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rivals mutants chaos house clean bench-adhesion bench-rails bench-signatures bench-dampers bench-steps bench-limits
+.PHONY: demo test test-all check lint bench bench-estimation bench-world bench-vehicles bench-api bench-page bench-fleet bench-rivals mutants chaos house clean bench-adhesion bench-rails bench-signatures bench-dampers bench-steps bench-limits
 
 $(VENV)/.runtime: pyproject.toml constraints.txt
 	@echo "building the virtual environment in $(VENV) (about a minute)"
@@ -22,16 +22,22 @@ $(VENV)/.dev: $(VENV)/.runtime
 demo: $(VENV)/.runtime
 	@$(BIN)/treadwatch demo $(ARGS)
 
-test: $(VENV)/.dev
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal $(ARGS)
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist worksteal
+
+test: $(VENV)/.dev # what a change needs
+	$(PYTEST) --ignore tests/texts -m "not slow" $(ARGS)
+
+test-all: test # and what simulates, starts processes or kills them for long
+	$(PYTEST) --ignore tests/texts -m slow $(ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m pytest --quiet tests/texts
 
-check: lint test
+check: lint test-all
 
 bench-estimation: $(VENV)/.dev
 	$(BIN)/python -m bench section $(ARGS)

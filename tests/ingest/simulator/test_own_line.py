@@ -15,7 +15,7 @@ from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.fleet import prepare
 from ingest.simulator.scenario_file import read_scenario
 
-PAGE = Path(__file__).parents[2] / "docs" / "own-line.md"
+PAGE = Path(__file__).parents[3] / "docs" / "own-line.md"
 
 
 def own_files(folder: Path) -> None:

@@ -14,7 +14,7 @@ from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.registry_schema import RegistryObject
 from ingest.simulator.scenario_file import ScenarioTable
 
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def keys_of(model: type[BaseModel]) -> set[str]:

@@ -1,0 +1,36 @@
+"""Sources as text: imports without a cycle, functions that fit a screen, parameters documented, mutants in place."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from bench.house import complex_functions, import_faults, static_counts, undocumented_functions
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_what_is_reached_stays_reached() -> None:
+    cycles, arrows = import_faults(ROOT)
+    assert arrows == ()
+    assert not [cycle for cycle in cycles if cycle.startswith("estimation")]
+    assert list(complex_functions(ROOT)) == []
+    loose = next(static_counts(ROOT))
+    assert int(loose.now) <= 6
+
+
+@pytest.mark.parametrize(("package", "fewest"), [("estimation", 100), ("ingest", 50), ("fleet_db", 10)])
+def test_every_parameter_of_a_public_function_is_documented(package: str, fewest: int) -> None:
+    undocumented, public = undocumented_functions(ROOT, [package])
+    assert undocumented == ()
+    assert public > fewest, "the count reads the functions of the package"
+
+
+def test_every_mutant_has_its_place_and_its_tests() -> None:
+    listed = tomllib.loads((ROOT / "bench" / "mutants.toml").read_text(encoding="utf-8"))["threshold"]
+    assert len(listed) > 200
+    for entry in listed:
+        assert (ROOT / entry["module"]).read_text(encoding="utf-8").count(entry["find"]) == 1, entry["name"]
+        assert all((ROOT / test).exists() for test in entry["tests"]), entry["name"]
