@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -32,6 +32,7 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Window
+from fleet_db.storage import SqlStorage
 from fleet_db.stores.rails import RailsStore
 
 WEAR = 0.04  # what the rails of S2 add to every conicity
@@ -60,9 +61,8 @@ def put_worn(storage: Storage, number: int, day: int = 1) -> None:
             unit.windows.put(replace(window, start_ns=window.start_ns + day * DAY_NS), 10.0 + day, 1)
 
 
-@pytest.fixture
-def received(storage: Storage) -> Storage:
-    """Return a store with runs on both sections, estimated; one wheelset ran on worn rails alone."""
+def run_on_both_sections(storage: Storage) -> None:
+    """Store runs on both sections, estimated; one wheelset ran on worn rails alone."""
     register(storage, ("S1", "S2"))
     with storage.write() as unit:
         for code in ("S1", "S2"):
@@ -71,6 +71,14 @@ def received(storage: Storage) -> Storage:
     for number in (*EVERYWHERE, ONLY_WORN):
         put_worn(storage, number)
     estimate(storage)
+
+
+@pytest.fixture
+def received(storage: SqlStorage, filled_storage: Callable[[Callable[[SqlStorage], object]], SqlStorage]) -> Storage:
+    """Return a store with what ``run_on_both_sections`` stores; on SQLite a copy."""
+    if storage.engine.dialect.name == "sqlite":
+        return filled_storage(run_on_both_sections)
+    run_on_both_sections(storage)
     return storage
 
 

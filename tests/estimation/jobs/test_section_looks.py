@@ -37,10 +37,7 @@ def news(storage: SqlStorage, code_version: str = "test") -> list[set[str]]:
         return [set(section_news(unit, context_of(storage, code_version), stage)) for stage in STAGES]
 
 
-@pytest.fixture
-def at_rest(new_sqlite_storage: Callable[[], SqlStorage]) -> SqlStorage:
-    """Return a store with windows on one of two surveyed sections, on which jobs found nothing more to do."""
-    storage = new_sqlite_storage()
+def come_to_rest(storage: SqlStorage) -> None:
     register(storage, ("S1", "S2"))
     with storage.write() as unit:
         for code in ("S1", "S2"):
@@ -51,7 +48,12 @@ def at_rest(new_sqlite_storage: Callable[[], SqlStorage]) -> SqlStorage:
             counts(storage, stage)
     with storage.read() as unit:
         assert unit.windows.counts()["estimated"] > 0
-    return storage
+
+
+@pytest.fixture
+def at_rest(filled_storage: Callable[[Callable[[SqlStorage], object]], SqlStorage]) -> SqlStorage:
+    """Return a store with windows on one of two surveyed sections, on which jobs found nothing more to do."""
+    return filled_storage(come_to_rest)
 
 
 def first_window(unit: SqlUnitOfWork) -> tuple[str, int]:
