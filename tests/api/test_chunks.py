@@ -182,6 +182,7 @@ def test_a_client_that_breaks_off_leaves_nothing(running: Running) -> None:
     assert one.put(running.client).status_code == 201
 
 
+@pytest.mark.slow
 def test_a_client_that_waits_for_leave_to_send_is_refused_before_it_sends(tmp_path: Path) -> None:
     one = upload(8)
     head = one.head(len(one.content)).replace(b"\r\n\r\n", b"\r\nExpect: 100-continue\r\n\r\n")
@@ -193,6 +194,7 @@ def test_a_client_that_waits_for_leave_to_send_is_refused_before_it_sends(tmp_pa
             assert (status, b"retry-after: 30" in text.lower()) == (503, True)
 
 
+@pytest.mark.slow
 def test_a_service_killed_in_the_middle_of_uploads_has_every_chunk_that_it_answered(tmp_path: Path) -> None:
     some = [upload(100 + number, 300_000) for number in range(200)]
     answered: list[str] = []
@@ -226,6 +228,7 @@ def test_a_service_killed_in_the_middle_of_uploads_has_every_chunk_that_it_answe
             assert len(unit.chunks.with_state(ChunkState.STORED, 1000)) == len(some)
 
 
+@pytest.mark.slow
 def test_a_chunk_that_fits_on_no_disk_is_sent_again_later(tmp_path: Path) -> None:
     """A file may have 500 kB only: the disk of this service is full in the middle of a chunk."""
     small, large = upload(9, 100_000), upload(10, 900_000)
@@ -245,6 +248,7 @@ def limit_files(process: subprocess.Popen[bytes], size: int) -> None:
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("setting", "value", "limit", "after"),
     [

@@ -159,6 +159,7 @@ def test_errors_are_those_of_the_amplitudes_that_are_estimated() -> None:
     assert not any(item[1] for item in compared if item)
 
 
+@pytest.mark.slow
 def test_a_tiny_section_is_compared_printed_and_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 1)  # the other cores have tests of their own
     path = tmp_path / "tiny.toml"

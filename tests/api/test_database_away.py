@@ -45,6 +45,7 @@ def with_password(server: PostgresServer) -> str:
     return server.url.replace("postgres@", f"postgres:{QUOTED}@")
 
 
+@pytest.mark.slow
 def test_requests_are_refused_quickly_and_logged_once(server: PostgresServer, tmp_path: Path) -> None:
     with (
         service_process(tmp_path, with_password(server), LOG_FORMAT="json") as service,
@@ -94,6 +95,7 @@ def scheduler_process(server: PostgresServer, folder: Path) -> Iterator[tuple[su
         process.wait(60)
 
 
+@pytest.mark.slow
 def test_the_scheduler_leaves_no_password_either(server: PostgresServer, tmp_path: Path) -> None:
     try:
         with scheduler_process(server, tmp_path) as (_, log):
@@ -108,6 +110,7 @@ def test_the_scheduler_leaves_no_password_either(server: PostgresServer, tmp_pat
 WAITS = "the start waits for the database"
 
 
+@pytest.mark.slow
 def test_a_service_that_starts_while_the_database_is_away_waits_for_it(server: PostgresServer, tmp_path: Path) -> None:
     server.stop()
     try:
@@ -139,6 +142,7 @@ def test_a_service_that_starts_while_the_database_is_away_waits_for_it(server: P
         assert without_password(text)
 
 
+@pytest.mark.slow
 def test_a_service_that_waits_ends_on_a_signal(server: PostgresServer, tmp_path: Path) -> None:
     server.stop()
     try:
@@ -150,6 +154,7 @@ def test_a_service_that_waits_ends_on_a_signal(server: PostgresServer, tmp_path:
         server.start()
 
 
+@pytest.mark.slow
 def test_a_database_that_answers_and_cannot_be_used_ends_the_service(server: PostgresServer, tmp_path: Path) -> None:
     with psycopg.connect(server.url, autocommit=True) as connection:
         connection.execute("CREATE DATABASE empty")

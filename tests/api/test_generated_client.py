@@ -11,6 +11,8 @@ import api_fleet
 import pytest
 from running_service import Service
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parent.parent.parent
 POLLER = ROOT / "docs" / "client" / "poller.py"
 LINES = 30

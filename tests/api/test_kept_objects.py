@@ -28,6 +28,7 @@ serve(load_settings(), Event())
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [AS_WORKER, AS_COMMAND])
 def test_what_a_server_has_loaded_is_not_collected_through_again(tmp_path: Path, how: str) -> None:
     environment = {**os.environ, "TREADWATCH_DATA_DIR": str(tmp_path), "TREADWATCH_PORT": "0"}
@@ -50,6 +51,7 @@ print(before, os.environ["OPENBLAS_NUM_THREADS"], threads() - begun)
 """
 
 
+@pytest.mark.slow
 def test_linear_algebra_of_a_worker_of_the_server_runs_on_one_thread(tmp_path: Path) -> None:
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     upgrade(Settings(data_dir=tmp_path, _env_file=None).url)

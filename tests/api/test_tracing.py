@@ -93,6 +93,7 @@ def _migrated(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_requests_and_jobs_are_spans_and_the_log_names_their_trace(collector: Collector, tmp_path: Path) -> None:
     with service_process(_migrated(tmp_path), log_level="info", LOG_FORMAT="json") as service:
         secret = {"Authorization": "Bearer tw_secret"}
@@ -113,6 +114,7 @@ def test_requests_and_jobs_are_spans_and_the_log_names_their_trace(collector: Co
     assert not any("/feed" in name for name in collector.spans)  # it lasts for as long as nothing happens
 
 
+@pytest.mark.slow
 def test_a_collector_that_is_away_is_reported_once_and_not_waited_for(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

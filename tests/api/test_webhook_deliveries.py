@@ -317,6 +317,7 @@ def test_what_was_sent_and_could_not_be_stored_is_sent_again_under_the_same_id(
     assert (sent.state, deployment.state(number).position) == (DeliveryState.DELIVERED, sent.sequence)
 
 
+@pytest.mark.slow
 def test_a_service_that_is_killed_before_it_stores_sends_again(tmp_path: Path) -> None:
     """The receiver has the event when the process is killed; another one takes over, with the same id."""
     url = f"sqlite:///{tmp_path / 'data' / 'treadwatch.sqlite'}"

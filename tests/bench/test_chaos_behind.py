@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from bench.chaos.catalogue import parts
 from bench.chaos.part import ChaosSettings
+
+pytestmark = pytest.mark.slow
 
 
 def test_chunks_that_nobody_decodes_are_kept_or_refused_and_assembled_later(tmp_path: Path) -> None:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from bench.chaos.catalogue import parts
 from bench.chaos.part import ChaosSettings
+
+pytestmark = pytest.mark.slow
 
 
 def test_300_half_open_connections_are_cut_and_leave_a_short_log(tmp_path: Path) -> None:

@@ -10,6 +10,8 @@ from multicast import multicast_problem
 from bench.chaos.catalogue import parts
 from bench.chaos.part import ChaosSettings
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.usefixtures("live_bus")
 def test_kills_while_the_database_is_away_lose_and_double_nothing(tmp_path: Path) -> None:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from bench.chaos.catalogue import parts
 from bench.chaos.part import ChaosSettings
+
+pytestmark = pytest.mark.slow
 
 
 def test_mistakes_in_the_registry_that_were_corrected_leave_nothing_behind(tmp_path: Path) -> None:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from bench.chaos.catalogue import parts
 from bench.chaos.part import ChaosSettings
+
+pytestmark = pytest.mark.slow
 
 
 def test_workers_that_are_harmed_lose_and_double_nothing(tmp_path: Path) -> None:

@@ -82,6 +82,7 @@ def test_what_was_compiled_is_loaded_by_the_next_process(installed: Path, writab
     assert first.stdout.partition("[[")[2] == second.stdout.partition("[[")[2]
 
 
+@pytest.mark.slow
 def test_the_default_is_the_users_directory_for_caches(installed: Path, writable: Path) -> None:
     assert counts(run(installed, home=str(writable))) == [0, 1, 0]
     assert len(list((writable / ".cache/treadwatch/compiled").glob("*.compiled"))) == 1
@@ -90,6 +91,7 @@ def test_the_default_is_the_users_directory_for_caches(installed: Path, writable
     assert len(list((other / "treadwatch/compiled").iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_a_directory_that_can_only_be_read_is_read(installed: Path, writable: Path) -> None:
     run(installed, TREADWATCH_COMPILED_DIR=str(writable))
     for path in [*writable.rglob("*"), writable]:
@@ -98,6 +100,7 @@ def test_a_directory_that_can_only_be_read_is_read(installed: Path, writable: Pa
     assert (counts(done), done.stderr) == ([1, 0, 0], "")
 
 
+@pytest.mark.slow
 def test_another_cpu_compiles_its_own_and_leaves_the_other(installed: Path, writable: Path) -> None:
     run(installed, TREADWATCH_COMPILED_DIR=str(writable))
     foreign = run(installed, TREADWATCH_COMPILED_DIR=str(writable), NUMBA_CPU_NAME="generic", NUMBA_CPU_FEATURES="")
@@ -105,6 +108,7 @@ def test_another_cpu_compiles_its_own_and_leaves_the_other(installed: Path, writ
     assert counts(run(installed, TREADWATCH_COMPILED_DIR=str(writable))) == [1, 0, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["cut", "one bit", "emptied", "other content", "open to everybody", "a directory"])
 def test_damaged_code_is_compiled_again(installed: Path, writable: Path, damage: str) -> None:
     run(installed, TREADWATCH_COMPILED_DIR=str(writable))
@@ -124,6 +128,7 @@ def test_damaged_code_is_compiled_again(installed: Path, writable: Path, damage:
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_a_change_of_a_called_function_in_another_file_is_noticed(tmp_path: Path) -> None:
     program = "import caller\nfrom estimation.compiled import COUNTS\nprint(caller.twice(4), COUNTS.loaded)"
     decorated = "from estimation.compiled import compiled\nFACTOR = 2\n@compiled()\n"
@@ -144,6 +149,7 @@ def test_a_change_of_a_called_function_in_another_file_is_noticed(tmp_path: Path
     assert said() == "12 0\n"
 
 
+@pytest.mark.slow
 def test_the_command_compiles_what_is_loaded_after_it(installed: Path, writable: Path) -> None:
     command = "import sys\nfrom api.cli import main\nsys.argv = {}\nmain()"
     first = "import os\nfrom api.compiled_code import choose_compiled_code\nchoose_compiled_code(os.environ)\n"

@@ -61,6 +61,7 @@ def interpreted(kernels: dict[str, CodeType]) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_every_line_of_every_kernel_runs(kernels: dict[str, CodeType], interpreted: dict[str, Any]) -> None:
     assert len(kernels) >= 30
     missed = set()

@@ -100,6 +100,7 @@ def deployment(empty_postgres_url: str, tmp_path: Path) -> Deployment:
     return Deployment(empty_postgres_url, tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("live_bus")
 def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment, treadwatch: Run) -> None:
     for name in ("migrate", "registry"):

@@ -6,6 +6,7 @@ import random
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import pytest
 from alignment_job import DAY_NS, counts, register
 from section_runs import windows
 
@@ -62,6 +63,7 @@ def test_windows_in_pieces_late_and_out_of_order_give_the_state_of_all_at_once(
     assert played(new_sqlite_storage(), [rest[:3], rest[3:], late]) == expected
 
 
+@pytest.mark.slow
 def test_what_is_taken_away_again_leaves_the_state_without_it(new_sqlite_storage: Callable[[], SqlStorage]) -> None:
     """Positions that a short piece has fixed are found again; superseded versions stay on record."""
     ordered = arriving()

@@ -187,6 +187,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WRONG)
 def test_a_wrong_recording_is_not_used_and_the_fleet_finds_the_track_itself(
     sqlite_storage: Storage, without: dict[str, GeometryRecord], kind: str

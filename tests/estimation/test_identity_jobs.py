@@ -124,7 +124,11 @@ def mistakes(storage: Storage) -> dict[str | None, tuple[object, object]]:
     return {alert.wheelset: (alert.evidence["mistake"], alert.evidence["partner"]) for alert in found}
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["track on file", "track found by the fleet"])
+@pytest.fixture(
+    scope="module",
+    params=[True, pytest.param(False, marks=pytest.mark.slow)],
+    ids=["track on file", "track found by the fleet"],
+)
 def recorded(request: pytest.FixtureRequest) -> bool:
     """Return whether the section has been recorded; else the passes determine it, the mistaken ones included."""
     found: bool = request.param

@@ -60,6 +60,7 @@ def verdict(storage: Storage) -> object:
     return report(storage).report["recording_code"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, 1e3])
 def test_the_verdict_on_a_recording_stays_once_it_is_made(sqlite_storage: SqlStorage, factor: float) -> None:
     storage = sqlite_storage
@@ -81,6 +82,7 @@ def test_the_verdict_on_a_recording_stays_once_it_is_made(sqlite_storage: SqlSto
     assert verdict(storage) == "survey_confirmed"
 
 
+@pytest.mark.slow
 def test_a_survey_that_could_not_be_assessed_is_judged_again(sqlite_storage: SqlStorage) -> None:
     storage = sqlite_storage
     register(storage)
@@ -115,6 +117,7 @@ def gauged() -> TrackAlignment:
     return replace(known, gauge_deviation=gauge, gauge_deviation_std=np.full(len(known.s), 0.1e-3))
 
 
+@pytest.mark.slow
 def test_what_a_recorded_gauge_does_to_wheelsets_becomes_a_version_of_the_recording(
     sqlite_storage: SqlStorage,
 ) -> None:
@@ -242,6 +245,7 @@ def test_of_a_section_whose_gauge_alone_is_on_file_the_fleet_finds_the_alignment
     assert in_force(storage).gauge_known
 
 
+@pytest.mark.slow
 def test_a_track_file_that_comes_later_lets_the_windows_be_looked_at_again(
     sqlite_storage: SqlStorage, tmp_path: Path
 ) -> None:

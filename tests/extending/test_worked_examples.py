@@ -48,6 +48,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return copy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("example", ["alert_rule", "estimator", "log_format", "profile_format"])
 def test_the_example_works(extended: Path, tmp_path: Path, example: str) -> None:
     path = os.pathsep.join((str(extended), str(ROOT / "tests" / "estimation")))

@@ -125,6 +125,7 @@ def test_a_reader_cannot_write(fleet: SqlStorage) -> None:
         assert [record.code for record in unit.registry.fleets()] == ["F-1", "F-3"]
 
 
+@pytest.mark.slow
 def test_writers_in_threads_and_processes_all_get_through(fleet: SqlStorage) -> None:
     def write(name: str) -> None:
         for number in range(25):

@@ -136,6 +136,7 @@ def test_sigterm_ends_a_job_at_its_next_batch(sqlite_url: str, tmp_path: Path) -
     storage.close()
 
 
+@pytest.mark.slow
 def test_a_second_scheduler_is_refused_with_the_name_of_the_first(storage_url: str, tmp_path: Path) -> None:
     with scheduler_process(storage_url, tmp_path) as first:
         lines_until(first, "half 0")

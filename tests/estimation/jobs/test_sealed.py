@@ -106,6 +106,7 @@ def test_sums_without_tables_give_the_same_geometry_bit_for_bit(
     assert pack_geometry(geometries(sqlite_storage)[0].geometry) == pack_geometry(before[0].geometry)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_late_windows_are_added_to_sums_without_tables(
     sqlite_storage: SqlStorage, tables: list[BinTable], seed: int

@@ -6,6 +6,10 @@ import subprocess
 import sys
 import textwrap
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 ROUNDS = 1500
 PROGRAM = textwrap.dedent(
     """

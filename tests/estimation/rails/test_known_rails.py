@@ -73,6 +73,7 @@ def test_sections_that_nothing_connects_are_not_compared() -> None:
     assert not apart([*on({"A": 0.0, "C": 0.1}), *island], "A", "B").refused
 
 
+@pytest.mark.slow
 def test_known_sections_of_drawn_fleets_are_seldom_refused_and_worn_ones_found() -> None:
     alike, worn = 0, []
     for seed in range(20):

@@ -147,6 +147,7 @@ def test_recordings_hold_the_frames_and_are_named_by_vehicle_and_start(scenario:
     assert same_values(read_log(report.recordings[0].path), frames_of(scenario)[0])
 
 
+@pytest.mark.slow
 def test_workers_change_nothing(scenario: Scenario, report: FleetReport, tmp_path: Path) -> None:
     again = run_fleet(scenario, tmp_path, workers=2)
     folder = report.registry.parent
