@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import no_access_log  # noqa: F401 - before any service is started
 import one_thread  # noqa: F401 - must come before whatever loads the linear algebra
 import open_access  # noqa: F401 - before any settings are read
 import psycopg

@@ -31,7 +31,7 @@ Run = Callable[..., Done]
 def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
     """Yield what runs a command; its traces are removed afterwards."""
     signals = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
-    handlers, level = logging.root.handlers[:], logging.root.level
+    handlers, level, structured = logging.root.handlers[:], logging.root.level, structlog.get_config()
 
     def run(*arguments: object, **environment: str) -> Done:
         monkeypatch.setattr(sys, "argv", ["treadwatch", *map(str, arguments)])
@@ -50,4 +50,4 @@ def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
         signal.signal(number, handler)
     logging.root.handlers[:] = handlers
     logging.root.setLevel(level)
-    structlog.reset_defaults()
+    structlog.configure(**structured)

@@ -30,7 +30,7 @@ Configured = Callable[[str], io.StringIO]
 def configured(monkeypatch: pytest.MonkeyPatch) -> Iterator[Configured]:
     """Yield what sets the logs up and returns what is written; they are as before at the end."""
     root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
+    handlers, level, structured = root.handlers[:], root.level, structlog.get_config()
 
     def configure(form: str) -> io.StringIO:
         stream = io.StringIO()
@@ -42,7 +42,7 @@ def configured(monkeypatch: pytest.MonkeyPatch) -> Iterator[Configured]:
     root.handlers[:] = handlers
     root.setLevel(level)
     logging.captureWarnings(capture=False)
-    structlog.reset_defaults()
+    structlog.configure(**structured)
 
 
 def fail(message: str, depth: int = 0) -> None:
