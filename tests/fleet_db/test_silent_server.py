@@ -48,6 +48,7 @@ def fleets(storage: SqlStorage) -> int | None:
         return unit.connection.scalar(text("SELECT count(*) FROM fleets"))
 
 
+@pytest.mark.slow
 def test_a_frozen_server_is_given_up_and_used_again(server: PostgresServer, tmp_path: Path) -> None:
     with opened(server, QUICK, tmp_path) as storage:
         assert fleets(storage) == 0

@@ -108,6 +108,7 @@ def test_what_is_lost_is_found_by_a_scrub_and_healed_by_sending_it_again(
     assert whole in digests(registered)
 
 
+@pytest.mark.slow
 def test_while_a_bucket_is_away_nothing_counts_as_lost(registered: SqlStorage, tmp_path: Path) -> None:
     with running_s3_server() as server:
         behind = in_bucket(server, "raw", tmp_path, timeout_s=1.0)

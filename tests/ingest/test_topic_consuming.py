@@ -177,6 +177,7 @@ def test_a_gateway_may_put_chunks_into_a_folder_or_a_bucket(
     assert [one.state for one in found if one is not None] == [ChunkState.DECODED] * 3
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_while_a_bucket_is_away_references_wait_and_none_is_quarantined(
     sqlite_storage: SqlStorage, cluster: MockCluster, tmp_path: Path

@@ -183,6 +183,7 @@ def _then_one_jumps(among: Deployment, jumping: Sequence[Edited]) -> None:
 Spoil = Callable[[float, float], tuple[float, float]]
 
 
+@pytest.mark.slow
 def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_why(
     deploy: Deploy, report: FleetReport, tmp_path: Path, on_unknown_track: dict[str, Any]
 ) -> None:
@@ -208,6 +209,7 @@ def test_a_track_file_that_the_fleet_contradicts_is_not_used_and_the_api_says_wh
     assert geometries(found) == on_unknown_track
 
 
+@pytest.mark.slow
 def test_two_swapped_vehicles_wheelsets_are_reported_and_kept_apart(
     deploy: Deploy, report: FleetReport, tmp_path: Path
 ) -> None:

@@ -63,6 +63,7 @@ def estimated(fleet: Deployment) -> tuple[set[tuple[str, int]], set[tuple[str, i
     return said, tables
 
 
+@pytest.mark.slow
 def test_a_killed_job_leaves_nothing_half_written_and_the_next_run_completes(
     fleet: Deployment, second_fleet: Deployment, storage_url: str, report: FleetReport
 ) -> None:

@@ -7,6 +7,7 @@ import re
 import shutil
 from pathlib import Path
 
+import pytest
 from page_place import Place
 from tiny_fleet import DEAD, WORN
 
@@ -41,6 +42,7 @@ def test_the_page_is_run_line_by_line(place: Place) -> None:
     assert place.windows() == right
 
 
+@pytest.mark.slow
 def test_lost_windows_that_a_corrected_track_file_needs_are_made_again(place: Place) -> None:
     place("treadwatch ingest --registry registry.json recordings/")
     place("treadwatch estimate")
@@ -59,6 +61,7 @@ def test_lost_windows_that_a_corrected_track_file_needs_are_made_again(place: Pl
     assert place.windows() == right
 
 
+@pytest.mark.slow
 def test_two_wheelsets_that_were_swapped_in_the_file_are_put_right_by_the_file(place: Place) -> None:
     registry = place.folder / "registry.json"
     right = json.loads(registry.read_text(encoding="utf-8"))

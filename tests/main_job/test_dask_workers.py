@@ -24,6 +24,8 @@ from estimation.jobs.settings import EstimationSettings
 from estimation.values.runs import JobRun, JobTrigger
 from ingest.simulator.fleet import FleetReport
 
+pytestmark = pytest.mark.slow
+
 LEASE_S = 4.0
 
 

@@ -26,6 +26,7 @@ def in_a_process(*arguments: str | Path, cwd: Path, columns: int = 200) -> subpr
     return subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd, env=environment, timeout=300)
 
 
+@pytest.mark.slow
 def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path) -> None:
     arguments = ("demo", "--once", "--scenario", scenario_file, "--folder", "own", "--port", "0")
     done = in_a_process(*arguments, cwd=tmp_path)
@@ -47,6 +48,7 @@ def test_the_demo_prints_its_table_and_ends(scenario_file: Path, tmp_path: Path)
     assert (tmp_path / "own" / "data" / "treadwatch.sqlite").is_file()
 
 
+@pytest.mark.slow
 def test_the_demo_shows_a_signature_where_geometry_is_silent_and_low_adhesion(tmp_path: Path) -> None:
     arguments = ("demo", "--once", "--scenario", "demo_autumn", "--folder", "own", "--port", "0")
     done = in_a_process(*arguments, cwd=tmp_path, columns=400)

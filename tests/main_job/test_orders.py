@@ -35,6 +35,7 @@ def versions(fleet: Deployment, serial: str) -> list[GeometryRecord]:
         return list(unit.geometries.intervals(serial))
 
 
+@pytest.mark.slow
 def test_a_late_recording_changes_the_geometries_it_belongs_to_and_no_other(
     fleet: Deployment, second_fleet: Deployment, report: FleetReport
 ) -> None:

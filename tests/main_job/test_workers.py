@@ -82,6 +82,7 @@ def test_worker_processes_give_what_one_process_gives_and_nothing_is_done_twice(
     assert workers.replaced == 0
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_or_stands_still_is_replaced_and_its_work_done_again(
     fleet: Deployment, second_fleet: Deployment, report: FleetReport
 ) -> None:
@@ -97,6 +98,7 @@ def test_a_worker_that_is_killed_or_stands_still_is_replaced_and_its_work_done_a
     compared(fleet, second_fleet)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("storage_url", ["postgresql"], indirect=True)
 def test_workers_that_stood_still_with_their_machine_go_on(
     fleet: Deployment, second_fleet: Deployment, report: FleetReport
@@ -113,6 +115,7 @@ def test_workers_that_stood_still_with_their_machine_go_on(
     compared(fleet, second_fleet)
 
 
+@pytest.mark.slow
 def test_what_ends_three_workers_is_set_aside_and_the_others_go_on(fleet: Deployment, report: FleetReport) -> None:
     fleet.receive(report.recordings[:2])
     with fleet.storage.read() as unit:
@@ -142,6 +145,7 @@ def test_what_ends_three_workers_is_set_aside_and_the_others_go_on(fleet: Deploy
         assert unit.quarantine.held("estimate_windows") == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("job", ["estimate_windows", "refresh_geometry"])
 @pytest.mark.parametrize("where", ["read", "commit"])
 def test_a_worker_that_was_stopped_for_longer_than_its_lease_stores_nothing_when_it_wakes(
