@@ -104,6 +104,7 @@ def test_chunks_become_windows(s3_server: S3Server, tmp_path: Path, monkeypatch:
         assert (deleted.status_code, name_of(sent[0]) in service.names()) == (200, False)
 
 
+@pytest.mark.slow
 def test_while_the_bucket_is_away_chunks_are_refused_and_taken_when_it_is_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -122,6 +123,7 @@ def test_while_the_bucket_is_away_chunks_are_refused_and_taken_when_it_is_back(
         assert service.names() == sorted(name_of(one) for one in (first, second, third))
 
 
+@pytest.mark.slow
 def test_a_wrong_key_refuses_chunks_and_is_named_in_the_log(
     s3_server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,6 +142,7 @@ def _with_wrong_key(server: S3Server, prefix: str) -> dict[str, str]:
     return named | {"AWS_ACCESS_KEY_ID": "TESTERKEY", "AWS_SECRET_ACCESS_KEY": "not-the-key"}
 
 
+@pytest.mark.slow
 def test_a_service_that_is_killed_leaves_no_receipt_without_its_object(
     s3_server: S3Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -172,6 +175,7 @@ def test_a_service_that_is_killed_leaves_no_receipt_without_its_object(
         assert service.receipts() == {name[3:67] for name in service.names()} == {one.digest for one in some}
 
 
+@pytest.mark.slow
 def test_two_services_that_get_the_same_chunk_at_once_store_it_once(
     s3_server: S3Server, postgres_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

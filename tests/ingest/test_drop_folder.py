@@ -175,6 +175,7 @@ def test_one_process_watches_a_folder(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_a_watcher_that_is_killed_again_and_again_loses_and_doubles_nothing(
     sqlite_storage: SqlStorage, sqlite_url: str, tmp_path: Path
 ) -> None:

@@ -112,6 +112,7 @@ def test_what_cannot_be_meant_is_refused(tmp_path: Path) -> None:
         run("--interface", "udp_multicast")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("live_bus")
 def test_a_live_bus_is_received_until_a_stop_is_requested(
     deployment: SqlStorage, monkeypatch: pytest.MonkeyPatch

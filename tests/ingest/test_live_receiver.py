@@ -144,6 +144,7 @@ def test_every_frame_of_a_bus_has_its_receipt_once(live: Live) -> None:
     assert (live.status.pieces_stored, live.status.frames_dropped) == (len(live.outcomes), 0)
 
 
+@pytest.mark.slow
 def test_a_database_that_goes_away_is_waited_for(tmp_path: Path) -> None:
     with stoppable_server() as server:
         upgrade(server.url)
@@ -347,6 +348,7 @@ def command(folder: Path, database: str, port: int) -> Iterator[subprocess.Popen
         watchdog.cancel()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("live_bus")
 def test_a_killed_receiver_leaves_what_the_next_one_stores(sqlite_url: str, tmp_path: Path) -> None:
     problem = multicast_problem()

@@ -118,6 +118,7 @@ def decoded(storage: SqlStorage) -> int:
         return len(unit.chunks.with_state(ChunkState.DECODED, 1000))
 
 
+@pytest.mark.slow
 def test_a_consumer_that_is_killed_is_followed_by_another_and_nothing_is_lost_or_doubled(
     deployment: SqlStorage, storage_url: str, cluster: MockCluster, tmp_path: Path
 ) -> None:
