@@ -28,7 +28,7 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
 
 def soon(found: Callable[[], bool]) -> bool:
     """Return whether it is so within some seconds: refusals are written beside the requests."""
-    until = time.monotonic() + 20.0
+    until = time.monotonic() + 60.0
     while not found():
         if time.monotonic() > until:
             return False

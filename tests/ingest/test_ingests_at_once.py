@@ -24,7 +24,7 @@ from ingest.receiver import ATTEMPTS_BESIDE_OTHERS, ChunkReceipt, Decoded, Recei
 
 LENGTH_S = 10.0
 WAITING = "SELECT count(*) FROM pg_locks WHERE NOT granted"
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 class CountingClock:

@@ -20,7 +20,7 @@ from api.settings import Settings
 from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
 
-PATIENCE_MS = 15_000.0
+PATIENCE_MS = 60_000.0
 
 
 @dataclass(frozen=True)
