@@ -23,7 +23,7 @@ from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send
 from ingest.logs import write_blf
 
-STORED_WITHIN_S = 20.0
+STORED_WITHIN_S = 60.0
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ import httpx
 import page_fleet
 import pytest
 from chromium import chromium
-from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, expect, sync_playwright
 from service_process import ServiceProcess, service_process
 
 from api.factory import open_store
@@ -21,6 +21,7 @@ from fleet_db.migrate import upgrade
 from fleet_db.storage import SqlStorage
 
 PATIENCE_MS = 60_000.0
+expect.set_options(timeout=PATIENCE_MS)
 
 
 @dataclass(frozen=True)

@@ -115,9 +115,9 @@ def test_what_has_changed_meanwhile_is_shown_and_not_overwritten(
 
 
 def test_a_new_alert_appears_by_itself(page: Page, page_service: ServiceProcess, stored: SqlStorage) -> None:
-    page.goto(f"{page_service.url}/#/alerts?kind=hunting")
+    with page.expect_response(lambda response: "after=latest" in response.url):  # the feed is followed from its end
+        page.goto(f"{page_service.url}/#/alerts?kind=hunting")
     expect(page.locator('[data-state="empty"]')).to_contain_text("No open alert")
-    page.wait_for_timeout(1_000)  # the feed is followed from its end
     new = api_fleet.raised(stored, "WS-010", "hunting")
     expect(row_of(page, new)).to_contain_text("WS-010")
 
