@@ -29,6 +29,7 @@ def _rest(service: Service, cursor: str) -> list[tuple[int, str]]:
         cursor = page["next_cursor"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_thirty_days_away_and_the_shortest_retention_miss_nothing(
     kind: str, tmp_path: Path, postgres_server_url: str

@@ -140,7 +140,7 @@ def without_on_record(new_sqlite_storage: Callable[[], Storage]) -> dict[str, Ge
     return geometries(storage)
 
 
-@pytest.mark.parametrize("track_is", ["unknown", "recorded"])
+@pytest.mark.parametrize("track_is", [pytest.param("unknown", marks=pytest.mark.slow), "recorded"])
 def test_bad_passes_are_refused_with_their_reason_and_the_others_stay_as_they_were(
     sqlite_storage: Storage, request: pytest.FixtureRequest, track_is: str
 ) -> None:

@@ -224,6 +224,7 @@ def test_two_swapped_wheelsets_are_reported_and_not_averaged(
     as_they_were(storage, without, "C", "D", recorded=recorded)
 
 
+@pytest.mark.slow
 def test_a_wheelset_turned_round_is_reported_and_as_before_when_that_is_on_file(
     continued: Continued, without: Storage, tmp_path: Path, *, recorded: bool
 ) -> None:

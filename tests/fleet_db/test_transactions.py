@@ -181,6 +181,7 @@ def test_a_second_scheduler_is_refused(fleet: SqlStorage) -> None:
         pass
 
 
+@pytest.mark.slow
 def test_a_killed_scheduler_lets_the_next_one_in(fleet: SqlStorage) -> None:
     with process(LOCK_AND_HANG, fleet) as running:
         assert line_of(running) == "locked"

@@ -165,6 +165,7 @@ OUTCOMES = (
 )
 
 
+@pytest.mark.slow
 def test_a_consumer_whose_broker_is_away_says_so_goes_on_and_ends_when_asked(
     sqlite_url: str, cluster: MockCluster, tmp_path: Path
 ) -> None:
@@ -197,6 +198,7 @@ def measured(client: httpx.Client, sample: str) -> float:
     return float(found[1])
 
 
+@pytest.mark.slow
 def test_uploads_publish_and_do_not_wait_for_a_broker_that_is_away(cluster: MockCluster, tmp_path: Path) -> None:
     done = 'treadwatch_references_total{outcome="published"}'
     one, two, three = upload(1, 1000), upload(2, 1000), upload(3, 1000)

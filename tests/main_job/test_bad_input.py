@@ -145,6 +145,7 @@ def on_unknown_track(
         found.storage.close()
 
 
+@pytest.mark.slow
 def test_bad_recordings_are_refused_by_name_and_the_others_stay_as_they_were(
     deploy: Deploy, report: FleetReport, tmp_path: Path
 ) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from job_process import LEASE_S
+from one_database import url_on_sqlite
 from sqlalchemy import update
 from tiny_fleet import DEAD, WORN, Deployment, results
 
@@ -111,6 +112,7 @@ def received(fleet: Deployment, report: FleetReport) -> Deployment:
 
 
 @pytest.mark.parametrize("damage", ["cut", "other", "gone"])
+@url_on_sqlite
 def test_a_damaged_window_is_refused_by_name_and_the_others_go_on(received: Deployment, damage: str) -> None:
     fleet = received
     with fleet.storage.read() as unit:
@@ -139,6 +141,7 @@ def test_a_damaged_window_is_refused_by_name_and_the_others_go_on(received: Depl
         assert run(fleet, "estimate_windows").counts["estimated"] == 1
 
 
+@url_on_sqlite
 def test_a_disk_that_is_not_there_refuses_no_window(received: Deployment) -> None:
     folder = received.settings.data_dir / "windows"
     away = folder.rename(folder.with_name("away"))
@@ -179,6 +182,7 @@ def test_the_shape_of_a_batch_changes_no_result(
     assert results(fleet.storage) == results(second_fleet.storage)
 
 
+@url_on_sqlite
 def test_windows_are_estimated_again_on_a_new_alignment_and_with_other_parameters(received: Deployment) -> None:
     fleet = received
     succeeded(fleet, "estimate_windows", "refresh_geometry")

@@ -18,6 +18,7 @@ def lines() -> list[str]:
     return re.findall(r"^    (treadwatch .*)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_the_page_is_run_line_by_line(place: Place) -> None:
     place("treadwatch ingest --registry registry.json recordings/")
     place("treadwatch estimate")

@@ -108,6 +108,7 @@ def test_figures_need_a_folder(treadwatch: Run, tmp_path: Path) -> None:
     assert done.stderr.startswith("treadwatch: field '--out': taken: ")
 
 
+@pytest.mark.slow
 def test_the_figures_are_drawn_and_their_numbers_are_true(tmp_path: Path) -> None:
     done = in_a_process("reproduce", "--seconds", "120", "--out", "figures", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

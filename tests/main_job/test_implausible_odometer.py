@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from bad_recordings import message
+from one_database import url_on_sqlite
 from tiny_fleet import WORN, Deployment
 
 from estimation.values.reasons import ReasonCode, code_of
@@ -14,6 +15,7 @@ from ingest.logs import read_log, write_blf
 from ingest.simulator.fleet import FleetReport
 
 
+@url_on_sqlite
 def test_an_odometer_that_was_reset_moves_no_geometry_and_leaves_an_alert(
     fleet: Deployment, report: FleetReport, tmp_path: Path
 ) -> None:

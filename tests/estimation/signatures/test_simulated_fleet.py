@@ -14,6 +14,8 @@ from estimation.signatures.library import Library, library
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.signatures import Basis
 
+pytestmark = pytest.mark.slow
+
 PARAMETERS = SignatureParameters()
 
 
