@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import pytest
@@ -60,7 +60,7 @@ def geometries(storage: SqlStorage) -> dict[int | None, GeometryRecord]:
         return {one.interval: one for one in [*oldest, current]}
 
 
-def begun(storage: SqlStorage, tables: list[BinTable], steps: Sequence[int] = range(130)) -> Life:
+def begin(storage: SqlStorage, tables: list[BinTable], steps: Sequence[int]) -> Life:
     register(storage)
     life = Life(storage, tables, random.Random(4))  # noqa: S311 - an order of events
     with storage.write() as unit:
@@ -68,6 +68,20 @@ def begun(storage: SqlStorage, tables: list[BinTable], steps: Sequence[int] = ra
             life.put(unit, step)
     refresh(storage)
     return life
+
+
+@pytest.fixture
+def life(filled_storage: Callable[[Callable[[SqlStorage], object]], SqlStorage], tables: list[BinTable]) -> Life:
+    """Return a life of 130 steps, whose sums are made."""
+    steps = range(130)
+
+    def begin_life(storage: SqlStorage) -> None:
+        begin(storage, tables, steps)
+
+    found = Life(filled_storage(begin_life), tables, random.Random(4), there=set(steps))  # noqa: S311 - the same
+    for _ in steps:
+        found.dice.choice(tables)
+    return found
 
 
 def sealed_keys(storage: SqlStorage) -> set[int]:
@@ -80,10 +94,8 @@ def passed_over(storage: SqlStorage) -> dict[int, PassedOver]:
         return {start_ns // MINUTE: what for start_ns, what in unit.windows.passed_over("W1")}
 
 
-def test_sums_without_tables_give_the_same_geometry_bit_for_bit(
-    sqlite_storage: SqlStorage, tables: list[BinTable]
-) -> None:
-    begun(sqlite_storage, tables)
+def test_sums_without_tables_give_the_same_geometry_bit_for_bit(life: Life) -> None:
+    sqlite_storage = life.storage
     before, sums = geometries(sqlite_storage), exact(sqlite_storage)
     assert purged(sqlite_storage) == {"window_samples": 95, "window_bin_tables": 84}  # whole intervals of 20 km
     assert sealed_keys(sqlite_storage) == {0, 1, 2, 3, 4}
@@ -114,7 +126,7 @@ def test_late_windows_are_added_to_sums_without_tables(
     """The same windows give the same sums, whether tables have been purged between them or not."""
     dice = random.Random(seed)  # noqa: S311
     late = dice.sample(range(80), 12)
-    life = begun(sqlite_storage, tables, [step for step in range(130) if step not in late])
+    life = begin(sqlite_storage, tables, [step for step in range(130) if step not in late])
     purged(sqlite_storage)
     for step in late:
         with sqlite_storage.write() as unit:
@@ -135,10 +147,8 @@ def test_late_windows_are_added_to_sums_without_tables(
     assert not passed_over(sqlite_storage)
 
 
-def test_a_fuller_recording_replaces_a_window_until_its_table_is_purged(
-    sqlite_storage: SqlStorage, tables: list[BinTable]
-) -> None:
-    life = begun(sqlite_storage, tables)
+def test_a_fuller_recording_replaces_a_window_until_its_table_is_purged(life: Life) -> None:
+    sqlite_storage = life.storage
     purged(sqlite_storage, retention=SAMPLES)
     with sqlite_storage.write() as unit:
         assert not unit.windows.put(life.window(50), 60.0, 2)  # the same again
@@ -196,11 +206,10 @@ def other_radius(storage: SqlStorage, _: Life) -> None:
 
 @pytest.mark.parametrize("happens", [other_mileage, removed, turned_round, turned_on_a_lathe, heavier, other_radius])
 def test_a_correction_that_comes_too_late_leaves_no_wrong_number(
-    sqlite_storage: SqlStorage,
-    tables: list[BinTable],
+    life: Life,
     happens: object,
 ) -> None:
-    life = begun(sqlite_storage, tables)
+    sqlite_storage = life.storage
     purged(sqlite_storage)
     before = geometries(sqlite_storage)
     assert callable(happens)
@@ -220,9 +229,9 @@ def test_a_correction_that_comes_too_late_leaves_no_wrong_number(
     refresh(sqlite_storage)
 
 
-def test_an_early_correction_moves_sums_to_their_place(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
+def test_an_early_correction_moves_sums_to_their_place(life: Life) -> None:
     """A lathe visit before all windows is another baseline for all of them; no number is lost, and none is twice."""
-    begun(sqlite_storage, tables)
+    sqlite_storage = life.storage
     purged(sqlite_storage)
     before = geometries(sqlite_storage)
     with sqlite_storage.write() as unit:
@@ -245,10 +254,8 @@ def test_an_early_correction_moves_sums_to_their_place(sqlite_storage: SqlStorag
     assert [pack_geometry(again[n].geometry) for n in range(7)] == [pack_geometry(before[n].geometry) for n in range(7)]
 
 
-def test_other_lengths_of_intervals_keep_sums_that_are_there(
-    sqlite_storage: SqlStorage, tables: list[BinTable]
-) -> None:
-    life = begun(sqlite_storage, tables)
+def test_other_lengths_of_intervals_keep_sums_that_are_there(life: Life) -> None:
+    sqlite_storage = life.storage
     purged(sqlite_storage)
     for length_km in (40.0, 10.0, 20.0):
         other = replace(SETTINGS, estimation=replace(SETTINGS.estimation, interval_km=length_km))
@@ -265,9 +272,9 @@ def contradicted(record: GeometryRecord) -> bool:
     return record.geometry.reason is not None and record.geometry.reason.code is ReasonCode.SAMPLES_PURGED
 
 
-def test_other_parameters_leave_what_cannot_be_made_again(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
+def test_other_parameters_leave_what_cannot_be_made_again(life: Life) -> None:
     """Sums of other filters stay published, as they were right when they were made."""
-    begun(sqlite_storage, tables)
+    sqlite_storage = life.storage
     purged(sqlite_storage)
     before = geometries(sqlite_storage)
     signals = replace(SETTINGS.estimation.signals, cutoff_wavelength=41.0)
@@ -284,8 +291,8 @@ def test_other_parameters_leave_what_cannot_be_made_again(sqlite_storage: SqlSto
     assert counts(sqlite_storage, "estimate_windows", other).get("passed_over", 0) == 0
 
 
-def test_tables_of_an_interval_that_is_not_over_stay(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
-    life = begun(sqlite_storage, tables)
+def test_tables_of_an_interval_that_is_not_over_stay(life: Life) -> None:
+    sqlite_storage = life.storage
     assert purged(sqlite_storage, 0) == {"window_samples": 0, "window_bin_tables": 0}
     tables_alone = Retention(**(NOTHING | {"window_bin_tables": 1.0}))
     assert purged(sqlite_storage, retention=tables_alone) == {"window_bin_tables": 0}  # they have samples
@@ -298,10 +305,8 @@ def test_tables_of_an_interval_that_is_not_over_stay(sqlite_storage: SqlStorage,
     assert sealed_keys(sqlite_storage) == {1, 2, 3, 4}
 
 
-def test_a_roll_up_that_was_sealed_meanwhile_is_not_overwritten(
-    sqlite_storage: SqlStorage, tables: list[BinTable]
-) -> None:
-    life = begun(sqlite_storage, tables)
+def test_a_roll_up_that_was_sealed_meanwhile_is_not_overwritten(life: Life) -> None:
+    sqlite_storage = life.storage
     with sqlite_storage.read() as unit:
         seen = unit.roll_ups.of("W1")[0]
     purged(sqlite_storage)
@@ -319,9 +324,9 @@ def rolling_part(roll_up: RollUp, kept: tuple[ExactTable, ExactTable]) -> Rolled
     return RolledPart(roll_up, roll_up.content_digest, *kept, ())
 
 
-def test_sums_with_forgetting_go_when_they_have_no_weight(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
+def test_sums_with_forgetting_go_when_they_have_no_weight(life: Life) -> None:
     """20 half-lives of 30 km are 600 km: 500 steps."""
-    life = begun(sqlite_storage, tables)
+    sqlite_storage = life.storage
     purged(sqlite_storage)
 
     def kept() -> set[int]:
@@ -340,9 +345,9 @@ def test_sums_with_forgetting_go_when_they_have_no_weight(sqlite_storage: SqlSto
     assert refresh(sqlite_storage) == 0
 
 
-def test_where_sealed_windows_were_is_forgotten(sqlite_storage: SqlStorage, tables: list[BinTable]) -> None:
+def test_where_sealed_windows_were_is_forgotten(life: Life) -> None:
     """Also of refused windows between them; the epochs are neither torn nor computed again."""
-    life = begun(sqlite_storage, tables)
+    sqlite_storage = life.storage
     with sqlite_storage.write() as unit:
         unit.windows.mark("W1", 5 * MINUTE, WindowState.REFUSED, Reason(ReasonCode.IN_CURVES, "why"))
         records = unit.windows.list("W1")
