@@ -21,6 +21,7 @@ import sqlalchemy
 import usual_signals  # noqa: F401 - before any process is started
 from hypothesis import HealthCheck, settings
 from in_process_command import Run, command_line
+from one_database import in_turn
 from postgres_server import running_server
 from psycopg import sql
 from raw_stores import Behind, in_bucket, in_files
@@ -142,7 +143,7 @@ def storage(request: pytest.FixtureRequest) -> SqlStorage:
     return found
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+@pytest.fixture(params=in_turn)
 def storage_url(request: pytest.FixtureRequest) -> str:
     """Return the URL of a migrated database, once on each."""
     found: str = request.getfixturevalue("sqlite_url" if request.param == "sqlite" else "postgres_url")

@@ -21,6 +21,7 @@ import psycopg
 import pytest
 import sqlalchemy
 from access_examples import Named
+from one_database import in_turn
 from running_service import running
 
 from api.access.making import Wanted, make_key
@@ -138,7 +139,7 @@ def postgresql_url(postgres_server_url: str) -> Iterator[str]:
         connection.execute(f'DROP DATABASE "{name}" WITH (FORCE)')
 
 
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+@pytest.fixture(scope="module", params=in_turn)
 def guarded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
     folder: Path = tmp_path_factory.mktemp("guarded")
     url = None if request.param == "sqlite" else request.getfixturevalue("postgresql_url")

@@ -9,6 +9,7 @@ from typing import Any
 import api_fleet
 import httpx
 import pytest
+from one_database import in_turn
 from populated_service import populated_service
 from running_service import Service
 
@@ -21,7 +22,7 @@ DAY = api_fleet.DAY
 BEGIN = api_fleet.START + 20 * DAY
 
 
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+@pytest.fixture(scope="module", params=in_turn)
 def service(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, postgres_server_url: str
 ) -> Iterator[Service]:

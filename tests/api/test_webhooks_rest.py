@@ -15,6 +15,7 @@ import api_fleet
 import httpx
 import pytest
 from guarded_service import Guarded, guarded_service, settings_in
+from one_database import in_turn
 from populated_service import new_database
 from webhook_receiver import Answer, Received, Receiver, receiving
 
@@ -56,7 +57,7 @@ class Administered:
         return made.headers["location"], made.json()["secret"]
 
 
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+@pytest.fixture(scope="module", params=in_turn)
 def served(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, postgres_server_url: str
 ) -> Iterator[Administered]:

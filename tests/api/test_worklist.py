@@ -13,6 +13,7 @@ import api_fleet
 import httpx
 import pytest
 from access_examples import paused_webhook
+from one_database import in_turn
 from populated_service import populated_service
 from running_service import Service
 
@@ -27,7 +28,7 @@ DOCUMENT = json.loads(committed_document())
 OF_FLEET = {"serial": "WS-000", "code": "V-0", "name": "estimate_windows", "alert_id": "1", "section": "S-3"}
 
 
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+@pytest.fixture(scope="module", params=in_turn)
 def service(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, postgres_server_url: str
 ) -> Iterator[Service]:

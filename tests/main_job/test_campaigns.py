@@ -15,6 +15,7 @@ import numpy as np
 import psycopg
 import pytest
 import sqlalchemy
+from one_database import in_turn
 from tiny_fleet import DEAD, WORN, Deployment, deployment, rows, true_conicity
 
 from api.demo.service import free_port, serving_api
@@ -35,7 +36,7 @@ class History:
     earlier: tuple[tuple[str, Any, Any], ...]  # RFC 3339 time, geometry and trend of WORN
 
 
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+@pytest.fixture(scope="module", params=in_turn)
 def history(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, report: FleetReport
 ) -> Iterator[History]:
