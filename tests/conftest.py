@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import shutil
 import tempfile
@@ -38,6 +39,11 @@ GIVEN = "TREADWATCH_TEST_POSTGRES_URL"
 # how long an example takes says how busy the machine is, and what is compiled first
 settings.register_profile("any-load", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any-load")
+
+
+def pytest_collection_finish() -> None:
+    """Leave what was collected out of garbage collections: it stays."""
+    gc.freeze()
 
 
 @pytest.fixture
