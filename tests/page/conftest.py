@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import api_fleet
 import httpx
 import page_fleet
 import pytest
@@ -46,24 +47,28 @@ class Watched:
             self.complaints.append(f"request to another origin: {request.url}")
 
 
+LENGTH_S = api_fleet.LENGTH / api_fleet.SECOND
+"""Of the windows that are stored: once a recording is stored as well, no other may be set."""
+
+
 @pytest.fixture(scope="session")
 def page_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServiceProcess]:
     """Yield ``treadwatch serve`` over the fleet; tests that change something bring alerts of their own."""
     folder = tmp_path_factory.mktemp("page")
-    settings = Settings(data_dir=folder / "data", _env_file=None)
+    settings = Settings(data_dir=folder / "data", window_length_s=LENGTH_S, _env_file=None)
     settings.data_dir.mkdir()
     upgrade(settings.url)
     storage = open_store(settings)
     page_fleet.populate(storage)
     storage.close()
-    with service_process(folder) as running:
+    with service_process(folder, WINDOW_LENGTH_S=str(LENGTH_S)) as running:
         yield running
 
 
 @pytest.fixture
 def stored(page_service: ServiceProcess) -> Iterator[SqlStorage]:
     """Yield the storage of the service, which other processes write to as well."""
-    settings = Settings(data_dir=page_service.file.parent / "data", _env_file=None)
+    settings = Settings(data_dir=page_service.file.parent / "data", window_length_s=LENGTH_S, _env_file=None)
     storage = open_store(settings)
     yield storage
     storage.close()
