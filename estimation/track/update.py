@@ -268,7 +268,11 @@ def _extended(
         found = carry_over_findings(posterior.alignment, posterior.before)  # on one grid
         found = replace(found, scale_std=float(np.hypot(found.scale_std, doubted)))
         in_motion = replace(found, alignment=posterior.in_motion)
-        if _sharper(posterior.before, found, settings) or requires_reestimation(posterior.before, in_motion, settings):
+        if (
+            _sharper(posterior.before, found, settings)
+            or requires_reestimation(posterior.before, in_motion, settings)
+            or posterior.before.scale_std < settings.same_std * doubted
+        ):
             return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=found)
     return _with_gauge_shifts(kept, survey, epoch.vehicles, settings)
 
