@@ -48,8 +48,8 @@ class RadiusOnFile:
     ) -> Contradiction | None:
         """Return that windows contradict the radius on file or leave it open; None where they do not or are silent.
 
-        A window whose samples, or those of the other axle of its bogie, are missing or damaged takes no part. Where none has samples any more, what was found
-        when they were there remains.
+        A window takes no part whose samples, or those of the other axle of its bogie, are missing or damaged. Where
+        none has samples any more, what was found when they were there remains.
 
         Parameters
         ----------

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from bogie_run import COACH, SOFT, joined, of_bogie
+from bogie_run import BOGIE, COACH, SOFT, WHEELBASE, joined, of_bogie, wheelset
+from smooth_wheelset import SmoothTable, mems_windows, track
 
-from estimation.geometry.rolling_radius import check_radius, rolling_radius
+from estimation.geometry.rolling_radius import EXPECTED_STD, check_radius, rolling_radius
+from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.rolling_sums import BANDS, TERMS, RollingSums, rolling_sums
+from estimation.motion.rolling_sums import BANDS, TERMS, UNKNOWNS, RollingSums, rolling_sums
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass
+from ingest.simulator.running_gear import RunningGear, simulate_gear
 
 TRUE = 0.45  # m, of ``bogie_run``
 
@@ -61,6 +64,47 @@ def test_the_noise_on_file_keeps_the_radius_from_being_too_small() -> None:
     usual = rolling_radius(measured(unknown))
     assert usual is not None
     assert usual.value == pytest.approx(right.value, abs=1e-6), "as of MEMS sensors, which these are"
+
+
+@dataclass(frozen=True)
+class CurvedTable(SmoothTable):
+    """Radii and contact angles bend away from the roll: wheels that are hollow."""
+
+    def left(self, x: np.ndarray) -> np.ndarray:
+        return 0.45 + self.cone * x + 1.5e4 * x**3
+
+    def right(self, x: np.ndarray) -> np.ndarray:
+        return self.left(-x)
+
+    def angle_left(self, x: np.ndarray) -> np.ndarray:
+        return 0.13 + 10 * x + 1.5e6 * x**3
+
+    def angle_right(self, x: np.ndarray) -> np.ndarray:
+        return self.angle_left(-x)
+
+    @property
+    def roll(self) -> np.ndarray:
+        return 0.13 * self.lateral_displacement[:, None]
+
+
+def test_contact_angles_of_curved_contact_do_not_move_the_radius(monkeypatch: pytest.MonkeyPatch) -> None:
+    gear = RunningGear(wheelset(COACH), BOGIE)
+    ran = simulate_gear(gear, [CurvedTable(), CurvedTable()], track(1), np.full(120_000, 20.0), 20.0)
+    front, rear = (mems_windows(one, seed=1, density=1e-4) for one in ran)
+    known = of_bogie(COACH)
+    parts = [
+        part for own, other in zip(front, rear, strict=True)
+        for part in rolling_sums(with_frame_yaw(own, other, WHEELBASE), known, SignalParameters())
+    ]  # fmt: skip
+    found = rolling_radius(parts)
+    assert found is not None
+    without = EXPECTED_STD.copy()
+    without[UNKNOWNS.index("curve")] = 1e-6
+    monkeypatch.setattr("estimation.geometry.rolling_radius.EXPECTED_STD", without)
+    before = rolling_radius(parts)
+    assert before is not None
+    assert found.value == pytest.approx(TRUE, rel=0.015)
+    assert before.value < 0.97 * TRUE
 
 
 def test_left_and_right_exchanged_and_short_gaps_change_nothing() -> None:

@@ -59,9 +59,7 @@ def test_every_part_has_the_sums_of_plain_arrays(
 ) -> None:
     gravity, yaw_rate, roll_rate, on_file, in_bogie = kind
     window = window_of(seed, n, gaps, in_bogie=in_bogie)
-    assumed = class_of(
-        gravity=gravity, yaw_rate=yaw_rate, roll_rate=roll_rate, on_file=on_file, in_bogie=in_bogie
-    )
+    assumed = class_of(gravity=gravity, yaw_rate=yaw_rate, roll_rate=roll_rate, on_file=on_file, in_bogie=in_bogie)
     found, expected = (of(window, assumed, SIGNALS) for of in (rolling_sums, plain_rolling_sums))
     assert len(found) == len(expected)
     for one, other in zip(found, expected, strict=True):
