@@ -3,12 +3,14 @@
 A wheelset that rolls moves sideways at the rails, r below its axle, as its yaw and the lateral creep let it. Eq. 1
 solved for the velocity there, and differentiated, is
 
-    y'' = s V psi' - r phi'' - (V/(2 f22)) (a m y''' + b (ky (y' - ym') + fy (y'' - ym'')) + c W phi') + e psi''
+    y'' = s V psi' - r phi'' - (f23/f22) psi''
+          - (V/(2 f22)) (a m y''' + b (ky (y' - ym') + fy (y'' - ym'')) + c W phi' + g W R'/(2 l))
 
 with six unknowns: the scale s of yaw against lateral sensor, the radius r, the factors a, b and c of inertia,
-suspension and gravity, and the length e of spin creep and of what is late. Track and geometry of the wheels take no
-part, so that this holds on any track. The sums are taken over Fourier transforms of short pieces, by wavelength, beside
-the sums that the noise of the sensors makes of them.
+suspension and gravity, and g of the contact angles: dL - dR goes with the roll where contact is straight, and with
+R = rL - rR where it is curved, which Eq. 2 has of the yaw; in a bogie that needs the yaw of its frame. The track takes
+no part, so that this holds on any track. The sums are taken over Fourier transforms of short pieces, by wavelength,
+beside the sums that the noise of the sensors makes of them.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.equations_of_motion import GRAVITY
 from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
-WAVELENGTHS = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones curved contact geometry and noise
+WAVELENGTHS = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones noise
 BANDS = 6  # of equal ratio, longest wavelengths first
 PIECE_S = 8.0  # half of one overlaps the next
 TOGETHER = 4  # pieces that are transformed at once: what fits into the cache of a processor
@@ -46,7 +48,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     Parameters
     ----------
     window
-        Measured accelerations and speed, (n,) each.
+        Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, without which it says nothing.
     vehicle_class
         Of its vehicle, with the nominal radius on file of its wheelset.
     signals
