@@ -138,7 +138,7 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         return None
     best = _solution(whole)
-    if _unexplained(whole, best) > MOST_UNEXPLAINED:
+    if best[_RADIUS] <= 0.0 or _unexplained(whole, best) > MOST_UNEXPLAINED:
         return None
     replicates = np.array([best, *(_solution(whole - one) for one in sums)])
     bound = math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS]))

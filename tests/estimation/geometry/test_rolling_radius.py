@@ -135,6 +135,7 @@ def made(
     suspension: float = 1.0,
     scale: float = 1.0,
     error: float = 1.0,
+    radius: float = TRUE,
 ) -> list[RollingSums]:
     """Return sums of drawn regressors that follow the equation but for an error, on file of size 1.
 
@@ -142,7 +143,7 @@ def made(
     ``vibration`` times that besides.
     """
     rng, n = np.random.default_rng(3), 400
-    truth = np.array([scale, TRUE, 1.0, suspension, 0.0, 0.0])
+    truth = np.array([scale, radius, 1.0, suspension, 0.0, 0.0])
     found = []
     for _ in range(parts):
         products, of_noise = np.zeros((BANDS, TERMS, TERMS)), np.zeros((BANDS, TERMS, TERMS))
@@ -237,6 +238,7 @@ def test_motion_that_the_equation_does_not_explain_says_nothing() -> None:
     of_roll = TRUE * SIZE
     assert rolling_radius(made(error=math.sqrt(0.18) * of_roll)) is not None
     assert rolling_radius(made(error=math.sqrt(0.22) * of_roll)) is None
+    assert rolling_radius(made(radius=-TRUE)) is None
 
 
 @pytest.mark.parametrize(
