@@ -123,16 +123,18 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     """Return the radius from sums (parts, BANDS, TERMS, TERMS)."""
     total, of_noise = products.sum(axis=0), noise.sum(axis=0)
     taken_off = noise.copy()
-    taken_off[..., 1 + _CURVE, 1 + _CURVE] = 0.0  # where contact is straight curve and gravity are one
+    # curve and gravity are one where contact is straight: its noise is what keeps them apart there
+    taken_off[..., 1 + _CURVE, 1 + _CURVE] = 0.0
     with_noise = _solution(_weighted(np.ones(BANDS), total))
     share = min(1.0, float(np.min(_left(total, of_noise, with_noise))))  # sensors may be better than on file
     weights = np.ones(BANDS)
     left = np.ones(BANDS)
-    less = share * taken_off
+    without_noise = products - share * taken_off
+    by_band = without_noise.sum(axis=0)
     for _ in range(ROUNDS):
-        left = _left(total, of_noise, _solution(_weighted(weights, total - less.sum(axis=0))))
+        left = _left(total, of_noise, _solution(_weighted(weights, by_band)))
         weights = (left <= OUTLYING * np.median(left)) / np.maximum(left, 1.0)
-    sums = np.einsum("b,pbij->pij", weights, products - less)
+    sums = np.einsum("b,pbij->pij", weights, without_noise)
     whole = sums.sum(axis=0)
     information = whole[1:, 1:] + np.diag(1.0 / EXPECTED_STD**2)
     if np.linalg.eigvalsh(information)[0] <= 0.0:
@@ -145,7 +147,7 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
     sampling = float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS])
     stds = [
-        max(sampling, bound, _std_of_bands(weights, total - less.sum(axis=0))),
+        max(sampling, bound, _std_of_bands(weights, by_band)),
         MODEL_STD,
         _noise_doubt(left) * corrected,
         FRICTION_SHARE * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),

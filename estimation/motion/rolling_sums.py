@@ -48,7 +48,7 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     Parameters
     ----------
     window
-        Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, without which it says nothing.
+        Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, else it says nothing.
     vehicle_class
         Of its vehicle, with the nominal radius on file of its wheelset.
     signals
