@@ -85,11 +85,8 @@ def interval_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     found
         As ``summary_rows`` takes them.
     """
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for one in found:
-        if one["kind"] == RIGHT:
-            groups.setdefault(f"{one['drawn']['sensors']}, {one['drawn']['speed']}", []).append(one)
-    return [_intervals(name, groups[name]) for name in sorted(groups)]
+    right = [wheelset for wheelset in found if wheelset["kind"] == RIGHT]
+    return [_intervals(name, of_row) for name, of_row in _by_draw(right, "sensors", "speed")]
 
 
 def radius_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
@@ -100,11 +97,18 @@ def radius_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     found
         As ``summary_rows`` takes them.
     """
+    right = [wheelset for wheelset in found if wheelset["kind"] == RIGHT and wheelset["radius"] is not None]
+    return [_radius(name, of_row) for name, of_row in _by_draw(right, "track", "sensors")]
+
+
+def _by_draw(
+    wheelsets: Sequence[Mapping[str, Any]], first: str, second: str
+) -> list[tuple[str, list[Mapping[str, Any]]]]:
+    """Return wheelsets by two of the things that were drawn, in the order of their names."""
     groups: dict[str, list[Mapping[str, Any]]] = {}
-    for one in found:
-        if one["kind"] == RIGHT and one["radius"] is not None:
-            groups.setdefault(f"{one['drawn']['track']}, {one['drawn']['sensors']}", []).append(one)
-    return [_radius(name, groups[name]) for name in sorted(groups)]
+    for wheelset in wheelsets:
+        groups.setdefault(f"{wheelset['drawn'][first]}, {wheelset['drawn'][second]}", []).append(wheelset)
+    return sorted(groups.items())
 
 
 def rows_met(found: Sequence[Mapping[str, Any]]) -> bool:
