@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import uuid
 from functools import partial
+from typing import Any
 
 import sqlalchemy as sa
 from alembic import op
@@ -25,7 +26,7 @@ TABLES = sa.MetaData(naming_convention=NAMING)
 required = partial(sa.Column, nullable=False)
 
 
-def where(condition: str) -> dict[str, sa.TextClause]:
+def where(condition: str) -> dict[str, Any]:
     return {"sqlite_where": sa.text(condition), "postgresql_where": sa.text(condition)}
 
 
