@@ -17,7 +17,8 @@ down_revision: str | None = None
 branch_labels: str | None = None
 depends_on: str | None = None
 
-INTEGER, BIG, REAL, FLAG = sa.Integer(), sa.BigInteger(), sa.Double(), sa.Boolean()
+INTEGER, BIG, FLAG = sa.Integer(), sa.BigInteger(), sa.Boolean()
+REAL: sa.Double[float] = sa.Double()
 CODE, TEXT, JSON, BLOB = sa.String(64), sa.Text(), sa.JSON(), sa.LargeBinary()
 # SQLite numbers rows by itself only in a column declared INTEGER, which there is 64 bits wide as well
 SERIAL = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
