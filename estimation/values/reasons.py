@@ -382,8 +382,6 @@ class ReasonCode(StrEnum):
         "processing_failed",
         "The program failed at it. It is in quarantine and tried again at growing intervals; see the log.",
     )
-    # stored by earlier versions
-    OTHER = "other", "A reason that an earlier version stored; see its sentence."
 
 
 @dataclass(frozen=True, slots=True)

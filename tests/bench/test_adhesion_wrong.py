@@ -84,7 +84,7 @@ def test_sensors_and_class_are_changed_and_the_truth_is_not(fleet: Fleet) -> Non
 def test_one_vehicle_alone_is_wrong(fleet: Fleet) -> None:
     first, second = (one.code for one in fleet.scenario.vehicles[:2])
     assert {one.window.vehicle for one in first_vehicle(fleet).windows} == {first}
-    why = Reason(ReasonCode.OTHER, "")
+    why = Reason(ReasonCode.NOT_FINITE, "")
     right, wrong = (
         StoredPasses("S", tuple(refused("W", 0, code, "S", digest, why) for code in codes), np.ones(2), np.ones(2), 1.0)
         for codes, digest in (((first, second), "right"), ((first,), "wrong"))
