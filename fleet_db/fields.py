@@ -61,14 +61,16 @@ def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Arr
     Raises
     ------
     StorageError
-        A field does not fit its type.
+        A field is missing or does not fit its type.
     """
-    stored: dict[str, Any] = {}
-    for name, hint in _hints(cast("Hashable", kind)).items():
-        if name in given:
-            continue
-        stored[name] = arrays[name] if get_origin(hint) is np.ndarray else from_json(scalars[name], hint)
-    return kind(**{**stored, **given})
+    stored = dict(given)
+    try:
+        for name, hint in _hints(cast("Hashable", kind)).items():
+            if name not in given:
+                stored[name] = arrays[name] if get_origin(hint) is np.ndarray else from_json(scalars[name], hint)
+    except (LookupError, ValueError) as error:
+        raise StorageError(f"a packed {kind.__name__} does not fit: {error}") from error
+    return kind(**stored)
 
 
 def to_json(item: object) -> JsonValue:
