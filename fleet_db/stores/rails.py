@@ -117,7 +117,7 @@ def _cell(row: Row[Any]) -> StoredCell:
         reason = from_json(document["reason"], Reason) if "reason" in document else None
         cell = _conicities(document, wheel, rail) if "arrays" in document or reason is None else None
         extent = tuple(int(document[name]) for name in _EXTENT)
-    except (ValueError, TypeError, LookupError, StorageError, ParameterError) as error:
+    except (ValueError, TypeError, LookupError, AttributeError, StorageError, ParameterError) as error:
         text = f"the conicities of {wheel.wheelset} on {rail.section} are damaged in the store ({error})"
         return StoredCell(wheel, rail, "", None, Reason(ReasonCode.CELL_DAMAGED, text))
     return StoredCell(wheel, rail, row.digest, cell, reason, *extent)
