@@ -171,7 +171,7 @@ class WindowReasons:
                 in_force=self.unit.tracks.in_force(code),
                 looked_at=report is not None,
                 found=None if report is None else report.reason,
-                survey=Reason(ReasonCode(said["recording_code"]), str(said["recording"])) if refused else None,
+                survey=Reason(ReasonCode(str(said["recording_code"])), str(said["recording"])) if refused else None,
                 failed=self._failed(SubjectKind.SECTION, code, ALIGNMENT),
             )
         return self._sections[code]
