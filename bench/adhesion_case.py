@@ -105,6 +105,9 @@ def score(fleet: Fleet, row: str, folder: Path, *, left_out_too: bool = True) ->
     done.found, done.alarms, done.left_out = friction.found, friction.alarms, friction.left_out
     if not left_out_too:
         return done
+    if not found.certain_stretches:
+        done.conicity_left_out = done.conicity_all
+        return done
     left_out = [away_from_low_adhesion(one.window, found.certain_stretches) for one in fleet.windows]
     again = [
         one if isinstance(one, Reason) else window_motion(one, fleet.alignment, parameters[one.wheelset])

@@ -1,4 +1,4 @@
-"""Rows of the adhesion bench whose vehicles are not as their class has them: masses and load, scales of sensors.
+"""Rows of the adhesion bench whose file is another one: masses and load of the class, scales of sensors, the survey.
 
 A seed of the row ``low`` is simulated once; its windows are estimated again with each error. In the rows ``one_...``
 the first vehicle alone has the error: the passes of the others are those of the row ``low``.
@@ -9,7 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from bench.adhesion_stored import StoredPasses
+from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import BogieParameters, VehicleClass
 
@@ -25,6 +28,7 @@ class WrongFile:
     load: float = 1.0  # load and the mass of the body on file, beside
     yaw: float = 1.0  # scale of the yaw sensors
     lateral: float = 1.0  # scale of the lateral sensors, on axle boxes and frame
+    survey_exact: bool = False  # the track as it is in place of its survey
 
 
 OF = "low"  # the row whose fleet they have
@@ -35,6 +39,7 @@ WRONG = {
     "yaw_small": WrongFile(yaw=0.95),
     "lateral_large": WrongFile(lateral=1.05),
     "lateral_small": WrongFile(lateral=0.95),
+    "survey_exact": WrongFile(survey_exact=True),  # what the error of the survey costs: none of its own is left
 }
 ONE = {f"one_{name}": WRONG[name] for name in ("masses_large", "masses_small", "yaw_large", "yaw_small")} | {
     "one_load_small": WrongFile(load=0.4)  # a full wagon with the load of an empty one on file
@@ -44,7 +49,8 @@ ONE = {f"one_{name}": WRONG[name] for name in ("masses_large", "masses_small", "
 def as_on_file(fleet: Fleet, wrong: WrongFile) -> Fleet:
     """Return a fleet as one sees it whose file and sensors are wrong; the truth of its windows stays."""
     windows = tuple(replace(one, window=_scaled(one, wrong)) for one in fleet.windows)
-    return replace(fleet, vehicle_class=_on_file(fleet.vehicle_class, wrong), windows=windows)
+    alignment = _exact(fleet) if wrong.survey_exact else fleet.alignment
+    return replace(fleet, vehicle_class=_on_file(fleet.vehicle_class, wrong), windows=windows, alignment=alignment)
 
 
 def first_vehicle(fleet: Fleet) -> Fleet:
@@ -57,6 +63,11 @@ def with_others(own: StoredPasses, right: StoredPasses) -> StoredPasses:
     """Return the passes of a vehicle that is wrong together with those of the others, which are right."""
     wrong = {one.vehicle for one in own.passes}
     return replace(right, passes=own.passes + tuple(one for one in right.passes if one.vehicle not in wrong))
+
+
+def _exact(fleet: Fleet) -> TrackAlignment:
+    s = fleet.alignment.s
+    return replace(fleet.alignment, alignment=np.interp(s, fleet.track.s, fleet.track.alignment))
 
 
 def _scaled(one: SensedWindow, wrong: WrongFile) -> Window:

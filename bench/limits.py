@@ -1,13 +1,15 @@
-"""Alerts at the conicity limit: ``python -m bench limits [--shapes N] [--wheelsets N] [--seed N] [--write-docs]``.
+"""Alerts at the conicity limit: ``python -m bench limits [--shapes N] [--wheelsets N] [--seeds 31-34] ...``.
 
 Worn wheelsets of shapes that the extrapolation does not hold run over irregular track; those that cover 1.5 to 2.25 mm
 live for some intervals and are judged by the real trend and the real rules. Beside them the rule before, in the same
-run: the smooth trend at 3 mm alone.
+run: the smooth trend at 3 mm alone. All wheelsets of a seed run on tracks of one shape, and those of one curve are
+raised, or not, together: several seeds decide.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 
@@ -18,11 +20,12 @@ from bench.limits_running import amplitude_reached
 from bench.limits_shapes import CLASSES, curve_of
 from bench.report import BenchRow, printed
 from bench.results_page import ended
+from bench.world import seed_range
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.worn_family import AMPLITUDES, DISPLACEMENT
 
 TITLE = "Alerts at the conicity limit"
-SHAPES, WHEELSETS, SEED = 300, 1000, 11
+SHAPES, WHEELSETS, SEEDS = 300, 850, (11,)
 IRREGULARITIES = (0.4e-3, 0.55e-3, 0.7e-3, 0.9e-3, 1.2e-3)  # m
 YAW_SPRINGS = (0.15, 0.6)  # kappa, 1/m
 SPEEDS = tuple(v / 3.6 for v in (120.0, 160.0, 200.0, 250.0, 300.0))  # with limits of 0.40 to 0.20
@@ -44,12 +47,16 @@ def main(arguments: Sequence[str]) -> int:
     """
     parser = argparse.ArgumentParser(prog="python -m bench limits", description=__doc__)
     parser.add_argument("--shapes", type=int, default=SHAPES, help="drawn of each class")
-    parser.add_argument("--wheelsets", type=int, default=WHEELSETS, help="that are judged, at most")
-    parser.add_argument("--seed", type=int, default=SEED)
+    parser.add_argument("--wheelsets", type=int, default=WHEELSETS, help="of a seed that are judged, at most")
+    parser.add_argument("--seeds", type=seed_range, default=list(SEEDS), help="as in 31-34 or 3")
     parser.add_argument("--write-docs", action="store_true")
     options = parser.parse_args(arguments)
-    found = [judged(worn) for worn in worn_wheelsets(options.shapes, options.wheelsets, options.seed)]
-    command = f"python -m bench limits --shapes {options.shapes} --wheelsets {options.wheelsets} --seed {options.seed}"
+    found = []
+    for seed in options.seeds:
+        found += [judged(worn) for worn in worn_wheelsets(options.shapes, options.wheelsets, seed)]
+        sys.stderr.write(f"seed {seed}: {len(found)} wheelsets judged\n")
+    seeds = f"{min(options.seeds)}-{max(options.seeds)}"
+    command = f"python -m bench limits --shapes {options.shapes} --wheelsets {options.wheelsets} --seeds {seeds}"
     return ended(printed(rows(found)), "limits", TITLE, f"{command} --write-docs" if options.write_docs else None)
 
 
@@ -98,7 +105,7 @@ def rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
     beyond = [one for one in asked if one.worn.above >= MARGIN]
     raised, over = _share(beyond, lambda one: one.over or one.measure), _share(beyond, lambda one: one.over)
     yield BenchRow(
-        f"beyond the limit by {MARGIN:g} or more at 3 mm, 1.75 or 2 mm covered, {len(beyond)} wheelsets: raised",
+        f"beyond the limit by {MARGIN:g} or more at 3 mm, 1.75 or 2 mm covered, {_size(beyond)}: raised",
         f"{raised:.1%} (`conicity_limit` {over:.1%}); {_former(beyond)}",
         "98 % or more",
         raised >= 0.98,
@@ -110,7 +117,7 @@ def rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
     for name, group in (("at 3 mm", below), ("at 3 mm and at or below it at the amplitude reached", quiet)):
         false = _share(group, lambda one: one.over)
         yield BenchRow(
-            f"below the limit by {MARGIN:g} or more {name}, {len(group)} wheelsets: `conicity_limit`",
+            f"below the limit by {MARGIN:g} or more {name}, {_size(group)}: `conicity_limit`",
             f"{false:.2%}; {_former(group)}",
             "1 % or less",
             false <= 0.01,
@@ -141,6 +148,11 @@ def _counted(name: str, group: Sequence[Judged]) -> Iterator[BenchRow]:
         text = f"`conicity_limit` {_share(group, lambda one: one.over):.1%}, `measure`"
         text += f" {_share(group, lambda one: one.measure and not one.over):.1%}; {_former(group)}"
         yield BenchRow(f"{name}, {len(group)} wheelsets", text, "for information", True)  # noqa: FBT003 - nothing to be reached
+
+
+def _size(group: Sequence[Judged]) -> str:
+    """Return how many wheelsets of how many shapes: those of one shape are raised, or not, together."""
+    return f"{len(group)} wheelsets of {len({one.worn.conicity.tobytes() for one in group})} shapes"
 
 
 def _former(group: Sequence[Judged]) -> str:

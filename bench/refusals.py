@@ -43,8 +43,8 @@ def main(arguments: Sequence[str]) -> int:
     for table in tables(found):
         console.print(table)
     if options.write_docs:
-        last = max(one["seed"] for one in found)
-        command = f"python -m bench refusals --seeds 0-{last} --write-docs"
+        seeds = [one["seed"] for one in found]
+        command = f"python -m bench refusals --seeds {min(seeds)}-{max(seeds)} --write-docs"
         page = write_page("refusals", TITLE, command, page_body(found))
         console.print(f"wrote {page}", highlight=False)
     return 0 if rows_met(found) else 1
@@ -89,10 +89,13 @@ def run_seed(seed: int, campaigns: int, wrong_every: int) -> list[dict[str, Any]
             "code": one.code,
             "errors": one.errors,
             "covered": one.covered,
+            "axle": axle,
+            "values": one.values,
+            "radius": one.radius,
         }
         for kind in OnFile
         if kind is OnFile.RIGHT or (seed % wrong_every == 0 and (in_bogie or kind not in IN_BOGIES))
-        for one in judged(case, kind)
+        for axle, one in enumerate(judged(case, kind))
     ]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.refusals_case import AMPLITUDES, RefusalCase
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.rolling_radius import check_radius
+from estimation.geometry.rolling_radius import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, MOST_SHARE
 from estimation.motion.axle_distance import check_axle_distance
@@ -23,6 +23,7 @@ from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_wind
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.rolling_sums import RollingSums
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import Arrangement, VehicleClass
 
@@ -59,6 +60,8 @@ class Judged:
     code: str  # why not, or what is in doubt; empty where nothing is
     errors: tuple[float, ...]  # of the conicity where it is published
     covered: tuple[bool, ...]
+    values: tuple[float | None, ...] = ()  # of the conicity, over all amplitudes
+    radius: tuple[float, float, float] | None = None  # error, std and bound of the std of that by the motion, relative
 
     @property
     def withheld(self) -> bool:
@@ -146,7 +149,14 @@ def _judged(
         radius, std = vehicle_class.parameters.nominal_radius, vehicle_class.std_of("nominal_radius")
         sums = [part for own in nodes[axle] for part in rolling_sums(own, vehicle_class, parameters.signals)]
         geometry = geometry.against(check_radius(sums, radius, std))
+        return replace(_verdict(geometry, case, axle), radius=_radius(sums, case))
     return _verdict(geometry, case, axle)
+
+
+def _radius(sums: Sequence[RollingSums], case: RefusalCase) -> tuple[float, float, float] | None:
+    """Return error, std and bound of the std of the radius that the motion has, over the true one."""
+    found, true = rolling_radius(sums), case.vehicle_class.parameters.nominal_radius
+    return None if found is None else (found.value / true - 1.0, found.std / true, found.bound / true)
 
 
 def _loaded(own: Window, other: Window | None, ahead: float, behind: float) -> Window | Reason:
@@ -162,11 +172,14 @@ def _loaded(own: Window, other: Window | None, ahead: float, behind: float) -> W
 
 
 def _verdict(geometry: WheelsetGeometry, case: RefusalCase, axle: int) -> Judged:
-    errors, covered = [], []
+    errors, covered, values = [], [], []
     for amplitude, true in zip(AMPLITUDES, case.conicity[axle], strict=True):
         one = geometry.conicity[int(np.argmin(np.abs(geometry.amplitude - amplitude)))]
+        values.append(one.value)
         if one.value is not None and one.low is not None and one.high is not None:
             errors.append(float(one.value - true))
             covered.append(bool(one.low <= true <= one.high))
     reason = geometry.reason or (geometry.equivalent_conicity.reason if not errors else None)
-    return Judged(bool(errors), "" if reason is None else str(reason.code), tuple(errors), tuple(covered))
+    return Judged(
+        bool(errors), "" if reason is None else str(reason.code), tuple(errors), tuple(covered), tuple(values)
+    )

@@ -21,6 +21,11 @@ BEGIN_NS = 1_700_000_000 * 10**9
 AMPLITUDES = (0.002, 0.0025, 0.003)
 LIMIT = 0.4
 INTERVAL_KM = (1000.0, 1000.0, 1000.0, 3000.0, 10_000.0)
+SHAPES = ["straight", "saturating", "accelerating"]  # of wear; "falling" besides, where it lessens the conicity
+RATES = (0.3e-6, 2e-6)  # of wear, per km
+OUTLIERS = (0.03, 0.2)  # smallest and largest
+MIXED = (0.2, 0.8)  # share of the step in an interval of both sides
+TAILS = 3.0  # degrees of freedom
 MOST_KM, MOST_WEAR = 300_000.0, 0.35  # of a profile
 
 
@@ -33,6 +38,9 @@ class Life:
     size: float
     event_km: float | None
     level: FloatArray  # (k,) true conicity without season
+    worn: FloatArray  # (k,) without the step, too
+    weather: FloatArray  # (k,) of the season
+    noise: FloatArray  # (k,) standard deviations
     km_per_year: float
 
 
@@ -45,10 +53,13 @@ class Case:
     behind: int = 12  # intervals
     mixed: bool = False  # one interval is of both sides
     doubles: float = 0.0  # chance of two outliers on end
-    singles: float = 0.02
+    singles: float = 0.02  # chance of an outlier
     season: bool = True
     shape: str = ""  # of wear; by chance where empty
     km: float = 0.0  # of an interval; by chance where 0
+    scatter: float = 1.0  # of the noise that is not stated
+    tails: bool = False  # noise of Student's t with three degrees of freedom
+    understated: float = 1.0  # stated standard deviations are smaller by so much
 
 
 def life(case: Case, seed: int) -> Life:
@@ -68,34 +79,49 @@ def life(case: Case, seed: int) -> Life:
     km_per_year = float(np.clip(np.exp(rng.normal(np.log(120_000.0), 0.4)), km * 8.0, 3e5))
     x = km * (np.arange(k) + rng.uniform(0.3, 0.7, k))
     start = float(rng.uniform(0.05, 0.25)) + max(0.0, -case.size)
-    level = start + _wear(x, case.shape or str(rng.choice(["straight", "saturating", "accelerating"])), rng)
+    wear = _wear(x, case.shape or str(rng.choice(SHAPES)), rng)
+    worn = start + wear - min(0.0, float(wear[-1]))
     behind = np.zeros(k)
     if case.size != 0.0:
         behind[case.history + mixed :] = 1.0
-        behind[case.history : case.history + mixed] = rng.uniform(0.2, 0.8)
-    level = level + case.size * behind
+        behind[case.history : case.history + mixed] = rng.uniform(*MIXED)
+    level = worn + case.size * behind
     days = x / km_per_year * 365.25
-    value = level + (_season(days, rng) if case.season else 0.0) + _outliers(k, case, rng)
+    weather = _season(days, rng) if case.season else np.zeros(k)
+    value = level + weather + _outliers(k, case, rng)
     value = np.where(value < LEAST, 2.0 * LEAST - value, value)
     noise = float(np.exp(rng.uniform(np.log(0.001), np.log(0.01)))) * rng.uniform(0.7, 1.4, k)
     common = float(rng.uniform(0.01, 0.07))
-    value = value + min(common, LEAST) * rng.uniform(-0.5, 0.5) + noise * rng.standard_normal(k)
-    std = np.hypot(common * rng.uniform(0.95, 1.05, k), noise)
+    drawn = rng.standard_t(TAILS, k) / np.sqrt(TAILS / (TAILS - 2.0)) if case.tails else rng.standard_normal(k)
+    value = value + min(common, LEAST) * rng.uniform(-0.5, 0.5) + case.scatter * noise * drawn
+    std = np.hypot(common * rng.uniform(0.95, 1.05, k), noise) / case.understated
     records = tuple(_record(i, x[i], days[i], km / km_per_year * 365.25, value[i], std[i]) for i in range(k))
     stepped = case.size != 0.0
     event_km = float(km * (case.history + 0.5 * mixed)) if stepped else None
-    return Life(records, case.history + mixed if stepped else None, case.size, event_km, level, km_per_year)
+    return Life(
+        records,
+        case.history + mixed if stepped else None,
+        case.size,
+        event_km,
+        level,
+        worn,
+        weather,
+        case.scatter * noise,
+        km_per_year,
+    )
 
 
 def _wear(x: FloatArray, shape: str, rng: np.random.Generator) -> FloatArray:
-    rate, scale = rng.uniform(0.3e-6, 2e-6), rng.uniform(5e4, 3e5)
+    rate, scale = rng.uniform(*RATES), rng.uniform(5e4, 3e5)
     u = x - x[0]
     wear = rate * u
     if shape == "saturating":
         wear = rate * scale * (1.0 - np.exp(-u / scale))
     elif shape == "accelerating":
         wear = rate * u * (1.0 + 0.5 * u / scale)
-    return np.asarray(wear * min(1.0, MOST_WEAR / wear[-1]))
+    elif shape == "falling":
+        wear = -rate * u
+    return np.asarray(wear * min(1.0, MOST_WEAR / abs(wear[-1])))
 
 
 def _season(days: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -109,9 +135,9 @@ def _outliers(k: int, case: Case, rng: np.random.Generator) -> FloatArray:
     """Return outliers; two on end have one cause and about one size."""
     out = np.zeros(k)
     single = rng.random(k) < case.singles
-    out[single] = rng.choice([-1.0, 1.0], single.sum()) * rng.uniform(0.03, 0.2, single.sum())
+    out[single] = rng.choice([-1.0, 1.0], single.sum()) * rng.uniform(*OUTLIERS, single.sum())
     for i in np.flatnonzero(rng.random(k - 1) < case.doubles):
-        out[i : i + 2] = rng.choice([-1.0, 1.0]) * rng.uniform(0.03, 0.2) * rng.uniform(0.9, 1.1, 2)
+        out[i : i + 2] = rng.choice([-1.0, 1.0]) * rng.uniform(*OUTLIERS) * rng.uniform(0.9, 1.1, 2)
     return out
 
 

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.uncertainty import ParameterUncertainty
+from estimation.geometry.uncertainty import ParameterUncertainty, alignment_std
+from estimation.motion.track_lookup import alignment_at
 from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
 from estimation.track.journeys import PositionParameters, journeys
 from estimation.track.screening.screen import PassStatus
@@ -20,16 +22,19 @@ from estimation.values.geometry import BinTable
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
+from estimation.vehicle.sensor_noise import USUAL_CUTOFF
+from ingest.simulator.track import TrackTruth
 
 CHORD = 4.0  # m: errors of a survey are white, smoothed over it by a Hann window
 SURVEY_STEP = 0.25  # m
 TRUSTED = 0.3  # m, offsets up to which the rival takes positions as they are
+SHIFTS = np.arange(-1.5, 1.51, 0.05)  # m, over which the place of an alignment is searched
 UNCERTAIN = Reason(ReasonCode.POSITION_UNCERTAIN, "its position along the section is not certain")
 
 
 @dataclass(frozen=True, slots=True)
 class SurveyPlan:
-    """What is on file of the section; ``std`` None for nothing."""
+    """What is on file of the section besides its gauge; ``std`` None for no alignment."""
 
     std: float | None  # m, of the file's own errors
     stated: float | None = None  # m; None is the true one
@@ -60,27 +65,28 @@ class SurveyScore:
     outcome: str
     code: str  # of the verdict; empty for none
     refused: bool
-    alignment_std: float | None  # m, of what is in force; None for nothing
+    alignment_std: float | None  # m, of what is in force at the wavelengths of the motion; None for nothing
+    alignment_error: float | None  # m, rms, against the truth
     asked: int
     published: tuple[Conicity, ...]
     reasons: Mapping[str, int]  # codes of windows without motion
 
 
-def on_file(fleet: Fleet, plan: SurveyPlan, seed: int) -> TrackAlignment | None:
-    """Return the survey of a fleet's section; None where none is on file."""
-    if plan.std is None:
-        return None
-    source = drawn_track(seed + 7919) if plan.other_section else fleet.track
-    s = np.arange(0.0, fleet.track.s[-1] + 1e-9, SURVEY_STEP)
-    d = plan.scale * np.interp(s - plan.shift, source.s, source.alignment)
-    window = np.hanning(max(3, round(CHORD / SURVEY_STEP)))
-    white = np.random.default_rng([seed, 3501]).standard_normal(len(s))
-    d = d + plan.std * np.convolve(white, window / np.sqrt((window**2).sum()), mode="same")
-    zero = np.zeros(len(s))
-    stated = plan.std if plan.stated is None else plan.stated
-    return TrackAlignment(
-        "S", 1, s, d, np.full(len(s), stated), zero, zero, np.zeros(len(s), dtype=np.int64), Status.ESTIMATED
-    )
+def on_file(fleet: Fleet, plan: SurveyPlan, seed: int) -> TrackAlignment:
+    """Return what is on file of a fleet's section: the gauge, and the alignment where the plan has one.
+
+    The gauge is on file without an alignment too: what is compared knows the same else.
+    """
+    s = np.asarray(np.arange(0.0, fleet.track.s[-1] + 1e-9, SURVEY_STEP))
+    d, stated = np.full(len(s), np.nan), plan.std if plan.stated is None else plan.stated
+    if plan.std is not None:
+        source = drawn_track(seed + 7919) if plan.other_section else fleet.track
+        window = np.hanning(max(3, round(CHORD / SURVEY_STEP)))
+        white = np.random.default_rng([seed, 3501]).standard_normal(len(s))
+        error = plan.std * np.convolve(white, window / np.sqrt((window**2).sum()), mode="same")
+        d = plan.scale * np.interp(s - plan.shift, source.s, source.alignment) + error
+    std, zero, passes = np.full(len(s), stated, dtype=np.float64), np.zeros(len(s)), np.zeros(len(s), dtype=np.int64)
+    return TrackAlignment("S", 1, s, d, std, zero, zero, passes, Status.ESTIMATED)
 
 
 def moved(fleet: Fleet, position_std: float, seed: int) -> Fleet:
@@ -93,41 +99,67 @@ def moved(fleet: Fleet, position_std: float, seed: int) -> Fleet:
     return replace(fleet, windows=windows, passes=passes)
 
 
-def score(
-    fleet: Fleet, survey: TrackAlignment | None, *, rival: bool = False
-) -> tuple[SurveyScore, SurveyScore | None]:
+def score(fleet: Fleet, survey: TrackAlignment, *, rival: bool = False) -> tuple[SurveyScore, SurveyScore | None]:
     """Return what a fleet makes of a section with this survey on file, and what the rival does, where asked for.
 
-    The rival takes the survey as it is on file, and corrects positions only from ``TRUSTED`` on.
+    The rival takes the survey as it is on file, and corrects positions only from ``TRUSTED`` on. Without a survey it is
+    the fleet's own alignment with the std that it truly has, which nobody but the bench knows.
 
     Parameters
     ----------
     fleet
         At the positions that were measured.
     survey
-        On file; None where none is.
+        On file, or the gauge alone.
     rival
         Whether that is asked for.
     """
     section = TrackSectionRecord("S", 1, "S", "56E1", 0.05, 1.435, float(fleet.track.s[-1]))
     update = update_alignment(section, list(fleet.passes), survey, AlignmentSettings(), survey_checked=False)
-    found = _scored(fleet, update, refused=survey is not None and str(update.survey or "").startswith(NOT_USED))
+    found = _scored(fleet, update)
     if not rival:
         return found, None
+    if not np.isfinite(survey.alignment).any():
+        return found, None if found.alignment_error is None else _scored(fleet, _honest(update, found.alignment_error))
     far = {journey: one for journey, one in update.estimate.corrections.items() if abs(one.offset) > TRUSTED}
     kept = replace(update, outcome=UpdateOutcome.SURVEY_KEPT, alignment=survey)
-    return found, _scored(fleet, replace(kept, estimate=replace(update.estimate, corrections=far)), refused=False)
+    return found, _scored(fleet, replace(kept, estimate=replace(update.estimate, corrections=far)))
 
 
-def _scored(fleet: Fleet, update: AlignmentUpdate, *, refused: bool) -> SurveyScore:
+def _honest(update: AlignmentUpdate, error: float) -> AlignmentUpdate:
+    """Return an update whose alignment states this std, m, at the wavelengths of the motion."""
+    track = update.alignment
+    assert track is not None
+    stated = alignment_std(replace(track, alignment_std=np.ones(len(track.s))))
+    return replace(update, alignment=replace(track, alignment_std=np.full(len(track.s), error / stated)))
+
+
+def _alignment_error(truth: TrackTruth, track: TrackAlignment) -> float | None:
+    """Return the rms error of an alignment in the motion, m, where it is used, at the place where that is least.
+
+    Without a survey nothing says where the fleet is as a whole; None where no part of it is long enough.
+    """
+    s = np.asarray(np.arange(0.0, truth.s[-1], SURVEY_STEP))
+    d = alignment_at(s, track, USUAL_CUTOFF)
+    kernel = local_cubic_kernel(USUAL_CUTOFF, SURVEY_STEP)
+    inside = valid_support(np.isfinite(d), kernel)
+    if not inside.any():
+        return None
+    seen = high_pass(np.nan_to_num(d), kernel)[inside]
+    true = high_pass(np.interp(s, truth.s, truth.alignment), kernel)
+    return float(min(np.sqrt(np.mean((seen - np.interp(s + shift, s, true)[inside]) ** 2)) for shift in SHIFTS))
+
+
+def _scored(fleet: Fleet, update: AlignmentUpdate) -> SurveyScore:
     published, reasons = _conicities(fleet, update)
     track = update.alignment
-    known = track is not None and bool(np.isfinite(track.alignment).any())
+    known = None if track is None or not np.isfinite(track.alignment).any() else track
     return SurveyScore(
         outcome=str(update.outcome),
         code=str(code_of(update.survey) or ""),
-        refused=refused,
-        alignment_std=float(np.nanmedian(track.alignment_std)) if known and track is not None else None,
+        refused=str(update.survey or "").startswith(NOT_USED),
+        alignment_std=None if known is None else alignment_std(known),
+        alignment_error=None if known is None else _alignment_error(fleet.track, known),
         asked=len(fleet.conicity) * len(AMPLITUDES),
         published=tuple(published),
         reasons=reasons,

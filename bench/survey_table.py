@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import beta
 
 from bench.report import BenchRow
+from estimation.values.arrays import FloatArray
 
 TITLE = "Surveys as evidence"
 HEADER = (
@@ -21,7 +24,9 @@ HEADER = (
     "half width",
     "interval score",
     "cover",
-    "as filed: error",
+    "alignment error, mm",
+    "stated, mm",
+    "rival: error",
     "interval score",
     "cover",
 )
@@ -29,7 +34,11 @@ MISS = 40.0  # weight of a miss in the interval score of 95 % intervals
 REFUSED = 0.005  # share of right surveys
 FOUND = 0.99  # share of wrong ones
 COVER_UNDERSTATED = 0.92
-SAME = 1.02  # factor by which a mean over fleets is the same
+RESOLUTION = 0.0005  # of a conicity: half of the last digit that is shown
+BEYOND = 2.0  # stds of a mean difference, beyond which it is no chance
+FEWEST_FLEETS = 4  # for a std of such a mean
+LEVEL = 0.95  # of the bounds of shares
+USUAL = "0.5 m"  # error of positions
 Case = Mapping[str, Any]
 
 
@@ -39,17 +48,21 @@ def summary(cases: Sequence[Case]) -> Iterator[BenchRow]:
     wrong = [case for case in cases if not case["right"] and case["survey"] != "none"]
     refused = sum(case["refused"] for case in right)
     yield BenchRow(
-        "right surveys refused", f"{refused} of {len(right)}", "<= 0.5 %", refused <= REFUSED * max(len(right), 1)
+        "right surveys refused",
+        f"{refused} of {len(right)}, at most {most_share(refused, len(right)):.1%}",
+        "<= 0.5 %",
+        refused <= REFUSED * max(len(right), 1),
     )
     found = [case for case in wrong if case["code"] not in ("", "survey_confirmed") and not _published_as_good(case)]
     yield BenchRow(
         "wrong surveys found: refused, replaced, or doubted and widened",
-        f"{len(found)} of {len(wrong)}, of them {sum(case['refused'] for case in wrong)} refused",
+        f"{len(found)} of {len(wrong)}, at least {1.0 - most_share(len(wrong) - len(found), len(wrong)):.1%};"
+        f" {sum(case['refused'] for case in wrong)} refused",
         ">= 99 %",
         len(found) >= FOUND * len(wrong),
     )
     for name in dict.fromkeys(case["survey"] for case in right if not case["understated"]):
-        yield _against_none([case for case in right if case["survey"] == name], cases, name)
+        yield from _against_none(cases, name)
     understated = [case for case in right if case["understated"]]
     values = figures(understated)
     yield BenchRow(
@@ -82,6 +95,43 @@ class Figures:
         self.cover = float(np.mean([one["covered"] for one in published])) if some else float("nan")
 
 
+def differences(cases: Sequence[Case], surveys: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return by fleet what each survey changes against none: error, interval score, and against an honest none.
+
+    Parameters
+    ----------
+    cases
+        Of all fleets.
+    surveys
+        Names of the columns.
+    """
+    found = []
+    for row in dict.fromkeys(case["row"] for case in cases):
+        members = [case for case in cases if case["row"] == row]
+        none = {(case["row"], case["seed"]): case for case in members if case["survey"] == "none"}
+        honest = {key: case["rival"] for key, case in none.items() if case["rival"] is not None}
+        cells = []
+        for name in surveys:
+            errors, scores = paired(members, none, name)
+            parts = [errors, scores, paired(members, honest, name)[1]]
+            cells.append(", ".join(f"{np.mean(np.concatenate(one)):+.4f}" for one in parts if one))
+        found.append((row, *cells))
+    return found
+
+
+def most_share(count: int, of: int) -> float:
+    """Return the largest share, at ``LEVEL``, that is seen so rarely (Clopper and Pearson, one side).
+
+    Parameters
+    ----------
+    count
+        How often it was seen.
+    of
+        How often it could have been.
+    """
+    return float(beta.ppf(LEVEL, count + 1, of - count)) if count < of else 1.0
+
+
 def figures(cases: Sequence[Case], *, rival: bool = False) -> Figures:
     """Return the figures of all cases together; of the rival where asked for."""
     scores = [case["rival"] if rival else case for case in cases]
@@ -107,6 +157,7 @@ def rows_of(cases: Sequence[Case], key: str) -> list[tuple[str, ...]]:
                 f"{mine.half:.4f}",
                 f"{mine.score:.4f}",
                 f"{mine.cover:.3f}",
+                *(_millimetres(members, name) for name in ("alignment_error", "alignment_std")),
                 *(
                     ("", "", "")
                     if not filed.count
@@ -117,8 +168,10 @@ def rows_of(cases: Sequence[Case], key: str) -> list[tuple[str, ...]]:
     return found
 
 
-def _of_rival(filed: Figures) -> tuple[str, str, str]:
-    return (f"{filed.error:.4f}", f"{filed.score:.4f}", f"{filed.cover:.3f}") if filed.count else ("", "", "")
+def _millimetres(members: Sequence[Case], name: str) -> str:
+    """Return the rms of what cases know of their alignments."""
+    values = [case[name] for case in members if case[name] is not None]
+    return f"{1e3 * float(np.sqrt(np.mean(np.square(values)))):.3f}" if values else ""
 
 
 def _published_as_good(case: Case) -> bool:
@@ -127,26 +180,82 @@ def _published_as_good(case: Case) -> bool:
     return not case["refused"] and values.count > 0 and values.cover < COVER_UNDERSTATED
 
 
-def _against_none(members: Sequence[Case], cases: Sequence[Case], name: str) -> BenchRow:
-    """Return the comparison with the same fleets without a survey, over the numbers that both publish."""
-    without = {(case["row"], case["seed"]): case for case in cases if case["survey"] == "none"}
-    mine: list[Mapping[str, Any]] = []
-    other: list[Mapping[str, Any]] = []
-    counts = [0, 0]
-    for case in members:
-        none = without.get((case["row"], case["seed"]))
-        if none is None or case["positions"] != none["positions"]:
+@dataclass(frozen=True, slots=True)
+class Paired:
+    """Mean by which numbers that two cases both publish differ; its std by fleets, whose numbers share their errors."""
+
+    mean: float
+    std: float  # infinite where too few fleets show it
+    fleets: int
+
+    @classmethod
+    def of(cls, by_fleet: Sequence[FloatArray]) -> Paired:
+        """Return that of the differences of each fleet."""
+        count = sum(len(one) for one in by_fleet)
+        mean = sum(float(one.sum()) for one in by_fleet) / count
+        squares = sum(float((one - mean).sum()) ** 2 for one in by_fleet)
+        fleets = len(by_fleet)
+        if fleets < FEWEST_FLEETS:
+            return cls(mean, float("inf"), fleets)
+        return cls(mean, float(np.sqrt(squares * fleets / (fleets - 1.0))) / count, fleets)
+
+    @property
+    def text(self) -> str:
+        """Mean and std, or that it is not decided."""
+        known = f"+- {self.std:.4f}" if np.isfinite(self.std) else "not decided"
+        return f"{self.mean:+.4f} {known} (fleets: {self.fleets})"
+
+    def no_worse(self, resolution: float) -> bool:
+        """Whether it is decided that the difference is no more than chance, or than what anybody sees."""
+        return bool(np.isfinite(self.std)) and self.mean <= max(BEYOND * self.std, resolution)
+
+
+def paired(cases: Sequence[Case], others: Mapping[Any, Case], name: str) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Return by fleet by how much errors and interval scores of a survey exceed those of others, number by number.
+
+    Parameters
+    ----------
+    cases
+        Of all surveys.
+    others
+        What is compared with, by fleet and seed.
+    name
+        Of the survey.
+    """
+    errors, scores = [], []
+    for case in cases:
+        other = others.get((case["row"], case["seed"]))
+        if case["survey"] != name or other is None or case["positions"] != USUAL:
             continue
-        own, others = ({one["key"]: one for one in item["published"]} for item in (case, none))
-        shared = own.keys() & others.keys()
-        mine += [own[key] for key in sorted(shared)]
-        other += [others[key] for key in sorted(shared)]
-        counts = [counts[0] + len(own), counts[1] + len(others)]
-    with_survey, alone = Figures(mine), Figures(other)
-    text = (
-        f"error {with_survey.error:.4f} for {alone.error:.4f}, interval score {with_survey.score:.4f}"
-        f" for {alone.score:.4f}, published {counts[0]} for {counts[1]}"
-    )
-    no_worse = with_survey.score <= SAME * alone.score and with_survey.error <= SAME * alone.error
-    met = no_worse and counts[0] >= counts[1]
-    return BenchRow(f"survey of {name} for none, numbers of both", text, "error, score and count not worse", met)
+        own, without = ({one["key"]: one for one in item["published"]} for item in (case, other))
+        shared = sorted(own.keys() & without.keys())
+        if shared:
+            pairs = [(own[key], without[key]) for key in shared]
+            errors.append(np.array([abs(one["error"]) - abs(none["error"]) for one, none in pairs]))
+            scores.append(np.array([_score(one) - _score(none) for one, none in pairs]))
+    return errors, scores
+
+
+def _score(one: Mapping[str, Any]) -> float:
+    """Return the interval score of one number."""
+    return float(2.0 * one["half_width"] + MISS * max(abs(one["error"]) - one["half_width"], 0.0))
+
+
+def _against_none(cases: Sequence[Case], name: str) -> Iterator[BenchRow]:
+    """Yield the comparison with the same fleets without a survey, over the numbers that both publish."""
+    none = {(case["row"], case["seed"]): case for case in cases if case["survey"] == "none"}
+    honest = {key: case["rival"] for key, case in none.items() if case["rival"] is not None}
+    mine = [case for case in cases if case["survey"] == name and case["positions"] == USUAL]
+    own, alone = (sum(len(case["published"]) for case in group) for group in (mine, none.values()))
+    what = f"survey of {name} for none"
+    errors, scores = paired(cases, none, name)
+    if not errors:
+        yield BenchRow(f"{what}: numbers of both", "none", "some", met=False)
+        return
+    error = Paired.of(errors)
+    met = error.no_worse(RESOLUTION) and own >= alone
+    yield BenchRow(f"{what}: error, numbers", f"{error.text}, {own} for {alone}", "not worse, not fewer", met)
+    for label, found in (("interval score", scores), ("the same with its true std", paired(cases, honest, name)[1])):
+        if found:
+            score = Paired.of(found)
+            yield BenchRow(f"{what}: {label}", score.text, "not worse", met=score.no_worse(2.0 * RESOLUTION))

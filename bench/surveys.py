@@ -1,9 +1,10 @@
 """Surveys as evidence: ``python -m bench surveys [--seeds 0-2] [--rows plain,coach,...] ...``.
 
 Each drawn fleet (``survey_fleets``) meets its section without a survey, and with surveys of any std, stated as it is or
-a fifth of it, and with wrong ones; positions are off by 0.5 m, in two rows by none and 2 m. Nothing is recorded or
-stored: signals go through the functions of the jobs (``survey_case``). Beside each survey the rival uses it as it is on
-file. Results are appended to ``--out``, a line of JSON a fleet, and what is there is not run again.
+a fifth of it, and with wrong ones; the gauge is on file in all. Positions are off by 0.5 m, in two rows by 0 and 2 m.
+Nothing is recorded or stored: signals go through the functions of the jobs (``survey_case``). Beside each survey the
+rival uses it as it is on file. Results are appended to ``--out``, a line of JSON a fleet, and what is there is not run
+again.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from bench.report import BenchRow, printed
 from bench.results_page import markdown_table, write_page
 from bench.survey_case import SurveyPlan, moved, on_file, score
 from bench.survey_fleets import COACH, FleetPlan, drawn_fleet
-from bench.survey_table import HEADER, TITLE, rows_of, summary
+from bench.survey_table import HEADER, TITLE, USUAL, differences, rows_of, summary
 from bench.world import seed_range
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
@@ -35,6 +36,10 @@ ROWS: Mapping[str, FleetPlan] = {
     "switches": FleetPlan(switches=True),
     "one flat": FleetPlan(flat=True),
 }
+BY_SURVEY = (
+    "By survey, over all fleets. The error of an alignment is against the truth in the waves of the motion, at its best"
+    " place. The *rival* uses the file as it is; without one it states the std that the fleet's alignment truly has."
+)
 MM = 1e-3
 SURVEYS: Mapping[str, SurveyPlan] = {
     "none": SurveyPlan(None),
@@ -45,8 +50,8 @@ SURVEYS: Mapping[str, SurveyPlan] = {
     "other section": SurveyPlan(0.1 * MM, other_section=True),
     "sign": SurveyPlan(0.1 * MM, scale=-1.0),
 }
+NAMES = [name for name, plan in SURVEYS.items() if plan.std is not None and plan.right and plan.stated is None]
 POSITIONS = {"0 m": 0.0, "0.5 m": 0.5, "2 m": 2.0}
-USUAL = "0.5 m"
 ALL_POSITIONS = ("0.3 mm",)  # surveys that are tried with every error of positions
 
 
@@ -71,10 +76,14 @@ def main(arguments: Sequence[str]) -> int:
     if options.write_docs:
         body = [
             markdown_table(("what", "measured", "reach", "met"), [row.cells for row in made]),
-            "By survey, over all fleets; *as filed* uses the file as it is.",
+            BY_SURVEY,
             markdown_table(HEADER, rows_of(cases, "survey"), range(1, len(HEADER))),
             "By fleet, over all right surveys.",
             markdown_table(HEADER, rows_of([case for case in cases if case["right"]], "row"), range(1, len(HEADER))),
+        ]
+        body += [
+            "With a survey less without, by fleet: error, interval score, and that against none with its true std.",
+            markdown_table(("", *NAMES), differences(cases, NAMES), range(1, len(NAMES) + 1)),
         ]
         shown = ", ".join(f"{row} {seed}" for row, seed in dict.fromkeys((case["row"], case["seed"]) for case in cases))
         body.insert(0, f"Fleets and seeds: {shown}.")
@@ -99,7 +108,7 @@ def fleet_cases(row: str, seed: int, surveys: Sequence[str] = tuple(SURVEYS)) ->
     for survey, plan in ((name, SURVEYS[name]) for name in surveys):
         for positions in POSITIONS if survey in ALL_POSITIONS else (USUAL,):
             at = moved(fleet, POSITIONS[positions], seed)
-            found, rival = score(at, on_file(at, plan, seed), rival=plan.std is not None and plan.right)
+            found, rival = score(at, on_file(at, plan, seed), rival=plan.right)
             yield {
                 "row": row,
                 "seed": seed,

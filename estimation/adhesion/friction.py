@@ -45,6 +45,7 @@ class FrictionParameters:
     at_ends: float = 0.3  # the same of the places around it, to which its stretch reaches
     good: float = 0.4  # friction of good rails: an interval that holds it shows no low friction
     certain: float = 0.9  # that probability where a vehicle is alone, and from which samples are left out elsewhere
+    beside_others: float = 0.7  # the same of a place that one vehicle met, where others have passed the section
     fewest_vehicles: int = 2  # that agree, where the probability is less
     fewest_passes: int = 3  # of wheelsets
     creep_error_std: float = 0.1  # of b, relative
@@ -322,6 +323,7 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
 
     One place of a stretch, at least, is likely to be low by what vehicles agree on, or near to certain by what one
     shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
+    The creep of one vehicle is better known on a section where it is held against that of others.
 
     Parameters
     ----------
@@ -331,12 +333,14 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
         The probabilities from which places count.
     """
     reached = min(parameters.at_ends, parameters.likely)
+    beside = any(one.vehicles >= parameters.fewest_vehicles for one in cells)
+    by_one = max(parameters.likely, parameters.beside_others if beside else parameters.certain)
     found: list[tuple[float, float, bool]] = []
     for one in cells:
         if one.friction.value is None or one.low_probability < reached:
             continue
         agreed, high = one.vehicles >= parameters.fewest_vehicles, one.friction.high
-        needed = parameters.likely if agreed else max(parameters.likely, parameters.certain)
+        needed = parameters.likely if agreed else by_one
         shows = one.low_probability >= needed and high is not None and high < parameters.good
         if found and one.from_m - found[-1][1] <= CELL_LENGTH:
             begin, _, before = found.pop()

@@ -15,6 +15,7 @@ from estimation.trend.change_point import BESIDE, Series, StepModel, newest_chan
 from estimation.values.arrays import FloatArray
 
 EVEN = StepModel(
+    slope=0.0,
     slope_std=5e-6,  # mm per km, wear that differs between the wheels
     bend_std=2e-6,
     wander_std=0.01,

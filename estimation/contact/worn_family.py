@@ -2,8 +2,9 @@
 
 Each row is one wheelset on one track: a wheel of a standard on a rail of a standard, new, worn hollow by a formula
 (depth, place and width of the hollow, wear of the flange and of the rail drawn over their ranges, both wheels alike or
-one less worn than the other), or worn by its contact and then run on that rail and on another; at one gauge or blurred
-over several.
+one less worn than the other), or worn by its contact and then run on that rail and on another, both new and worn; at
+one gauge or blurred over several. A shape between two of the draws is like neither: fewer draws leave more wheelsets
+that are like a few members only, which happen to stay flat.
 The rows are computed once and kept in ``worn_family.npy``; ``python -m bench.worn_family`` writes them again.
 """
 
@@ -40,7 +41,7 @@ GAUGE_SHARES = np.array(  # of the gauges: kept wide or narrow over the whole wa
     ]
 )
 DISPLACEMENT = np.arange(-75, 76) * 1e-4  # m
-HOLLOWS = 12  # of a pair
+HOLLOWS = 24  # of a pair
 DEEPEST = 2.2e-3  # m, of a hollow
 CENTRE_OFF = 7e-3  # m, of a hollow from its usual place, at most
 WIDTHS = (0.65, 1.1)  # of its usual width
@@ -129,7 +130,7 @@ def conicities_of(pair: Pair) -> FloatArray:
     pair
         Design profiles.
     """
-    found = [conicities_on_track(*wheels, rail, pair.inclination) for wheels, rail in _wheelsets(pair)]
+    found = [conicities_on_track(*wheels, rail, pair.inclination) for wheels, rail in wheelsets(pair)]
     rows = np.concatenate(found)
     low, high = USUAL_CONICITY
     with np.errstate(invalid="ignore"):
@@ -155,7 +156,7 @@ def conicities_on_track(left: Profile, right: Profile, rail: Profile, inclinatio
     return np.stack([equivalent_conicity(DISPLACEMENT, curve, AMPLITUDES) for curve in curves])
 
 
-def _wheelsets(pair: Pair) -> Iterator[tuple[tuple[Profile, Profile], Profile]]:
+def wheelsets(pair: Pair) -> Iterator[tuple[tuple[Profile, Profile], Profile]]:
     """Yield left and right wheel of each wheelset, with the rail it runs on."""
     wheel, rail = wheel_profile(pair.wheel), rail_profile(pair.rail)
     yield (wheel, wheel), rail
@@ -163,11 +164,13 @@ def _wheelsets(pair: Pair) -> Iterator[tuple[tuple[Profile, Profile], Profile]]:
         yield (worn(wheel, left), worn(wheel, right)), worn_rail(rail, band)
     names = [name for name, _ in RAILS]
     other = rail_profile(names[(names.index(pair.rail) + OTHER_RAIL) % len(names)])
-    for running in RUNNING:
+    for running, bands in zip(RUNNING, _bands(pair), strict=True):
         try:
-            for shape in worn_by_contact(wheel, rail, 1.0 / pair.inclination, running, DEPTHS):
-                yield (shape, shape), rail
-                yield (shape, shape), other
+            shapes = worn_by_contact(wheel, rail, 1.0 / pair.inclination, running, DEPTHS)
+            for shape, band in zip(shapes, bands, strict=True):
+                for under in (rail, other):
+                    yield (shape, shape), under
+                    yield (shape, shape), worn_rail(under, band)
         except ContactError:
             continue  # worn so that it no longer touches: no wheel in service
 
@@ -181,12 +184,24 @@ def _hollows(pair: Pair) -> Iterator[tuple[TreadWear, TreadWear, RailWear]]:
         half_width = pair.half_width * (WIDTHS[0] + (WIDTHS[1] - WIDTHS[0]) * width)
         less = LESS_WORN if unlike < UNLIKE else 1.0
         flange_wear = FLANGE_SHARE * flange * depth
-        at = RAIL_CENTRE[0] + (RAIL_CENTRE[1] - RAIL_CENTRE[0]) * band
         yield (
             TreadWear(depth, centre, half_width, flange_wear),
             TreadWear(less * depth, centre, half_width, less * flange_wear),
-            RailWear(RAIL_WORN * max(0.0, rail - WORN_RAILS) / WORN_RAILS, at, RAIL_HALF_WIDTH),
+            _rail_wear(max(0.0, rail - WORN_RAILS) / WORN_RAILS, band),
         )
+
+
+def _bands(pair: Pair) -> Iterator[list[RailWear]]:
+    """Yield for each way of running the wear of the rails under the wheel of each depth, drawn as that of hollows."""
+    draws = Halton(2, scramble=False)
+    draws.fast_forward(1 + len(RUNNING) * len(DEPTHS) * PAIRS.index(pair))
+    for _ in RUNNING:
+        yield [_rail_wear(*shares) for shares in draws.random(len(DEPTHS))]
+
+
+def _rail_wear(depth_share: float, place_share: float) -> RailWear:
+    centre = RAIL_CENTRE[0] + (RAIL_CENTRE[1] - RAIL_CENTRE[0]) * place_share
+    return RailWear(RAIL_WORN * depth_share, centre, RAIL_HALF_WIDTH)
 
 
 @cache

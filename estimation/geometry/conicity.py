@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel, zero_crossing
+from estimation.geometry.contact_roll import ContactRoll, standard_curve
 from estimation.geometry.rolling_line import FREE, held_difference_std, moved_off
 from estimation.geometry.sharpening import (
     Sharpening,
@@ -48,6 +49,9 @@ class CurveParameters:
     nonlinearity_high: float = 4.0e-3  # m
 
 
+_Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius difference (k,)
+
+
 @dataclass(frozen=True, slots=True)
 class CurveReplicates:
     """An estimated curve rL - rR over bin centres, with what its uncertainty needs."""
@@ -60,6 +64,11 @@ class CurveReplicates:
     count: float  # windows
     band_limited: bool
     held_shares: tuple[float, ...] = FREE  # of a difference of diameters, in R on average
+    contact_roll: ContactRoll | None = None  # in the displacement; None where that needs nothing more
+
+    def row(self, x: FloatArray, difference: FloatArray) -> _Row:
+        """Return displacement and R (n,), m, as EN 15302 means them."""
+        return (x, difference) if self.contact_roll is None else standard_curve(x, difference, self.contact_roll)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +82,6 @@ class CurveEstimates:
     nonlinearity: Estimate
     zero_crossing: Estimate
     centre: Centre | None = None
-
-
-_Row = tuple[FloatArray, FloatArray]  # displacement (k,), rolling radius difference (k,)
 
 
 def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> CurveEstimates:
@@ -183,15 +189,17 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
     sharp = sharpen(low, high, nodes[0], jackknife_std(nodes), float(np.hypot(curve.error.blur, slow)))
     x = (1 - curve.error.excess) * sharp.displacement
     shifted = nodes[0] + nodes_of(np.moveaxis(curve.sensitivity[run], 1, -1)).T  # (k, m)
-    rows = [(x, sharp.curve(row)) for row in (*nodes, *shifted)]
+    rows = [curve.row(x, sharp.curve(row)) for row in (*nodes, *shifted)]
     conicity = np.stack([equivalent_conicity(*row, amplitude) for row in rows])
     plain = (1 - curve.error.excess) * edges_and_centres(low, high)
-    others = _systematic(curve.error, sharp, rows[0], (plain, nodes[0]), amplitude)
+    blurred = curve.row(plain, replace(curve.error, std=sharp.left).rounded(plain, nodes[0]))
+    others = _systematic(curve.error, sharp, rows[0], blurred, amplitude)
     lost, held = _lost_to_filters(*rows[0], amplitude), _held_off(rows[0], amplitude, conicity[0], curve.held_shares)
     unseen = np.stack([lost, held]) if curve.band_limited else np.zeros((2, len(amplitude)))
-    stretched = ((1 + curve.error.scale) * x, rows[0][1])
+    of_standard, difference = rows[0]
+    stretched = ((1 + curve.error.scale) * of_standard, difference)
     conicities = np.concatenate([conicity, conicity[0] + others, conicity[0] + unseen])
-    return [*rows, (sharp.displacement, rows[0][1]), stretched], conicities
+    return [*rows, (of_standard / (1 - curve.error.excess), difference), stretched], conicities
 
 
 def _held_off(row: _Row, amplitude: FloatArray, here: FloatArray, shares: tuple[float, ...]) -> FloatArray:
@@ -213,7 +221,7 @@ def _lost_to_filters(x: FloatArray, curve: FloatArray, amplitude: FloatArray) ->
 
 
 def _systematic(
-    error: DisplacementError, sharp: Sharpening, row: _Row, plain: _Row, amplitude: FloatArray
+    error: DisplacementError, sharp: Sharpening, row: _Row, blurred: _Row, amplitude: FloatArray
 ) -> FloatArray:
     """Return what each systematic error of the displacement changes of the conicity: (4, a).
 
@@ -224,7 +232,6 @@ def _systematic(
     here = equivalent_conicity(x, curve, amplitude)
     middle = zero_crossing(x, curve)
     jump = error.jump_place_std(min(sharp.blur, error.blur) + sharp.left)
-    blurred = replace(error, std=sharp.left).rounded(*plain)
 
     covered = float(np.max(amplitude[np.isfinite(here)], initial=0.0))  # beyond, the conicity is as at its end
 
@@ -241,8 +248,8 @@ def _systematic(
 
     return np.stack(
         [
-            equivalent_conicity(sharp.displacement, curve, amplitude) - here,
-            (1.0 if sharp.left else BLUR_SHARE) * (equivalent_conicity(plain[0], blurred, amplitude) - here),
+            equivalent_conicity(x / (1 - error.excess), curve, amplitude) - here,
+            (1.0 if sharp.left else BLUR_SHARE) * (equivalent_conicity(*blurred, amplitude) - here),
             _widest(stretched, here),
             _widest(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
         ]

@@ -178,6 +178,7 @@ def _curve(
         count=float(table.windows),
         band_limited=bins.band_limited,
         held_shares=unc.held_shares,
+        contact_roll=unc.contact_roll,
     )
 
 

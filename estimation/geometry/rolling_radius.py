@@ -34,6 +34,9 @@ SCALE_SHARE = 0.5  # of the radius, per scale of yaw against lateral sensor: mor
 MOST_UNEXPLAINED = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
 FEWEST_PARTS = 8
 DOUBTED = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
+MISTAKE = (
+    0.10  # of the radius on file: a mistake that the motion has to exclude, as wheels worn out on file as new ones
+)
 CERTAIN = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
 
 _SCALE, _RADIUS, _SUSPENSION = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension"))
@@ -45,12 +48,16 @@ class RollingRadius:
 
     value: float  # m
     std: float  # m
+    bound: float  # m, of its std: what the noise of the sensors alone leaves (Cramer and Rao)
 
 
 def check_radius(
     parts: Sequence[RollingSums], on_file: float, relative_std: float = 0.0, *, measured: bool = False
 ) -> Contradiction | None:
-    """Return that the motion contradicts the nominal radius on file; None where it does not or is silent.
+    """Return that the motion contradicts the nominal radius on file, or leaves it open; None where it confirms it.
+
+    A radius that nobody measured and that the motion does not tell from one off by ``MISTAKE`` stands beside the
+    number as a doubt. Few data say nothing.
 
     Parameters
     ----------
@@ -63,12 +70,18 @@ def check_radius(
     measured
         Whether that std is on file: the radius was measured, and one measurement against another is a doubt.
     """
+    if len(parts) < FEWEST_PARTS:
+        return None
     found = rolling_radius(parts)
     if found is None:
-        return None
-    stds = abs(found.value - on_file) / math.hypot(found.std, relative_std * on_file)
+        return None if measured else _open(on_file, "the motion does not show the radius on which the wheelset rolls")
+    std = math.hypot(found.std, relative_std * on_file)
+    stds = abs(found.value - on_file) / std
     if stds <= DOUBTED:
-        return None
+        if measured or stds + DOUBTED <= MISTAKE * on_file / std:
+            return None
+        by_motion = f"{1e3 * found.value:.0f} mm (std {1e3 * found.std:.0f} mm)"
+        return _open(on_file, f"the motion shows the radius on which the wheelset rolls as {by_motion}")
     certain = stds > CERTAIN and not measured
     reason = Reason(
         ReasonCode.ROLLING_RADIUS_DIFFERS,
@@ -77,6 +90,15 @@ def check_radius(
         " and the height of the lateral sensor",
     )
     return Contradiction(reason, certain, abs(found.value - on_file) / on_file)
+
+
+def _open(on_file: float, shown: str) -> Contradiction:
+    """Return that the number rests on a radius on file that neither the motion nor a measurement confirms."""
+    text = (
+        f"{shown}, which does not confirm the {1e3 * on_file:.0f} mm on file: a radius {MISTAKE:.0%} off moves the"
+        f" conicity by {MISTAKE:.0%}; put its std on file, as measured or as wheels wear"
+    )
+    return Contradiction(Reason(ReasonCode.ROLLING_RADIUS_OPEN, text), certain=False, relative=0.0)
 
 
 def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
@@ -116,17 +138,18 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     if _unexplained(whole, best) > MOST_UNEXPLAINED:
         return None
     replicates = np.array([best, *(_solution(whole - one) for one in sums)])
+    bound = math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS]))
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
     stds = [
         float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS]),
-        math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS])),
+        bound,
         MODEL_STD,
         _noise_doubt(left) * corrected,
         FRICTION_SHARE * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
         SCALE_SHARE * best[_RADIUS] * abs(best[_SCALE] - 1.0),
         _std_of_bands(weights, total - share * of_noise),
     ]
-    return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)))
+    return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)), bound)
 
 
 def _std_of_bands(weights: FloatArray, by_band: FloatArray) -> float:

@@ -197,10 +197,36 @@ def jumps_displaced(x: FloatArray, curve: FloatArray, middle: float, by: float) 
     by
         m.
     """
-    slope = np.diff(curve) / np.diff(x)
-    beyond = np.maximum(slope - STEEP * max(float(np.median(slope)), 0.0), 0.0)
-    steep = np.append(0.0, np.cumsum(beyond * np.diff(x)))
-    steep -= np.interp(middle, x, steep)
+    _, rises = split_at_rises(x, curve, middle)
+    return np.asarray(curve - rises + displaced(x, rises, middle, by))
+
+
+def split_at_rises(x: FloatArray, curve: FloatArray, middle: float) -> tuple[FloatArray, FloatArray]:
+    """Return a curve (n,) without what is steep or falls, and what is steep of it; both are zero at ``middle``.
+
+    Parameters
+    ----------
+    x, curve, middle
+        As :func:`jumps_displaced` takes them.
+    """
+    slope, steps = np.diff(curve) / np.diff(x), np.diff(x)
+    limit = STEEP * max(float(np.median(slope)), 0.0)
+    flat = np.append(0.0, np.cumsum(np.clip(slope, 0.0, limit) * steps))
+    rises = np.append(0.0, np.cumsum(np.maximum(slope - limit, 0.0) * steps))
+    return flat - np.interp(middle, x, flat), rises - np.interp(middle, x, rises)
+
+
+def displaced(x: FloatArray, values: FloatArray, middle: float, by: float | FloatArray) -> FloatArray:
+    """Return values (n,) that are further from ``middle`` by ``by`` (m, or (n,) m; negative: nearer).
+
+    Parameters
+    ----------
+    x, middle
+        As :func:`jumps_displaced` takes them.
+    values
+        (n,) over ``x``.
+    by
+        m.
+    """
     away = x - middle
-    nearer = middle + np.sign(away) * np.maximum(np.abs(away) - by, 0.0)
-    return np.asarray(curve - steep + np.interp(nearer, x, steep))
+    return np.interp(middle + np.sign(away) * np.maximum(np.abs(away) - by, 0.0), x, values)

@@ -13,6 +13,7 @@ from typing import Self
 
 import numpy as np
 
+from estimation.geometry.contact_roll import ContactRoll
 from estimation.geometry.rolling_line import FREE, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
@@ -38,9 +39,8 @@ LEAST_SCALE_STD = 0.002  # relative, of any sensor: its digits and its drift
 
 MOUNTING_STD = math.radians(2.0)  # of the angle of a yaw sensor about the lateral axis
 
-STANDARD_SCALE_STD = 0.006  # relative, of the displacement of EN 15302: rail heads are no arcs of one radius
-
-HIDDEN_SCALE_STD = 0.008  # the same where the roll of the contact is hidden behind that of the track
+# Relative, of the displacement of EN 15302: rail heads are no arcs of one radius; the roll of the contact is hidden.
+SCALE_STDS = {ContactRoll.SEEN: 0.006, ContactRoll.HIDDEN: 0.008}
 
 
 def quotient_widening(relative: float) -> float:
@@ -78,6 +78,7 @@ class ParameterUncertainty:
     scale: float = 0.0  # of rL - rR as a whole: by nominal radius, half contact distance and the yaw sensor
     of_bogie: tuple[float, float, float] = (0.02, 0.02, MOUNTING_STD)  # yaw sensor against the frame's, those, angle
     held_shares: tuple[float, ...] = FREE  # of a difference of diameters, by ``rolling_line.SLOPES``
+    contact_roll: ContactRoll | None = None  # in y - d; None where y - d needs nothing more
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
@@ -88,13 +89,13 @@ class ParameterUncertainty:
         vehicle_class
             The class, with the relative standard deviations of its parameters.
         """
-        of_roll = HIDDEN_SCALE_STD if vehicle_class.sensors.measures_gravity else STANDARD_SCALE_STD
+        roll = ContactRoll.HIDDEN if vehicle_class.sensors.measures_gravity else ContactRoll.SEEN
         return cls(
             creep=vehicle_class.std_of("longitudinal_creep_coefficient"),
             stiffness=vehicle_class.std_of("yaw_stiffness"),
             mass=vehicle_class.std_of("yaw_inertia"),
             expected_noise=displacement_noise(vehicle_class),
-            displacement=math.hypot(vehicle_class.sensors.lateral.scale_std, of_roll),
+            displacement=math.hypot(vehicle_class.sensors.lateral.scale_std, SCALE_STDS[roll]),
             scale=math.hypot(
                 vehicle_class.std_of("nominal_radius"),
                 vehicle_class.std_of("half_contact_distance"),
@@ -102,6 +103,7 @@ class ParameterUncertainty:
             ),
             of_bogie=_sensors_of_bogie(vehicle_class),
             held_shares=held_shares(vehicle_class),
+            contact_roll=roll,
         )
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
@@ -120,7 +122,7 @@ class ParameterUncertainty:
         return replace(
             self,
             ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
-            expected_noise=math.hypot(self.expected_noise, max((_alignment_std(one) for one in used), default=0.0)),
+            expected_noise=math.hypot(self.expected_noise, max((alignment_std(one) for one in used), default=0.0)),
             displacement=math.hypot(self.displacement, max((_scale_std(one, wheelset) for one in used), default=0.0)),
             jump_position_std=max(
                 (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
@@ -157,11 +159,16 @@ def _findings_for(track: TrackAlignment, wheelset: str | None) -> TrackFindings 
     return track.findings if wheelset in track.findings.gauge_shifts else None
 
 
-def _alignment_std(track: TrackAlignment) -> float:
+def alignment_std(track: TrackAlignment) -> float:
     """Return the median std, m, of an alignment where it is known, at the usual cut-off of the motion.
 
     That of a fleet is of all waves up to its own cut-off, and nearly all of it of the longest, for accelerations are
     integrated twice: its variance grows as the cube of the cut-off.
+
+    Parameters
+    ----------
+    track
+        The alignment.
     """
     known = np.isfinite(track.alignment_std)
     std = float(np.median(track.alignment_std[known])) if known.any() else 0.0

@@ -7,6 +7,7 @@ that they are registered on, or the bogie is another one.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -23,10 +24,12 @@ FARTHEST = 5.0  # m; beyond, the next wave of the band looks alike
 FILTERED = 30.0  # m that the filter takes at each end
 LEAST_RUN = 300.0  # m
 LEAST_SHARE = 0.5  # of the samples of a window that both nodes must have
+SIGNIFICANT = 5.0  # times the std of the correlation of two nodes that have nothing in common
 LEAST_CORRELATION = 0.65  # wheelsets that run on their own waves, and not on the track, agree by up to 0.64 further on
 LEAST_EXCHANGED = 0.5  # the same at one distance that is known beforehand: that of nodes that are exchanged
 TOLERANCE = 0.4  # m; what is found is within 0.25 m of the truth
 NEXT_WAVE = 1.0  # m: further away the maximum may be that of another wave
+STANDS_OUT = 1.03  # times the next maximum; those of a wheelset's own waves are alike, on rough track 0.87
 CLEAR = 1.9  # times what the distance found leaves unexplained, that the expected one leaves: right ones reach 1.8
 CLEAR_EXCHANGED = 1.25  # the same where the other distance is that of nodes that are exchanged; right ones are below 1
 
@@ -43,13 +46,15 @@ class AxleDistance:
     correlation: float  # of the rolls there, its magnitude
     expected: float  # the highest magnitude within ``TOLERANCE`` of the expected distance
     exchanged: float  # the same of the expected distance with the other sign
-    nearest: float = np.inf  # m from the expected distance to the nearest maximum of a clear correlation
+    nearest: float = np.inf  # m from the expected distance to the nearest maximum that is no chance
+    stands_out: bool = False  # whether that one is the highest, and not by chance: those a wave away are lower
+    ordered: bool | None = None  # whether such a one is where it is expected (True) or where exchanged nodes have it
 
     @property
     def leads(self) -> bool | None:
         """Whether the axle meets the track in the order of the registry; None where the rolls do not say."""
         if max(self.expected, self.exchanged) < LEAST_EXCHANGED:
-            return None
+            return self.ordered
         clearer = _clearer(self.exchanged, self.expected)
         return False if clearer >= CLEAR_EXCHANGED else True if 1.0 / clearer >= CLEAR_EXCHANGED else None
 
@@ -58,11 +63,11 @@ class AxleDistance:
         """Whether the rolls say that the distance is another one."""
         if self.leads is False:
             return True
-        if self.correlation < LEAST_CORRELATION or self.nearest <= TOLERANCE:
+        if self.nearest <= TOLERANCE:
             return False
-        if self.nearest <= NEXT_WAVE:
+        if self.nearest <= NEXT_WAVE and self.stands_out:
             return True
-        return _clearer(self.correlation, self.expected) >= CLEAR
+        return self.correlation >= LEAST_CORRELATION and _clearer(self.correlation, self.expected) >= CLEAR
 
 
 def _clearer(correlation: float, other: float) -> float:
@@ -109,29 +114,42 @@ def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance
     run = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))]) * window.sample_interval_s
     if run[-1] < LEAST_RUN:
         return None
-    grid = np.arange(0.0, run[-1], STEP)
-    own, other = (_short_waves(grid, run, node.roll_acceleration, known) for node in (window, partner))
+    own, other = (_short_waves(run, node.roll_acceleration, known) for node in (window, partner))
     power = float(np.sqrt((own @ own) * (other @ other)))
     if not power > 0.0:
         return None
-    return _highest(_correlation(own, other) / power, ahead)
+    return _highest(_correlation(own, other) / power, ahead, SIGNIFICANT * _std_by_chance(STEP * len(own)))
 
 
-def _short_waves(grid: FloatArray, run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
-    """Return a signal on a grid of distance, zero where it is unknown, of the wavelengths of the band."""
+def _std_by_chance(length: float) -> float:
+    """Return the std of the correlation of two signals of the band, this long (m), that have nothing in common."""
+    shortest, longest = BAND
+    return 1.0 / math.sqrt(2.0 * length * (1.0 / shortest - 1.0 / longest))
+
+
+def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:
+    """Return a signal every ``STEP``, zero where it is unknown, of the wavelengths of the band.
+
+    It is filtered on a grid as fine as its samples: noise of high frequencies would fold into the band, and that of a
+    gyroscope, differentiated, grows with frequency.
+    """
     from scipy.signal import sosfiltfilt  # noqa: PLC0415 - slow to import, and only windows in bogies need it
 
+    finer = math.ceil(STEP * (len(run) - 1) / run[-1])
+    grid = np.arange(0.0, run[-1], STEP / finer)
     values = np.interp(grid, run, np.where(known, roll, 0.0))
-    ends = round(FILTERED / STEP)
-    return np.asarray(sosfiltfilt(_band_pass(), values)[ends:-ends])
+    ends = finer * round(FILTERED / STEP)
+    return np.asarray(sosfiltfilt(_band_pass(finer), values)[ends:-ends:finer])
 
 
-@lru_cache(maxsize=1)
-def _band_pass() -> FloatArray:
+@lru_cache(maxsize=16)
+def _band_pass(finer: int) -> FloatArray:
+    """Return the filter of a grid that is so many times finer than ``STEP``."""
     from scipy.signal import butter  # noqa: PLC0415 - the same
 
     shortest, longest = BAND
-    return np.asarray(butter(ORDER, (1.0 / longest, 1.0 / shortest), btype="bandpass", fs=1.0 / STEP, output="sos"))
+    ends = (1.0 / longest, 1.0 / shortest)
+    return np.asarray(butter(ORDER, ends, btype="bandpass", fs=finer / STEP, output="sos"))
 
 
 def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
@@ -142,14 +160,23 @@ def _correlation(own: FloatArray, other: FloatArray) -> FloatArray:
     return np.concatenate([products[-reach:], products[: reach + 1]])
 
 
-def _highest(correlation: FloatArray, ahead: float) -> AxleDistance:
-    """Return the maximum of the magnitude of a correlation beside those at the expected distance, of either sign."""
+def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistance:
+    """Return the maximum of the magnitude of a correlation beside those at the expected distance, of either sign.
+
+    Maxima below ``least`` may be chance.
+    """
     size = np.abs(correlation)
     distance = STEP * (np.arange(len(size)) - len(size) // 2)
     at = int(np.argmax(size))
     near = [np.abs(distance - expected) <= TOLERANCE for expected in (ahead, -ahead)]
     expected, exchanged = (float(size[part].max()) if part.any() else 0.0 for part in near)
     inner = size[1:-1]
-    clear = np.flatnonzero((inner >= size[:-2]) & (inner >= size[2:]) & (inner >= LEAST_CORRELATION)) + 1
+    maxima = np.flatnonzero((inner >= size[:-2]) & (inner >= size[2:])) + 1
+    clear = maxima[size[maxima] >= min(least, LEAST_CORRELATION)]
     nearest = float(np.abs(distance[clear] - ahead).min()) if len(clear) else np.inf
-    return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest)
+    others = size[maxima[np.abs(distance[maxima] - distance[at]) > TOLERANCE]]
+    alone = bool(len(clear) and size[at] >= STANDS_OUT * max(others, default=0.0))
+    off, exchanged_off = abs(distance[at] - ahead), abs(distance[at] + ahead)
+    ordered = bool(off < exchanged_off) if alone and min(off, exchanged_off) <= TOLERANCE else None
+    stands_out = alone and off <= nearest
+    return AxleDistance(float(distance[at]), float(size[at]), expected, exchanged, nearest, stands_out, ordered)

@@ -47,6 +47,7 @@ class IterationParameters:
     survey_tolerance: float = 0.3  # m, on average, from positions by the regression of R on a survey
     survey_rounds: int = 4  # of positions on a survey and stiffness ratios at most
     survey_moved: float = 0.05  # m: positions on a survey that move less are found
+    curves_flatten: float = 6.0  # times as much as an equal share of a survey: what curves leave of y moves journeys
     ratio_tolerance: float = 0.01
     gauge_tolerance: float = 0.3e-3  # m, rms: a gauge that changes less has converged
     pass_std: float = 0.15e-3  # m of y - d - h(R) of a pass, before it is known
@@ -211,7 +212,33 @@ def first_rounds(
         found = replace(_rounds(fixed, panel, on_survey, found.ratios, std=False), placed_on_survey=True)
         if moved < setting.parameters.survey_moved:
             break
+    if found.placed_on_survey:
+        found = _moved_as_a_whole(fixed, found, prior)
     return _finished(setting, found) if std else found
+
+
+def _moved_as_a_whole(fixed: Setting, found: IterationResult, survey: PriorAlignment) -> IterationResult:
+    """Return the rounds with all journeys moved alike, between where R and where y - h(R) puts them on the survey.
+
+    The errors of a survey flatten the regression of R on y - d, and what is left of R moves all journeys alike. Those
+    of R do the same the other way round, and move them the other way: each counts by the share of the other's errors.
+    """
+    step = fleet_step(found.state, found.solution, survey)
+    flattened = _survey_share(found, survey)
+    left = 1.0 - _explained(fixed, found.state, found.solution, found.noise)
+    share = flattened / (flattened + fixed.parameters.curves_flatten * left)
+    if step is None or abs(share * step) < fixed.parameters.survey_moved:
+        return found
+    moved = {journey: replace(one, offset=one.offset + share * step) for journey, one in found.corrections.items()}
+    return replace(_rounds(fixed, found.panel, moved, found.ratios, std=False), placed_on_survey=True)
+
+
+def _survey_share(found: IterationResult, survey: PriorAlignment) -> float:
+    """Return the share of the errors of a survey in the mean square of y - d on it."""
+    state, d = found.state, np.nan_to_num(found.solution.alignment)
+    square = float(state.square.sum() - 2.0 * d @ state.displacement + d**2 @ state.passes)
+    error = float(np.median(survey.std[np.isfinite(survey.std)])) ** 2
+    return error / (error + max(square, 0.0) / max(float(state.passes.sum()), 1.0))
 
 
 def _hardly_moved(setting: Setting, found: IterationResult, corrections: Mapping[Journey, Correction]) -> bool:

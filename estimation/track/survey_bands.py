@@ -33,7 +33,7 @@ SHORTEST = 2.5  # m, of the last one
 FILED_SAMPLES = 6.0  # independent ones that the std on file counts as, against those of the passes
 LOCAL = 100.0  # m over which both are compared for local differences
 LOCAL_STDS = 4.0  # of a local mean square, beyond which it is more than chance
-MODEL_SHARE = 0.5  # of the rms of h(R) times the root of what curves leave of y: errors that all passes have in common
+MODEL_SHARE = 2.0  # of the rms of h(R) times the share that curves leave of y, by which they are flattened for all
 NEIGHBOUR, NEXT = 0.48, 0.06  # correlation of one error in two bands next to each other, with one band between
 
 
@@ -117,7 +117,7 @@ def survey_bands(iterated: IterationResult, survey: TrackAlignment, systematic: 
     filed = float(np.sqrt(np.mean(std[known] ** 2)))
     unexplained = 1.0 if iterated.slope is None else 1.0 - iterated.slope.explained
     size = np.array([np.sqrt(np.mean(h[where] ** 2)) for h, where in zip(passes.curves, compared, strict=True)])
-    common = np.hypot(systematic / np.sqrt(len(EDGES)), MODEL_SHARE * np.sqrt(unexplained) * size)
+    common = np.hypot(systematic / np.sqrt(len(EDGES)), MODEL_SHARE * unexplained * size)
     bands = [
         _band(number, d, passes, compared[number], filed, float(common[number]), grid.step)
         for number, d in enumerate(filtered)

@@ -33,6 +33,12 @@ class SurveyPosterior:
     bands: SurveyBands
 
     @property
+    def in_motion(self) -> FloatArray:
+        """The survey (n,), m, with what differs in the waves that the published std is of."""
+        changed = np.sum([one.posterior - one.survey for one in self.bands.up_to(STATED)], axis=0)
+        return np.asarray(self.before.alignment + changed)
+
+    @property
     def std_factor(self) -> float:
         """Std of the survey that the passes show, over that on file."""
         filed = float(np.median(self.before.alignment_std[self.bands.known]))

@@ -39,6 +39,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 
 NOT_USED = "not used: "
 GAUGE_NOT_USED = "its gauge is not used: "
+SHARPER = 0.8  # of the std of a file, below which the mean of it and its first passes is used in its place
 SAME_STD = 1.5  # factor by which the std of a survey may be off without the passes being solved again
 
 
@@ -249,9 +250,16 @@ def _extended(
     if (decided or doubted > 0.0) and posterior is not None and weighed.estimate.report.converged:
         found = carry_over_findings(posterior.alignment, posterior.before)  # on one grid
         found = replace(found, scale_std=float(np.hypot(found.scale_std, doubted)))
-        if requires_reestimation(posterior.before, found, settings):
+        in_motion = replace(found, alignment=posterior.in_motion)
+        if _sharper(posterior.before, found, settings) or requires_reestimation(posterior.before, in_motion, settings):
             return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=found)
     return _with_gauge_shifts(kept, survey, epoch.vehicles, settings)
+
+
+def _sharper(file: TrackAlignment, found: TrackAlignment, settings: AlignmentSettings) -> bool:
+    """Whether what the first passes make of a file is more certain than it by what matters."""
+    std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (file, found))
+    return not file.passes.any() and std > settings.same_least and std_now < SHARPER * std
 
 
 def _placed_on_survey(estimate: SectionEstimate) -> SectionEstimate:

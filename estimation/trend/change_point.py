@@ -7,8 +7,9 @@ Model of the points about a place, with x the distance, t the time::
 All but the level have normal priors (``StepModel``): the slope of wear and its change, an integrated random walk; the
 wandering of weather and friction; the size of a step. Noise is a share of the stated standard deviations, most of which
 all points have in common, so that the share is averaged over by its likelihood. Any point may be an outlier, and the
-next one is more often after an outlier: what lasts for two points only is no step. Hypotheses are "no step" and "a step
-before point k"; each has its own outliers, found one after the other.
+next one is more often after an outlier: what lasts for two points only is no step. A third on end is as rare as any: it
+and the two before it are a step. Hypotheses are "no step", "a step before point k" and "a step within point k", which
+is then of both sides; each has its own outliers, found one after the other.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ BEFORE, BEHIND = 16, 12  # points about a place that decide whether there is a s
 AROUND = 2  # places before and behind the likeliest that share its probability
 BESIDE = 5  # points of which a median shows where a step may be
 SMALLEST_RUN_KM = 1.0  # between points, of which a slope is made
+MOST_WEAR = 3.0  # standard deviations off the usual slope: among few points noise passes for more
 PLACES = 4  # that are looked at, those of the largest changes
 NOISE_SHARES = np.geomspace(0.02, 3.0, 9)  # of the stated standard deviations
 USUAL_SHARE, SHARE_SPREAD = 0.15, 0.8  # of the prior, as a median and a standard deviation of the logarithm
@@ -35,7 +37,9 @@ MAD_STD = 1.4826
 MOST_FLIPS = 12
 LEAST_GAIN = 1e-9  # of log evidence: rounding never flips an outlier to and fro
 FAR_FROM = 7.0  # log odds of a step at a place, below which its neighbours are not looked at
-AS_LIKELY = 3.0  # of the log odds: places that differ by less
+AS_LIKELY = 1.0  # of the log odds: places that differ by less
+MIXED, MIXED_STD = 0.5, 0.25  # of a step, in an interval in which it happened: mean and standard deviation
+APART = 0.25  # of a step, by which an outlier differs from the level on the other side, so that it is not of it
 WORTH_A_LOOK = 1.0  # of a median change over the least size, below which no hypothesis is computed
 
 
@@ -43,8 +47,9 @@ WORTH_A_LOOK = 1.0  # of a median change over the least size, below which no hyp
 class StepModel:
     """What an indicator does when nothing happens to it, and what a step is; by default equivalent conicity."""
 
-    slope_std: float = 1.5e-6  # per km
-    bend_std: float = 7e-7  # per km, change of slope
+    slope: float = 1e-6  # per km, of usual wear
+    slope_std: float = 1.2e-6  # per km
+    bend_std: float = 5e-7  # per km, change of slope
     bend_km: float = 30_000.0  # over so much
     wander_std: float = 0.01  # of friction and weather, and of another version of the track
     wander_days: float = 30.0  # in which it changes
@@ -55,8 +60,10 @@ class StepModel:
     outlier_lasts: float = 0.3  # chance of another one after it
     noise_floor: float = 5e-4
     least_size: float = 0.03  # a step is larger than that with ``sure``
-    sure: float = 0.9  # least probability of a step
+    sure: float = 0.8  # least probability of a step
     least_points: int = 3  # on either side of it
+    least_good: int = 2  # of them that are no outliers
+    widest: int = 2  # intervals between the points on either side: one may be of both
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +122,7 @@ def _places(series: Series, model: StepModel) -> list[int]:
     if k < 2 * least:
         return []
     at = np.arange(least, k - least + 1)
-    change = np.array([_median_change(series, int(one), least) for one in at])
+    change = np.array([_median_change(series, int(one), model) for one in at])
     size = np.concatenate([[0.0], np.abs(change), [0.0]])
     peak = (size[1:-1] >= size[:-2]) & (size[1:-1] >= size[2:])
     peak &= np.abs(change) > WORTH_A_LOOK * model.least_size
@@ -123,11 +130,12 @@ def _places(series: Series, model: StepModel) -> list[int]:
     return [int(one) for one in at[peak][order][:PLACES]]
 
 
-def _median_change(series: Series, at: int, least: int) -> float:
+def _median_change(series: Series, at: int, model: StepModel) -> float:
     """Return the smaller change of the medians, of as few points as there must be and of some more, less the wear."""
     about = series.part(max(0, at - BEHIND), at + BEHIND)
     run = np.maximum(np.diff(about.x_km), SMALLEST_RUN_KM)
-    wear = _median((np.diff(about.value) / run).tolist())
+    usual, least = MOST_WEAR * model.slope_std, model.least_points
+    wear = min(max(_median((np.diff(about.value) / run).tolist()), model.slope - usual), model.slope + usual)
     flat = series.part(max(0, at - BESIDE), at + BESIDE)
     level, here = (flat.value - wear * (flat.x_km - series.x_km[at])).tolist(), min(at, BESIDE)
     changes = [_median(level[here : here + n]) - _median(level[max(0, here - n) : here]) for n in (least, BESIDE)]
@@ -147,12 +155,12 @@ def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
     window = series.part(first, min(k, place + BEHIND))
     points = _Points.of(window, model)
     at = place - first
-    nothing, here = points.evidence(None), points.evidence(at)
+    nothing, here = points.evidence(None), points.evidence(_Place(at - 1, at))
     if here.log_evidence + np.log(model.step_chance) < nothing.log_evidence - FAR_FROM:
         return None
-    others = [i for i in range(at - AROUND, at + AROUND + 1) if i != at and least <= i <= len(window.value) - least]
-    steps = [(at, here), *((i, points.evidence(i)) for i in others)]
-    steps = [(i, one) for i, one in steps if least <= min((~one.out[:i]).sum(), (~one.out[i:]).sum())]
+    about = range(max(least, at - AROUND), min(len(window.value) - least, at + AROUND) + 1)
+    places = [_Place(i - width, i) for i in about for width in range(1, model.widest + 1) if i - width >= least - 1]
+    steps = [(at, one) for at in places if points.carry(at, one := points.evidence(at))]
     if not steps:
         return None
     log_odds = np.array([one.log_evidence for _, one in steps]) + np.log(model.step_chance) - nothing.log_evidence
@@ -160,11 +168,17 @@ def _judged(series: Series, place: int, model: StepModel) -> ChangePoint | None:
     likeliest = steps[int(np.argmax(log_odds))][1]
     if min(probability, likeliest.probability_beyond(model.least_size)) < model.sure:
         return None
-    # an interval in which it happened is a mixture: an outlier on either side, as likely before as behind
-    as_likely = [i for (i, _), odds in zip(steps, log_odds, strict=True) if odds >= log_odds.max() - AS_LIKELY]
-    last, behind = first + min(as_likely) - 1, first + max(as_likely)
+    as_likely = [one for (one, _), odds in zip(steps, log_odds, strict=True) if odds >= log_odds.max() - AS_LIKELY]
+    last, behind = first + min(one.last for one in as_likely), first + max(one.first for one in as_likely)
     level = float(np.median(series.value[max(0, last + 1 - BESIDE) : last + 1]))
     return ChangePoint(last, behind, probability, likeliest.size, likeliest.std, last + 1, level)
+
+
+class _Place(NamedTuple):
+    """Of a step: the last point before it and the first behind; one between them is of both sides."""
+
+    last: int
+    first: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,12 +221,16 @@ class _Points:
         level = (LEVEL_STD * model.step_std) ** 2
         covariance = level + model.slope_std**2 * np.outer(x, x) + bend + wander
         noise = np.outer(NOISE_SHARES**2, series.std**2) + model.noise_floor**2
-        return cls(series.value - np.median(series.value), covariance, noise, model)
+        value = series.value - model.slope * x
+        return cls(value - np.median(value), covariance, noise, model)
 
-    def evidence(self, at: int | None) -> _Evidence:
-        """Return the evidence of a step before point ``at``, or of none, with the outliers that suit it best."""
-        step = np.zeros(len(self.value)) if at is None else (np.arange(len(self.value)) >= at).astype(float)
+    def evidence(self, place: _Place | None) -> _Evidence:
+        """Return the evidence of a step, or of none, with the outliers that suit it best."""
+        number = np.arange(len(self.value))
+        last, at = place or (len(number), len(number))
+        step = 0.5 * ((number > last) * 1.0 + (number >= at))
         covariance = self.covariance + self.model.step_std**2 * np.outer(step, step)
+        covariance += (MIXED_STD * self.model.step_std) ** 2 * np.diag(step == MIXED)
         out = self._begin(at)
         best = None
         for _ in range(MOST_FLIPS):
@@ -220,7 +238,8 @@ class _Points:
             total = float(np.logaddexp.reduce(log_evidence))
             if best is None or total > best[0]:
                 best = total, inverse, log_evidence, out
-            flipped = self._flipped(inverse[int(np.argmax(log_evidence))], int(np.argmax(log_evidence)), out)
+            share = int(np.argmax(log_evidence))
+            flipped = self._flipped(inverse[share], share, out)
             if flipped is None:
                 break
             out = flipped
@@ -230,10 +249,23 @@ class _Points:
         left = 1.0 - self.model.step_std**2 * np.einsum("i,fij,j->f", step, inverse, step)
         return _Evidence(total, weight, sizes, self.model.step_std * np.sqrt(np.maximum(left, 1e-12)), out)
 
-    def _begin(self, at: int | None) -> BoolArray:
+    def carry(self, place: _Place, evidence: _Evidence) -> bool:
+        """Return whether enough points on both sides are good, or outliers that are not of the other side."""
+        sides = slice(0, place.last + 1), slice(place.first, None)
+        good = [~evidence.out[side] for side in sides]
+        if min(one.sum() for one in good) < self.model.least_good:
+            return False
+        before, behind = (
+            np.median(self.value[side][one][keep])
+            for side, one, keep in zip(sides, good, (slice(-BESIDE, None), slice(BESIDE)), strict=True)
+        )
+        off = APART * abs(evidence.size)
+        apart = [np.abs(self.value[side] - level) > off for side, level in zip(sides, (behind, before), strict=True)]
+        return min(int((one | left).sum()) for one, left in zip(good, apart, strict=True)) >= self.model.least_points
+
+    def _begin(self, at: int) -> BoolArray:
         """Return which points are surely outliers of the points about them on their side of the step."""
-        sides = [self.value] if at is None else [self.value[:at], self.value[at:]]
-        apart = np.concatenate([side - _running_median(side) for side in sides])
+        apart = np.concatenate([side - _running_median(side) for side in (self.value[:at], self.value[at:])])
         scale = MAD_STD * np.median(np.abs(apart)) + self.model.noise_floor
         return np.asarray(np.abs(apart) > SURELY_OUT * scale)
 
@@ -254,9 +286,10 @@ class _Points:
         return inverse, prior + self._log_prior(out) - log_size - 0.5 * (left**2).sum(axis=1)
 
     def _log_prior(self, out: BoolArray) -> float:
-        """Return the log probability of the outliers, of which one follows another more often than a good point."""
+        """Return the log probability of the outliers: the second on end is more often one than any other point."""
         m = self.model
-        chance = np.where(np.concatenate([[False], out[:-1]]), m.outlier_lasts, m.outlier_chance)
+        before = np.concatenate([[False, False], out[:-1]])
+        chance = np.where(before[1:] & ~before[:-1], m.outlier_lasts, m.outlier_chance)
         return float(np.log(np.where(out, chance, 1.0 - chance)).sum())
 
     def _flipped(self, inverse: FloatArray, share: int, out: BoolArray) -> BoolArray | None:

@@ -8,7 +8,8 @@ of these, and what is left over is the spread. Where few are like it, wider diff
 Where the motion ends is evidence too: a wheelset runs out until the energy of a deflection, which is as conicity times
 amplitude squared, is that of the track's irregularity. Of an energy of which only the order is not known, the share
 that ends between an amplitude and the next one is the logarithm of the ratio of both. So a member whose conicity rises
-beyond counts for more than one that stays flat, whose motion would have gone on.
+beyond counts for more than one that stays flat, whose motion would have gone on; not for much more, since yaw springs
+hold a wheelset too.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ ALIKE = 0.06  # relative difference of conicities that are alike
 LEAST_ALIKE = 0.012  # and the least difference that counts
 SLOPE_ALIKE = 0.7  # of that, for the difference between two amplitudes
 WIDER = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # times that, until enough members are alike
-BESIDE = 2.0  # widths that those alike may lie off the wheelset on the mean: then it is beside all of them
 SHARED = 0.5  # part of the errors that all amplitudes have in common
 NEAR = 0.5e-3  # m, within which the rest of them is alike
 RIDGE = 2.0  # members' weight with which the fit is held flat
 LEAST_MEMBERS = 25.0  # weight of members that are like the wheelset
+NO_WEIGHT = 1e-6  # of a member that does not count, which most are
 NEXT_AMPLITUDE = 0.25e-3  # m, to the amplitude that is not covered
 FLAT = 0.02  # conicity below which nothing holds a wheelset
-STOPPED = (0.1, 4.0)  # least and most weight by where the motion ends, of a conicity that stays as it is
+STOPPED = (0.3, 2.0)  # least and most weight by where the motion ends, of a conicity that stays as it is
 LARGEST_STD = 0.15  # of an extrapolated conicity
 SHOWN = 40  # values that show how the changes of members are spread
 SMOOTH = 0.2  # std about each of them, in that of all
@@ -188,8 +189,9 @@ def _extrapolated(known: tuple[KnownConicity, ...], family: WornFamily) -> Extra
     if weighed is None:
         return None
     weight, width = weighed
-    change = _at(family, LIMIT_AMPLITUDE) - members[:, 0]
-    level, measured_std, left = _local_fit(error, covariance, width, weight, change)
+    counts = weight > NO_WEIGHT
+    weight, change = weight[counts], (_at(family, LIMIT_AMPLITUDE) - members[:, 0])[counts]
+    level, measured_std, left = _local_fit(error[counts], covariance, width, weight, change)
     spread = float(np.sqrt(weight @ left**2 / weight.sum()))
     result = Extrapolation(largest.value + level, measured_std, spread, _quantiles(left, weight))
     return result if result.std <= LARGEST_STD and result.value > 0.0 else None
@@ -243,17 +245,15 @@ def _alike(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the weights (m,) of the members and the width (n,) within which enough are alike.
 
-    None where too few are alike, or all of them lie to one side. Members count by how far level and slopes (m, n) are
-    from the wheelset's, in the errors of the estimate and the width of what is alike, and by how likely their motion
-    ends there (m,).
+    None where too few are alike. Members count by how far level and slopes (m, n) are from the wheelset's, in the
+    errors of the estimate and the width of what is alike, and by how likely their motion ends there (m,). That all of
+    them lie to one side is no reason to say nothing: the fit is carried on to the wheelset.
     """
     for wider in WIDER:
-        factor = np.linalg.cholesky(covariance + np.diag((wider * width) ** 2))
-        distance = np.square(np.linalg.solve(factor, error.T)).sum(axis=0)
-        weight = stopped * np.exp(-0.5 * distance)
+        inverse = np.linalg.inv(covariance + np.diag((wider * width) ** 2))
+        weight = stopped * np.exp(-0.5 * ((error @ inverse) * error).sum(axis=1))
         if weight.sum() >= LEAST_MEMBERS:
-            off = np.abs(weight @ error) / weight.sum() / (wider * width)
-            return (weight, wider * width) if off.max() <= BESIDE else None
+            return weight, wider * width
     return None
 
 

@@ -24,6 +24,7 @@ MEDIAN_VARIANCE = np.pi / 2.0  # of that of a mean, of normal values
 MAD_STD = 1.4826  # standard deviations in a median absolute deviation
 DAY_NS = 86_400_000_000_000
 STEP = StepModel(
+    slope=0.0,
     slope_std=0.0,
     bend_std=0.0,
     wander_days=2.0,  # of friction, which rain changes at once
@@ -31,6 +32,9 @@ STEP = StepModel(
     outlier_std=0.3,
     noise_floor=0.005,
     least_size=0.05,
+    sure=0.9,
+    least_good=3,
+    widest=1,
 )  # of the logarithm of a ratio; how far it wanders is what is left of friction
 Findings = Annotated[int, Interval(ge=1, le=1000)]
 RelativeStd = Annotated[float, Interval(ge=0.001, le=1.0)]

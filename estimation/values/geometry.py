@@ -135,6 +135,10 @@ PASSED_OVER = "windows_passed_over"
 """Key among the parameters of a geometry: windows that would be others today, and cannot be made again, by cause."""
 
 
+RADIUS_DOUBTED = "radius_doubted"
+"""Key among the parameters of a geometry: what was in doubt of its radius on file, for when its samples are gone."""
+
+
 class CentreOrigin(StrEnum):
     """From where the middle of the travel is counted that a conicity is about."""
 

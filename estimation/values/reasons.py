@@ -196,6 +196,10 @@ class ReasonCode(StrEnum):
         "rolling_radius_differs",
         "The wheelset rolls as on wheels of another radius. Check the nominal radius on file.",
     )
+    ROLLING_RADIUS_OPEN = (
+        "rolling_radius_open",
+        "The motion does not confirm the nominal radius on file. Put its std on file, as measured or as wheels wear.",
+    )
     SAMPLES_PURGED = (
         "samples_purged",
         "What it rests on was corrected after its samples had been purged, so that it cannot be estimated again.",

@@ -177,9 +177,8 @@ def _window(
     lookup: RegistryLookup,
 ) -> MountedWindow | WindowCounts:
     t_ns, axle = node.block.t_ns[span], node.block.node
-    mounting = lookup.mounting_at(axle, int(t_ns[0]))
-    others = {lookup.mounting_at(axle, at_ns) for at_ns in (int(t_ns[-1]), extent[0] + extent[1] // 2)}
-    if mounting is None or others != {mounting}:
+    mounting = _mounting(lookup, axle, (int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1])))
+    if mounting is None:
         return WindowCounts(windows_unmounted=1)
     if not np.any(motion.speed > MOVING_M_S):
         return WindowCounts(windows_standing=1)
@@ -219,6 +218,12 @@ def _window(
         quality=replace(_quality(node, span, extent, motion, (valid, clipped), slot), hunting=hunting, blows=blows),
     )
     return MountedWindow(window, mounting, motion.odometer_excess_m, _off_line(motion, section, lookup))
+
+
+def _mounting(lookup: RegistryLookup, axle: int, times_ns: tuple[int, ...]) -> Mounting | None:
+    """Return the mounting of an axle that holds at all of some times; None where there is none."""
+    mountings = {lookup.mounting_at(axle, t_ns) for t_ns in times_ns}
+    return mountings.pop() if len(mountings) == 1 else None
 
 
 def _off_line(motion: GridMotion, section: str | None, lookup: RegistryLookup) -> float:

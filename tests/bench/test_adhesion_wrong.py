@@ -1,4 +1,4 @@
-"""Rows of the adhesion bench whose file or sensors are wrong: what is changed, and that the truth stays."""
+"""Rows of the adhesion bench whose file is another one: what is changed, and that the truth stays; what is printed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bench.adhesion import FILES, GROUPS, ROWS, SCENARIOS
 from bench.adhesion_fleet import GOOD, Fleet, SensedWindow, TrueForces, class_of
 from bench.adhesion_quiet import QUIET
 from bench.adhesion_stored import StoredPasses
-from bench.adhesion_table import LEAST_HELD, friction_rows, summary
+from bench.adhesion_table import FRICTION_COLUMNS, LEAST_HELD, friction_rows, summary
 from bench.adhesion_wrong import OF, ONE, WRONG, WrongFile, as_on_file, first_vehicle, with_others
 from estimation.adhesion.window_adhesion import refused
 from estimation.values.quantities import Status
@@ -81,6 +81,12 @@ def test_sensors_and_class_are_changed_and_the_truth_is_not(fleet: Fleet) -> Non
     assert as_on_file(fleet, WrongFile()).vehicle_class == fleet.vehicle_class
 
 
+def test_the_exact_survey_is_the_track(fleet: Fleet) -> None:
+    seen = as_on_file(fleet, WrongFile(survey_exact=True))
+    assert seen.alignment.alignment == pytest.approx(fleet.track.alignment[:2])
+    assert as_on_file(fleet, WrongFile()).alignment is fleet.alignment
+
+
 def test_one_vehicle_alone_is_wrong(fleet: Fleet) -> None:
     first, second = (one.code for one in fleet.scenario.vehicles[:2])
     assert {one.window.vehicle for one in first_vehicle(fleet).windows} == {first}
@@ -107,8 +113,17 @@ def test_the_page_prints_what_holds_in_the_worst_row() -> None:
         "conicity_left_out": [],
         "left_out": ["V"],
         "cells": [
-            {"value": 0.1, "low": low, "mean": 0.1, "high": 0.2, "at_least": low, "probability": 0.1, "from": 0.0}
-            for low in (0.05, 0.12)
+            {
+                "value": 0.14,
+                "low": low,
+                "mean": 0.12,
+                "least": 0.11,
+                "high": 0.2,
+                "at_least": low,
+                "probability": 0.1,
+                "from": 0.0,
+            }
+            for low in (0.05, 0.13)
         ],
     } | dict.fromkeys(("lateral", "moment", "contact", "newton_contact", "newton_moment"), unknown)
     right = case | {"row": OF, "alarms": [], "found": [True], "stretches": [(0.0, 60.0)]}
@@ -118,4 +133,11 @@ def test_the_page_prints_what_holds_in_the_worst_row() -> None:
     assert not wrong.met
     (alarms,) = (row for what, row in rows.items() if what.startswith("alarms without friction"))
     assert alarms.met
-    assert next(row for row in friction_rows([case | {"row": "yaw_large"}]))[10] == "1"
+    assert alarms.measured.startswith("0 in 10 vehicle-km: 0.0 per 1,000 km, with 95 % at most 299.6 (0 in 5991 km")
+    (stretches,) = (row for what, row in rows.items() if what.startswith("stretches of friction"))
+    assert "chosen on: 0 of 0; of those that reach below 0.12: 1 of 1" in stretches.measured
+    (printed,) = friction_rows([case | {"row": "yaw_large"}])
+    assert dict(zip(FRICTION_COLUMNS, printed, strict=True))["seeds with a vehicle left out"] == "1"
+    assert dict(zip(FRICTION_COLUMNS, printed, strict=True))["error of friction at 0.12 to 0.18, mean and std"] == (
+        "+0.020, 0.000"
+    )

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.steps import NEVER, SIZES, false_steps, found_in
+from bench.steps import NEVER, REACH, SIZES, WITHIN, false_steps, found_in
+from bench.steps_ideal import odds
 from bench.steps_lives import MOST_KM, MOST_WEAR, Case, life
 
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "steps.md"
@@ -35,6 +36,31 @@ def test_a_large_step_is_found_and_a_quiet_life_has_none() -> None:
     steps, years = false_steps(life(Case(30), 4))
     assert steps == 0
     assert years > 0.0
+
+
+@pytest.mark.parametrize("wear", [True, False])
+def test_an_ideal_detector_is_sure_of_a_step_and_of_none(wear: bool) -> None:  # noqa: FBT001
+    stepped, quiet = life(Case(6, 0.2, 4, mixed=True), 5), life(Case(30), 5)
+    assert stepped.first is not None
+    assert odds(stepped, stepped.first + 3, wear=wear) > 5.0
+    assert odds(stepped, stepped.first - 1, wear=wear) < 0.0
+    assert odds(quiet, 30, wear=wear) < 0.0
+
+
+def test_troubles_are_in_the_points_and_not_in_the_truth() -> None:
+    plain = life(Case(60), 2)
+    noisy, understated = life(Case(60, scatter=2.0), 2), life(Case(60, understated=5.0), 2)
+    assert noisy.noise == pytest.approx(2.0 * plain.noise)
+    stds = [[one.known[-1].std for one in given.records] for given in (plain, understated, noisy)]
+    assert stds[0] == pytest.approx([5.0 * std for std in stds[1]])
+    assert stds[2] == stds[0]
+    falling = life(Case(60, shape="falling"), 2).level
+    assert falling[-1] < falling[0]
+    assert falling.min() > 0.0
+
+
+def test_what_is_to_be_reached_is_what_was_asked_for() -> None:
+    assert (REACH[0.1], REACH[0.2], WITHIN) == (4, 3, 0.98)
 
 
 def rows() -> dict[str, tuple[str, str]]:

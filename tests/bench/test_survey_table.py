@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
+import numpy as np
 import pytest
 
 from bench.results_page import RESULTS
 from bench.survey_fleets import drawn_track
-from bench.survey_table import Figures, rows_of, summary
+from bench.survey_table import Figures, Paired, differences, most_share, rows_of, summary
 from bench.surveys import ROWS, SURVEYS
 
 
@@ -22,7 +22,7 @@ def case(survey: str, *published: dict[str, Any], **changes: Any) -> dict[str, A
     plain = {
         "row": "plain", "seed": 0, "survey": survey, "positions": "0.5 m", "code": "survey_confirmed",
         "right": plan.std is not None and plan.right, "understated": plan.stated is not None, "refused": False,
-        "asked": 1, "published": list(published), "rival": None,
+        "asked": 1, "published": list(published), "rival": None, "alignment_std": 1e-4, "alignment_error": 1e-4,
     }  # fmt: skip
     return plain | changes
 
@@ -50,11 +50,56 @@ def test_a_right_survey_that_is_refused_and_a_wrong_one_that_is_confirmed_fall_s
     assert met([right, doubted | {"published": [conicity(0.1, 0.2)]}], "wrong surveys found")
 
 
+def none(*published: dict[str, Any], true: float = 0.02, seed: int = 0) -> dict[str, Any]:
+    rival = {"published": [one | {"half_width": true} for one in published]}
+    return case("none", *published, code="", seed=seed, rival=rival)
+
+
+def fleets(without: list[dict[str, Any]], survey: list[dict[str, Any]], true: float = 0.02) -> list[dict[str, Any]]:
+    """Return the cases of four fleets that are alike."""
+    pairs = ((none(*without, true=true, seed=seed), case("0.3 mm", *survey, seed=seed)) for seed in range(4))
+    return [one for pair in pairs for one in pair]
+
+
 def test_a_survey_is_compared_with_none_over_what_both_publish() -> None:
-    none = case("none", conicity(0.01), conicity(0.5, key="other"), code="")
-    assert met([none, case("0.3 mm", conicity(0.01), conicity(0.0, key="third"))], "survey of 0.3 mm for none")
-    assert not met([none, case("0.3 mm", conicity(0.01, 0.03), conicity(0.0, key="third"))], "survey of 0.3 mm for")
-    assert not met([none, case("0.3 mm", conicity(0.01))], "survey of 0.3 mm for none")  # fewer are published
+    alone, same = [conicity(0.01), conicity(0.5, key="other")], [conicity(0.01), conicity(0.0, key="third")]
+    cases = fleets(alone, same)
+    assert met(cases, "0.3 mm for none: error")
+    assert met(cases, "0.3 mm for none: interval score")
+    assert not met(cases[:6], "0.3 mm for none: error")  # too few decide nothing
+    assert not met(fleets(alone, same[:1]), "0.3 mm for none: error")  # fewer are published
+    assert not met([case("0.3 mm", conicity(0.01)), none()], "0.3 mm for none: numbers of both")
+    elsewhere = case("0.3 mm", conicity(0.3), conicity(0.0, key="third"), positions="2 m")
+    assert met([*cases, elsewhere], "0.3 mm for none: error")
+
+
+@pytest.mark.parametrize(("more", "spread", "worse"), [(4e-4, 0.0, False), (6e-4, 0.0, True), (6e-4, 1e-3, False)])
+def test_worse_is_what_is_seen_and_no_chance(more: float, spread: float, *, worse: bool) -> None:
+    cases = []
+    for seed in range(4):
+        own = 0.01 + more + spread * (-1) ** seed
+        cases += [none(conicity(0.01), seed=seed), case("0.3 mm", conicity(own), seed=seed)]
+    assert met(cases, "0.3 mm for none: error") != worse
+
+
+def test_widths_are_compared_with_those_that_none_states_and_with_those_it_should() -> None:
+    cases = fleets([conicity(0.01, 0.02)], [conicity(0.01, 0.025)], true=0.03)
+    assert not met(cases, "0.3 mm for none: interval score")
+    assert met(cases, "0.3 mm for none: the same with its true std")
+    assert differences(cases, ["0.3 mm"]) == [("plain", "+0.0000, +0.0100, -0.0100")]
+
+
+def test_numbers_of_one_fleet_share_their_errors() -> None:
+    apart = Paired.of([np.array([1.0, 1.0]), np.array([3.0, 3.0])] * 2)
+    assert (apart.mean, apart.fleets) == (2.0, 4)
+    assert apart.std == pytest.approx((16.0 * 4 / 3) ** 0.5 / 8)
+    assert Paired.of([np.array([1.0, 3.0])] * 4).std == 0.0
+    assert Paired.of([np.array([1.0, 3.0])] * 3).std == np.inf
+
+
+def test_a_share_that_is_not_seen_has_a_bound() -> None:
+    assert most_share(0, 600) == pytest.approx(0.005, abs=1e-4)
+    assert most_share(2, 2) == 1.0
 
 
 def test_coverage_of_understated_surveys() -> None:
@@ -76,9 +121,7 @@ def test_the_page_of_results_shows_what_has_to_be_reached_and_what_is() -> None:
     for what in ("right surveys refused", "wrong surveys found", "std understated five times"):
         (line,) = [line for line in lines if line.startswith(f"| {what}")]
         assert line.endswith("| yes |")
-    for survey in ("0.05 mm", "0.3 mm", "1 mm", "3 mm"):
-        (line,) = [line for line in lines if line.startswith(f"| survey of {survey} for none")]
-        error, alone, score, of_none = map(float, re.findall(r"(\d\.\d{4})", line))
-        assert score < 0.25 * of_none
-        assert error < alone + 0.001  # not better: of the numbers that both publish the passes alone know as much
+    for survey in ("0.05 mm", "0.1 mm", "0.3 mm", "1 mm", "3 mm"):
+        (line,) = [line for line in lines if line.startswith(f"| survey of {survey} for none: error")]
+        assert float(line.split("|")[2].split()[0]) < 0.002
     assert set(ROWS) >= {"plain", "coach", "slow", "few passes", "one vehicle", "switches", "one flat"}

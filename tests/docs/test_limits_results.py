@@ -8,8 +8,8 @@ from pathlib import Path
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "limits.md"
 ROW = re.compile(r"^\| (?P<what>.+?) \| (?P<measured>.+?) \| (?P<reach>.+?) \| (?P<met>yes|NO) \|$", re.MULTILINE)
 
-REACHED = 95.0
-"""Of the wheelsets beyond their limit, %: short of what is wanted, and not to become less."""
+REACHED = 98.0
+"""Of the wheelsets beyond their limit, %, on seeds that nothing was chosen on: not to become less."""
 
 
 def share(text: str) -> float:

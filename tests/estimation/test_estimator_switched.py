@@ -68,7 +68,7 @@ def test_the_former_geometry_stays_with_its_reason_and_is_looked_at_once(receive
     with received.read() as unit:
         assert unit.geometries.newest_numbers() == numbers
     assert stale(received, "bins")
-    assert all(one.geometry.reason is None for one in refreshed(received, "bins"))
+    assert [one.geometry.reason for one in refreshed(received, "bins")] == [one.geometry.reason for one in before]
     assert not stale(received, "bins")
 
 

@@ -23,7 +23,8 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import EstimationSettings, JobSettings
-from estimation.jobs.steps.rolling_radius import RadiusOnFile
+from estimation.jobs.steps.kept_geometry import former
+from estimation.jobs.steps.rolling_radius import RadiusOnFile, remembered, stated
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import Storage
 from estimation.values.geometry import Contradiction
@@ -129,13 +130,35 @@ def test_windows_that_cannot_speak_of_the_radius_do_not_contradict_it(sqlite_sto
         radius = RadiusOnFile(unit, "W1")
         contradiction = radius.contradicted(chosen, assumed)
         assert contradiction is not None
-        reason = contradiction.reason
         assert radius.contradicted(chosen[:1], assumed) is None
         assert radius.contradicted(lost, assumed) is None
         # what was found remains when samples are gone
-        remains = Contradiction(reason, certain=True, relative=0.0)
-        assert radius.contradicted(lost, assumed, lambda: reason) == remains
-        assert radius.contradicted(lost, assumed, lambda: Reason(ReasonCode.NO_CONICITY, "other")) is None
+        assert radius.contradicted(lost, assumed, lambda: contradiction) == contradiction
+        assert radius.contradicted(lost, assumed, lambda: None) is None
+
+
+def test_a_doubt_on_the_radius_lives_with_the_geometry(sqlite_storage: SqlStorage) -> None:
+    register(sqlite_storage, SOFT)
+    run_jobs(sqlite_storage, "bins")
+    with sqlite_storage.read() as unit:
+        stored = unit.geometries.current("W1")
+    assert stored is not None
+    doubt = Contradiction(Reason(ReasonCode.ROLLING_RADIUS_DIFFERS, "in doubt"), certain=False, relative=0.07)
+    certain = replace(doubt, certain=True)
+    doubted = replace(
+        stored, geometry=stored.geometry.against(doubt), parameters={**stored.parameters, **stated(doubt)}
+    )
+    with sqlite_storage.write() as unit:
+        unit.geometries.put(replace(doubted, input_digest="0" * 64, recorded_ns=doubted.recorded_ns + 1))
+        kept = former(unit, "W1", stored.baseline, None)
+        assert remembered(kept) == doubt
+        assert kept is not None
+        assert remembered(replace(kept, geometry=kept.geometry.mismatched(doubt.reason))) == replace(
+            certain, relative=0.0
+        )
+    assert stated(certain) == stated(None) == {}
+    assert remembered(None) is None
+    assert remembered(stored) is None
 
 
 @pytest.mark.parametrize("estimator", ["bins", "cubic"])

@@ -23,6 +23,7 @@ from estimation.trend.extrapolation import (
 from estimation.trend.trend import probability_above
 from estimation.values.intervals import with_interval
 from estimation.values.quantities import Estimate, Status
+from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.trend import WearTrend
 
 LAST_POINTS = 2  # of a trend: one alone may be an outlier
@@ -43,7 +44,8 @@ class LimitState:
     """What is known of the conicity of a wheelset now.
 
     ``reached`` is that at the largest amplitude covered, where that is below 3 mm and not too small to say anything of
-    a limit; ``last`` are the last points of a trend that a limit is held against.
+    a limit; ``last`` are the last points of a trend that a limit is held against; ``left_open`` says that the wheelset
+    moves as far as a limit is held against it, and its data leave the conicity open.
     """
 
     conicity: Estimate  # at 3 mm
@@ -51,6 +53,7 @@ class LimitState:
     reached_amplitude: float = LIMIT_AMPLITUDE  # m
     last: Sequence[Estimate] = ()
     beyond: Extrapolation | None = None  # how an extrapolated conicity is spread about its mean
+    left_open: bool = False
 
     def at_limit(self, limit: float) -> Against | None:
         """Return the conicity at 3 mm against a limit: of the trend, or of its last points; None where not known."""
@@ -122,7 +125,13 @@ def limit_state(facts: WheelsetFacts) -> LimitState | None:
         amplitude if known else LIMIT_AMPLITUDE,
         () if trend is None or fitted is None else _last(trend),
         beyond,
+        any(_is_open(float(at), one) for at, one in zip(geometry.amplitude, geometry.conicity, strict=True)),
     )
+
+
+def _is_open(amplitude: float, conicity: Estimate) -> bool:
+    compared = LEAST_AMPLITUDE - SAME_AMPLITUDE < amplitude < LIMIT_AMPLITUDE + SAME_AMPLITUDE
+    return compared and code_of(conicity.reason) is ReasonCode.CONICITY_OPEN
 
 
 def _last(trend: WearTrend) -> Sequence[Estimate]:

@@ -41,8 +41,8 @@ class MeasureRule(AlertRule):
     )
 
     raise_probability: Annotated[float, ANY_PROBABILITY] = 0.5  # that it is over where the motion covers 3 mm
-    extrapolated_probability: Annotated[float, ANY_PROBABILITY] = 0.15  # and where it does not: no data will decide it
-    clear_probability: Annotated[float, ANY_PROBABILITY] = 0.12
+    extrapolated_probability: Annotated[float, ANY_PROBABILITY] = 0.12  # and where it does not: no data will decide it
+    clear_probability: Annotated[float, ANY_PROBABILITY] = 0.1
     reaches: Annotated[float, Interval(ge=1.0, le=10.0)] = 1.5  # limits that an interval at 3 mm goes up to
     measured_within_km: Kilometres = 10_000.0  # a measurement decides for as long
 
@@ -97,7 +97,7 @@ def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limi
     at_3_mm = 0.0 if at_limit is None else at_limit.probability
     reached = 0.0 if at_reached is None else at_reached.probability
     open_far = not state.extrapolated and (state.conicity.high or 0.0) >= rule.reaches * limit
-    unsaid = at_limit is None and state.reached is not None and _is_of_shape(state, decided)
+    unsaid = at_limit is None and (state.reached is not None or state.left_open) and _is_of_data(state, decided)
     may_be = at_3_mm >= needed or reached >= rule.raise_probability or open_far or unsaid
     silent, settled = decided.breached is None and not unsaid, measured or decided.breached is True
     is_clear = at_3_mm <= rule.clear_probability and reached <= rule.clear_probability and not may_be
@@ -124,6 +124,6 @@ def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limi
     )
 
 
-def _is_of_shape(state: LimitState, decided: Finding) -> bool:
-    """Return whether nothing else hides the state than that the curve cannot be extrapolated from where it ends."""
+def _is_of_data(state: LimitState, decided: Finding) -> bool:
+    """Return whether nothing else hides the state than that the data do not say what is at 3 mm."""
     return decided.breached is not None or decided.evidence["unknown_because_code"] == code_of(state.conicity.reason)

@@ -38,17 +38,28 @@ def kept(unit: UnitOfWork, made: GeometryRecord) -> GeometryRecord:
     made
         Of no sample, with the digest of what it was made from.
     """
-    former = _former(unit, made)
-    if former is None or former.geometry.equivalent_conicity.value is None:
+    before = former(unit, made.wheelset, made.baseline, made.interval)
+    if before is None or before.geometry.equivalent_conicity.value is None:
         unknown = Estimate.unknown(NOTHING, made.geometry.equivalent_conicity.count)
         geometry = replace(made.geometry, equivalent_conicity=unknown, status=unknown.status, reason=NOTHING)
         return replace(made, geometry=geometry)
-    geometry = replace(former.geometry, status=Status.ESTIMATED, reason=KEPT)
-    return replace(former, geometry=geometry, input_digest=made.input_digest, recorded_ns=made.recorded_ns)
+    geometry = replace(before.geometry, status=Status.ESTIMATED, reason=KEPT)
+    return replace(before, geometry=geometry, input_digest=made.input_digest, recorded_ns=made.recorded_ns)
 
 
-def _former(unit: UnitOfWork, made: GeometryRecord) -> GeometryRecord | None:
-    if made.interval is None:
-        return next((one for one in unit.geometries.baselines(made.wheelset) if one.baseline == made.baseline), None)
-    found = unit.geometries.intervals(made.wheelset, made.baseline, first=made.interval, last=made.interval)
+def former(unit: UnitOfWork, wheelset: str, baseline: int, interval: int | None) -> GeometryRecord | None:
+    """Return the geometry that is stored of an interval, or the current one; None where there is none.
+
+    Parameters
+    ----------
+    unit
+        Geometries are read.
+    wheelset
+        Serial.
+    baseline, interval
+        Its key; None is the current geometry.
+    """
+    if interval is None:
+        return next((one for one in unit.geometries.baselines(wheelset) if one.baseline == baseline), None)
+    found = unit.geometries.intervals(wheelset, baseline, first=interval, last=interval)
     return next(iter(found), None)

@@ -13,17 +13,17 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
 from estimation.jobs.steps.estimated_geometry import EstimatedWith, estimated_geometry, no_geometry
-from estimation.jobs.steps.kept_geometry import kept, purged
+from estimation.jobs.steps.kept_geometry import former, kept, purged
 from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.passed_over import CONTRADICTED, PassedOverWindows
 from estimation.jobs.steps.replay import TabulatedWindow, replayed
 from estimation.jobs.steps.rolling import Part, Rolled, members, sums
-from estimation.jobs.steps.rolling_radius import RadiusOnFile
+from estimation.jobs.steps.rolling_radius import RadiusOnFile, remembered, stated
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
 from estimation.tables.weighted_tables import weighted_sum
 from estimation.values.exact_table import ExactTable
-from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, GeometryRecord, WheelsetGeometry
+from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, Contradiction, GeometryRecord, WheelsetGeometry
 from estimation.values.json_value import JsonValue
 from estimation.values.motion import Motion
 from estimation.values.quantities import Status
@@ -242,16 +242,15 @@ class RolledGeometries:
         table = self._forgetting(parts, last.last_km) if current else self.sums(parts[0])[0].table()
         forgotten_from = last.last_km if current else None
         geometry = estimated_geometry(table, used, lambda: self._motions(parts, assumed, forgotten_from))
+        of_radius = None
         if geometry.status is not Status.MODEL_MISMATCH:
             if any(self._passed_over.contradicted(one) for one in roll_ups):
                 against = CONTRADICTED
-            geometry = (
-                geometry.against(
-                    self.radius.contradicted(_chosen(roll_ups), assumed, partial(self._stored_reason, place))
+            if against is None:
+                of_radius = self.radius.contradicted(
+                    _chosen(roll_ups), assumed, partial(self._remembered_of_radius, place)
                 )
-                if against is None
-                else geometry.mismatched(against)
-            )
+            geometry = geometry.against(of_radius) if against is None else geometry.mismatched(against)
         made = GeometryRecord(
             wheelset=self.rules.wheelset,
             baseline=place[0],
@@ -262,7 +261,7 @@ class RolledGeometries:
             geometry=geometry,
             input_digest=digest,
             track_versions=versions,
-            parameters={**used.as_json(), **self._stated(roll_ups)},
+            parameters={**used.as_json(), **self._stated(roll_ups), **stated(of_radius)},
             code_version=self.context.code_version,
             recorded_ns=self.context.clock.now_ns(),
         )
@@ -279,9 +278,9 @@ class RolledGeometries:
         counts: dict[str, JsonValue] = dict(self._passed_over.counts(roll_ups))
         return {PASSED_OVER: counts} if counts else {}
 
-    def _stored_reason(self, place: tuple[int, int | None]) -> Reason | None:
-        """Return why the geometry that is stored holds no numbers; None where it does or there is none."""
-        return self.unit.geometries.reason(self.rules.wheelset, *place)
+    def _remembered_of_radius(self, place: tuple[int, int | None]) -> Contradiction | None:
+        """Return what the geometry that is stored has against the radius on file; None where nothing."""
+        return remembered(former(self.unit, self.rules.wheelset, *place))
 
     def _forgetting(self, parts: Sequence[Part], newest_km: float) -> BinTable:
         """Return the sum of all with forgetting; the newest window has weight 1."""

@@ -10,7 +10,9 @@ from estimation.geometry.rolling_radius import check_radius
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
-from estimation.values.geometry import Contradiction
+from estimation.values.geometry import RADIUS_DOUBTED, Contradiction, GeometryRecord
+from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.rolling_sums import RollingSums, WindowRollingSums
 
@@ -38,9 +40,12 @@ class RadiusOnFile:
     _checked: dict[tuple[str, ...], Contradiction | None] = field(default_factory=dict)
 
     def contradicted(
-        self, chosen: Sequence[tuple[str, int]], assumed: Assumed, stored: Callable[[], Reason | None] | None = None
+        self,
+        chosen: Sequence[tuple[str, int]],
+        assumed: Assumed,
+        stored: Callable[[], Contradiction | None] | None = None,
     ) -> Contradiction | None:
-        """Return that windows contradict the radius on file; None where they do not or are silent.
+        """Return that windows contradict the radius on file or leave it open; None where they do not or are silent.
 
         A window whose samples are missing or damaged takes no part. Where none has samples any more, what was found
         when they were there remains.
@@ -52,12 +57,12 @@ class RadiusOnFile:
         assumed
             Their class, with the radius on file.
         stored
-            Returns the reason of the geometry that is stored, where it is asked for.
+            Returns what the geometry that is stored has against the radius, where it is asked for.
         """
         found = self._sums({start_ns: digest for digest, start_ns in chosen}, assumed)
         before = None if found or stored is None else stored()
-        if before is not None and before.code is ReasonCode.ROLLING_RADIUS_DIFFERS:
-            return Contradiction(before, certain=True, relative=0.0)
+        if before is not None:
+            return before
         same = (assumed.digest, *(f"{start_ns} {digest}" for digest, start_ns in chosen if start_ns in found))
         if same not in self._checked:
             parts = [part for start_ns in sorted(found) for part in found[start_ns]]
@@ -91,3 +96,40 @@ class RadiusOnFile:
         except (NotFoundError, DamagedError):
             return None  # its table remains
         return rolling_sums(window, assumed.windows.vehicle_class, assumed.windows.signals)
+
+
+def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:
+    """Return what a geometry keeps of a doubt on its radius among its parameters.
+
+    Parameters
+    ----------
+    found
+        What its windows have against the radius on file.
+    """
+    if found is None or found.certain:
+        return {}
+    doubt: dict[str, JsonValue] = {"code": found.reason.code.value, "text": found.reason.text}
+    return {RADIUS_DOUBTED: {**doubt, "relative": found.relative}}
+
+
+def remembered(record: GeometryRecord | None) -> Contradiction | None:
+    """Return what a stored geometry has against the radius on file; None where nothing.
+
+    Parameters
+    ----------
+    record
+        Of the geometry; None where none is stored.
+    """
+    if record is None:
+        return None
+    reason, doubt = record.geometry.reason, record.parameters.get(RADIUS_DOUBTED)
+    if (
+        reason is not None
+        and reason.code is ReasonCode.ROLLING_RADIUS_DIFFERS
+        and record.geometry.status is Status.MODEL_MISMATCH
+    ):
+        return Contradiction(reason, certain=True, relative=0.0)
+    if not isinstance(doubt, Mapping):
+        return None
+    before = Reason(ReasonCode(str(doubt["code"])), str(doubt["text"]))
+    return Contradiction(before, certain=False, relative=float(str(doubt["relative"])))

@@ -216,7 +216,7 @@ def test_a_vehicle_alone_raises_what_is_near_to_certain_and_takes_nothing_away()
 
 def test_what_decides_on_low_adhesion_is_pinned() -> None:
     assert (KNOWN.low, KNOWN.likely, KNOWN.at_ends) == (0.15, 0.45, 0.3)
-    assert (KNOWN.certain, KNOWN.fewest_vehicles, KNOWN.good) == (0.9, 2, 0.4)
+    assert (KNOWN.certain, KNOWN.beside_others, KNOWN.fewest_vehicles, KNOWN.good) == (0.9, 0.7, 2, 0.4)
     assert (KNOWN.fewest_passes, KNOWN.least_upper, LEARNT) == (3, 0.6, 0.7)
     assert (KNOWN.usual, KNOWN.usual_std, KNOWN.level_std, KNOWN.most_usual) == (3.3, 3.0, 1.0, 6.7)
     assert KNOWN.creep_error_std == 0.1
@@ -244,5 +244,9 @@ def test_how_many_vehicles_an_alert_needs_and_what_is_certain_is_pinned() -> Non
     assert low_stretches([cell(1, 0.89, vehicles=1)], KNOWN) == ()
     assert low_stretches([cell(1, 0.90, vehicles=1)], KNOWN) == ((50.0, 100.0),)
     assert low_stretches([cell(1, 0.94, vehicles=1)], replace(KNOWN, likely=0.95)) == ()
+    for needed, vehicles in ((0.7, 2), (0.9, 1)):
+        elsewhere = cell(9, 0.1, vehicles=vehicles)
+        assert low_stretches([cell(1, needed - 0.01, vehicles=1), elsewhere], KNOWN) == ()
+        assert low_stretches([cell(1, needed, vehicles=1), elsewhere], KNOWN) == ((50.0, 100.0),)
     assert low_stretches([cell(1, 0.9, high=0.41)], KNOWN) == ()
     assert low_stretches([cell(1, 0.9, high=0.39)], KNOWN) == ((50.0, 100.0),)

@@ -9,7 +9,7 @@ import pytest
 from plain_windows import plain_window
 from scipy.signal import butter, sosfiltfilt
 
-from estimation.motion.axle_distance import AxleDistance, axle_distance, check_axle_distance
+from estimation.motion.axle_distance import AxleDistance, _highest, axle_distance, check_axle_distance
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
@@ -72,12 +72,33 @@ def test_nodes_that_see_no_common_track_are_silent() -> None:
 
 
 def test_nodes_that_measure_little_of_the_track_are_silent() -> None:
-    for noise, silent in ((0.7, True), (0.5, False), (0.35, False)):
+    for noise, silent in ((1.1, True), (0.9, False), (0.5, False), (0.35, False)):
         front, rear = nodes(noise=noise)
         found = axle_distance(rear, front, WHEELBASE)
         assert found is not None
         assert found.ahead == pytest.approx(-WHEELBASE, abs=0.15)
         assert (check_axle_distance(rear, front, WHEELBASE) is None) == silent
+
+
+@pytest.mark.parametrize(("noise", "found"), [(0.95, True), (1.05, False)])
+def test_another_wheelbase_is_found_from_what_is_no_chance(noise: float, *, found: bool) -> None:
+    """Five times the std by chance is 0.26 over 1.14 km: noise as large as the roll of the track."""
+    front, rear = nodes(noise=noise)
+    assert check_axle_distance(front, rear, WHEELBASE) is None
+    assert isinstance(check_axle_distance(front, rear, 1.8), Reason) is found
+
+
+def test_noise_of_high_frequencies_does_not_hide_the_track() -> None:
+    """A gyroscope, differentiated: its noise grows with frequency, and a slow vehicle is sampled every 5 cm."""
+    slow = [
+        replace(node, roll_acceleration=node.roll_acceleration + 3.0 * np.diff(noise))
+        for node, noise in zip(
+            nodes(count=10_000, speed=2.5), np.random.default_rng(4).standard_normal((2, 10_001)), strict=True
+        )
+    ]
+    found = axle_distance(slow[0], slow[1], WHEELBASE)
+    assert found is not None
+    assert found.expected > 0.75
 
 
 def narrow(*waves: tuple[float, float]) -> tuple[Window, Window]:
@@ -102,9 +123,24 @@ def test_another_distance_must_leave_so_much_less_unexplained(other: float, *, c
     found = AxleDistance(4.5, float(correlation), expected, 0.1)
     assert found.contradicted is contradicted
     assert replace(found, nearest=0.39).contradicted is False
-    assert replace(found, nearest=0.41).contradicted is True
-    assert replace(found, nearest=0.99).contradicted is True
-    assert replace(found, nearest=1.01).contradicted is contradicted
+    assert replace(found, nearest=0.41).contradicted is contradicted
+    clear = replace(found, stands_out=True)
+    assert replace(clear, nearest=0.39).contradicted is False
+    assert replace(clear, nearest=0.41).contradicted is True
+    assert replace(clear, nearest=0.99).contradicted is True
+    assert replace(clear, nearest=1.01).contradicted is contradicted
+
+
+@pytest.mark.parametrize(("second", "stands_out"), [(0.96, True), (0.98, False)])
+def test_waves_alike_say_nothing_of_the_distance(second: float, *, stands_out: bool) -> None:
+    """A wheelset that sways on one wave of 4.8 m: its maxima at 0.6 and 3.0 m are alike, and 2.5 m are on file."""
+    lags = 0.1 * (np.arange(101) - 50)
+    size = np.where(np.abs(lags - 3.0) < 0.05, 0.5, np.where(np.abs(lags - 0.6) < 0.05, 0.5 * second, 0.0))
+    found = _highest(size, WHEELBASE, 0.25)
+    assert (found.nearest, found.stands_out) == (pytest.approx(0.5), stands_out)
+    assert found.contradicted is stands_out
+    exchanged = _highest(0.9 * size[::-1], 3.0, 0.25)
+    assert exchanged.leads is (False if stands_out else None)
 
 
 @pytest.mark.parametrize(("other", "leads"), [(1.23, None), (1.27, False)])

@@ -87,7 +87,7 @@ def test_the_last_two_points_over_the_limit_are_over_it_whatever_the_smooth_curv
 
 @pytest.mark.parametrize(
     ("probability", "breached", "cleared"),
-    [(0.16, True, False), (0.14, False, False), (0.125, False, False), (0.115, False, True), (0.91, False, True)],
+    [(0.13, True, False), (0.11, False, False), (0.105, False, False), (0.095, False, True), (0.91, False, True)],
 )
 def test_an_extrapolated_conicity_that_may_be_over_is_measured(
     *, probability: float, breached: bool, cleared: bool
@@ -148,6 +148,29 @@ def test_an_amplitude_of_one_and_a_half_to_less_than_3_mm_is_held_against_the_li
     assert state is not None
     assert state.extrapolated is counts
     assert state.reached_amplitude == (reached if counts else 3e-3)
+
+
+@pytest.mark.parametrize(
+    ("amplitude", "windows", "breached"),
+    [(1.5e-3, 8, True), (3e-3, 8, True), (1.25e-3, 8, None), (3.25e-3, 8, None), (3e-3, 2, None)],
+)
+def test_a_conicity_that_the_data_leave_open_where_a_limit_is_held_may_be_beyond_it(
+    *, amplitude: float, windows: int, breached: bool | None
+) -> None:
+    unknown = Estimate.unknown(Reason(ReasonCode.CONICITY_OPEN, "open by 0.3 either way"))
+    left_open = replace(
+        geometry_of(conicity=0.2, windows=windows),
+        amplitude=np.array([amplitude]),
+        conicity=(unknown,),
+        equivalent_conicity=unknown,
+    )
+    finding = RULE.find(facts_of(geometry=geometry_record(left_open), limit_rule=LIMIT_RULE), 0)
+    assert finding is not None
+    assert (finding.breached, finding.cleared) == (breached, None if breached is None else False)
+    measured = facts_of(geometry=geometry_record(left_open), limit_rule=LIMIT_RULE, profiles_measured_km=0.0)
+    settled = RULE.find(measured, 0)
+    assert settled is not None
+    assert settled.breached is (None if breached is None else False)
 
 
 def test_the_last_points_are_those_of_a_trend_that_a_limit_is_held_against() -> None:

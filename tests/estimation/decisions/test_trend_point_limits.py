@@ -15,8 +15,8 @@ from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 
 WHY = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "amplitude not covered")
-GRID = (1.0, 2.0, 3.0, 4.0)  # mm
-TO_3, TO_2, NOTHING = (1.0, 2.0, 3.0), (1.0, 2.0), ()
+GRID = (1.0, 1.25, 3.0, 4.0)  # mm; from less than 1.5 nothing is extrapolated
+TO_3, TO_1_25, NOTHING = (1.0, 1.25, 3.0), (1.0, 1.25), ()
 
 
 def interval(number: int, covered_mm: Sequence[float], reported_mm: float = np.nan) -> IntervalConicities:
@@ -54,29 +54,31 @@ def history(*covered: Sequence[float]) -> list[IntervalConicities]:
     return [interval(number, item) for number, item in enumerate(covered)]
 
 
-@pytest.mark.parametrize(("with_3", "amplitude"), [(6, 3e-3), (5, 2e-3)])
+@pytest.mark.parametrize(("with_3", "amplitude"), [(6, 3e-3), (5, 1.25e-3)])
 def test_three_quarters_of_the_latest_eight_intervals_must_cover_three_millimetres(
     with_3: int, amplitude: float
 ) -> None:
-    records = history(*[TO_2] * (8 - with_3), *[TO_3] * with_3)
+    records = history(*[TO_1_25] * (8 - with_3), *[TO_3] * with_3)
     assert conicity_points(records).amplitude == pytest.approx(amplitude)
     assert conicity_points(records[:2] * 4 + records).amplitude == pytest.approx(amplitude)
 
 
 def test_the_ninth_interval_from_the_end_has_no_say_and_the_eighth_has() -> None:
-    assert conicity_points(history(TO_3, TO_2, TO_2, *[TO_3] * 5)).amplitude == pytest.approx(3e-3)
-    assert conicity_points(history(TO_3, *[TO_2] * 3, *[TO_3] * 5)).amplitude == pytest.approx(2e-3)
-    assert conicity_points(history(TO_2, *[TO_2] * 2, *[TO_3] * 6)).amplitude == pytest.approx(3e-3)
+    assert conicity_points(history(TO_3, TO_1_25, TO_1_25, *[TO_3] * 5)).amplitude == pytest.approx(3e-3)
+    assert conicity_points(history(TO_3, *[TO_1_25] * 3, *[TO_3] * 5)).amplitude == pytest.approx(1.25e-3)
+    assert conicity_points(history(TO_1_25, *[TO_1_25] * 2, *[TO_3] * 6)).amplitude == pytest.approx(3e-3)
 
 
-@pytest.mark.parametrize(("covered", "amplitude"), [((TO_2, TO_3, TO_3, TO_3), 3e-3), ((TO_2, TO_3, TO_3), 2e-3)])
+@pytest.mark.parametrize(
+    ("covered", "amplitude"), [((TO_1_25, TO_3, TO_3, TO_3), 3e-3), ((TO_1_25, TO_3, TO_3), 1.25e-3)]
+)
 def test_of_few_intervals_three_quarters_too(covered: tuple[Sequence[float], ...], amplitude: float) -> None:
     assert conicity_points(history(*covered)).amplitude == pytest.approx(amplitude)
 
 
 def test_where_no_amplitude_is_covered_by_enough_the_most_frequent_and_then_the_largest_counts() -> None:
-    assert conicity_points(history((1.0,), (1.0,), (2.0,), (3.0,))).amplitude == pytest.approx(1e-3)
-    assert conicity_points(history((1.0,), (2.0,), (3.0,))).amplitude == pytest.approx(3e-3)
+    assert conicity_points(history((1.0,), (1.0,), (1.25,), (3.0,))).amplitude == pytest.approx(1e-3)
+    assert conicity_points(history((1.0,), (1.25,), (3.0,))).amplitude == pytest.approx(3e-3)
 
 
 def test_larger_amplitudes_than_three_millimetres_count_only_where_nothing_smaller_is_covered() -> None:

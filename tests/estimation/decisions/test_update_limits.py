@@ -14,7 +14,7 @@ from estimation.track.screening.screen import Screened
 from estimation.track.section import SectionEstimate
 from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
-from estimation.track.survey_bands import SurveyBands
+from estimation.track.survey_bands import EDGES, Band, SurveyBands
 from estimation.track.survey_check import worth_more
 from estimation.track.survey_posterior import SurveyPosterior
 from estimation.track.survey_verdict import CONFIRMED, SurveyVerdict
@@ -89,7 +89,8 @@ def by_survey(
 def weighed(std: float, verdict: SurveyVerdict | None = None, **changes: object) -> Solved:
     """Return an epoch whose passes and survey give an alignment of this std (m) together."""
     together = replace(SURVEY, alignment_std=np.full(N, std), **changes)  # type: ignore[arg-type]
-    bands = SurveyBands((), D, np.ones(N, np.bool_), np.ones(N, np.bool_), np.ones(N), 1e-3)
+    same = Band(np.zeros(N), np.zeros(N), np.ones(N), np.ones(N), 0.0)
+    bands = SurveyBands((same,) * len(EDGES), D, np.ones(N, np.bool_), np.ones(N, np.bool_), np.ones(N), 1e-3)
     return replace(epoch(None, None, verdict), posterior=SurveyPosterior(together, SURVEY, bands))
 
 
@@ -104,6 +105,20 @@ def test_a_survey_that_the_passes_know_better_becomes_a_version_of_it() -> None:
     moving = weighed(1e-5, RIGHT)
     moving = replace(moving, with_prior=replace(moving.with_prior, report=replace(CONVERGED, converged=False)))
     assert _with_survey(moving, SURVEY, SETTINGS, survey_checked=True).outcome is UpdateOutcome.SURVEY_KEPT
+
+
+def test_a_file_is_made_sharper_by_its_first_passes_where_that_matters() -> None:
+    unseen = np.zeros(N, dtype=np.int64)
+    for filed, std, outcome in (
+        (1e-4, 0.81e-4, UpdateOutcome.SURVEY_KEPT),
+        (1e-4, 0.79e-4, UpdateOutcome.SURVEY_EXTENDED),
+        (0.49e-4, 0.3e-4, UpdateOutcome.SURVEY_KEPT),  # too sharp already for that to matter
+    ):
+        file = replace(SURVEY, alignment_std=np.full(N, filed), passes=unseen)
+        made = weighed(std, RIGHT)
+        assert made.posterior is not None
+        made = replace(made, posterior=replace(made.posterior, before=file))
+        assert _with_survey(made, file, SETTINGS, survey_checked=False).outcome is outcome
 
 
 def test_a_survey_that_is_not_decided_on_is_kept_as_it_is() -> None:

@@ -149,7 +149,27 @@ def test_too_little_data_say_nothing() -> None:
     assert rolling_radius(made(7)) is None
     assert check_radius(made(7), 0.3) is None
     nothing = RollingSums(np.zeros((BANDS, TERMS, TERMS)), np.zeros((BANDS, TERMS, TERMS)))
-    assert check_radius([nothing] * 8, 0.3) is None
+    assert check_radius([nothing] * 8, 0.3, measured=True) is None
+
+
+def test_a_radius_that_neither_motion_nor_measurement_confirms_is_open() -> None:
+    """Two stds must leave out a mistake of 10 %: 45 mm."""
+    parts = made()
+    found = rolling_radius(parts)
+    assert found is not None
+    assert 0.0 < found.bound < found.std
+    for relative_std, is_open in ((0.0445, False), (0.0465, True)):
+        said = check_radius(parts, found.value, relative_std)
+        assert (said is not None) is is_open
+        assert check_radius(parts, found.value, relative_std, measured=True) is None
+    assert said is not None
+    assert (said.reason.code, said.certain, said.relative) == (ReasonCode.ROLLING_RADIUS_OPEN, False, 0.0)
+    assert "450 mm on file" in said.reason.text
+    nothing = RollingSums(np.zeros((BANDS, TERMS, TERMS)), np.zeros((BANDS, TERMS, TERMS)))
+    silent = check_radius([nothing] * 8, 0.3)
+    assert silent is not None
+    assert silent.reason.code is ReasonCode.ROLLING_RADIUS_OPEN
+    assert check_radius([nothing] * 7, 0.3) is None, "too few to say anything"
 
 
 def test_low_friction_widens_the_interval() -> None:

@@ -74,7 +74,7 @@ def test_a_fall_is_raised_with_its_place_and_size_and_the_trend_begins_behind_it
     assert alert.opened_ns == step.found_ns == START_NS + 23 * DAY_NS
     assert (alert.evidence["before_km"], alert.evidence["after_km"]) == (20_000.0, 21_000.0)
     assert step.size.value == pytest.approx(-0.2, abs=0.02)
-    assert "fallen by 0.19 at 21,000 km" in str(alert.evidence["reason"])
+    assert "fallen by 0.20 at 21,000 km" in str(alert.evidence["reason"])
     now = trend(storage)
     assert now.mileage_km.tolist() == [21_000.0, 22_000.0, 23_000.0]
     assert now.fitted.value == pytest.approx(0.12, abs=0.02)

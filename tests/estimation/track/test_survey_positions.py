@@ -119,6 +119,24 @@ def test_the_rounds_on_a_survey_end_at_these_positions() -> None:
     assert np.abs(left_over(found.corrections)).max() < 0.12
 
 
+@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("noise", [0.02e-3, 0.1e-3])
+def test_neither_the_errors_of_a_survey_nor_those_of_r_move_all_journeys(noise: float, seed: int) -> None:
+    """Errors of a survey flatten R over y - d, those of R flatten y - d over R: what is left moves all alike."""
+    rough = survey(1e-3, seed)
+    rough = replace(rough, std=np.where(np.isfinite(rough.std), 1e-3, np.inf))
+    grouped = journeys(moved(noise), PositionParameters())
+    off = {}
+    for flatten in (IterationParameters().curves_flatten, np.inf, 0.0):
+        p = IterationParameters(curves_flatten=flatten)
+        found = iterate(grouped, rough, PANEL, PositionParameters(), p)
+        assert found.placed_on_survey
+        off[flatten] = float(left_over(found.corrections).mean())
+    shipped, by_r, by_curves = off.values()
+    assert by_curves < -0.05 < 0.2 < by_r
+    assert abs(shipped) < 0.15
+
+
 @pytest.mark.parametrize("length", [0.0, 20.0, 200.0])
 def test_passes_too_short_for_the_filters_keep_their_places(length: float) -> None:
     short = [
@@ -143,4 +161,4 @@ def test_the_shipped_figures() -> None:
     assert (p.rounds, p.least_points, p.ridge) == (12, 400, 1e-6)
     assert (p.most_apart, p.place_std, p.correlated) == (2.0, 1.0, 4.0)
     assert (IterationParameters().survey_rounds, IterationParameters().survey_moved) == (4, 0.05)
-    assert IterationParameters().survey_tolerance == 0.3
+    assert (IterationParameters().survey_tolerance, IterationParameters().curves_flatten) == (0.3, 6.0)

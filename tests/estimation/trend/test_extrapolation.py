@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wheelset_life import geometry_of
 
-from estimation.contact.worn_family import PAIRS, WHEELS, conicities_of, worn_family
+from estimation.contact.worn_family import PAIRS, WHEELS, WornFamily, conicities_of, worn_family
 from estimation.trend.extrapolation import conicity_at_limit_amplitude, extrapolated
 from estimation.trend.points import conicity_points
 from estimation.trend.trend import refresh
@@ -99,6 +99,30 @@ def test_a_shape_unlike_all_of_the_family_is_not_extrapolated() -> None:
     odd = np.where(np.arange(ALL) % 2 == 0, 0.2, 0.7)
     assert conicity_at_limit_amplitude(geometry(odd, TO_2_25)).status is Status.UNESTIMATED
     assert conicity_at_limit_amplitude(geometry(FAMILY.conicity[100], TO_2_25, std=0.09)).status is Status.UNESTIMATED
+
+
+def test_a_wheelset_beside_all_those_alike_is_extrapolated() -> None:
+    """A cone of 0.118, whose errors alone put it beside all members that are like it."""
+    rng = np.random.default_rng(0)
+    cone, std = np.full(ALL, 0.118), 0.019
+    near = np.exp(-np.abs(np.subtract.outer(FAMILY.amplitude, FAMILY.amplitude)) / 0.5e-3)
+    errors = np.linalg.cholesky(0.5 + 0.5 * near) @ rng.standard_normal((ALL, 100))
+    found = [conicity_at_limit_amplitude(geometry(cone + std * error, TO_1_75, std)) for error in errors.T]
+    assert all(one.status is Status.ESTIMATED for one in found)
+    low, high = (np.array([getattr(one, name) for one in found]) for name in ("low", "high"))
+    assert np.mean((low <= 0.118) & (high >= 0.118)) >= 0.94
+
+
+def test_a_member_that_rises_beyond_counts_for_more_up_to_a_bound() -> None:
+    """Members alike up to 2 mm, of which half rise beyond, the others stay or fall: 2 against 1 or 0.3."""
+    up, even, down = (np.full((100, ALL), 0.2) for _ in range(3))
+    up[:, TO_2:], down[:, TO_2:] = 0.4, 0.1
+    known = [KnownConicity(float(a), 0.2, 0.001) for a in FAMILY.amplitude[:TO_2]]
+    for other, weight in ((even, 1.0), (down, 0.3)):
+        family = WornFamily(FAMILY.amplitude, np.concatenate([up, other]), np.zeros(200, dtype=np.int64))
+        found = extrapolated(known, family)
+        assert found is not None
+        assert found.value == pytest.approx((2.0 * 0.4 + weight * other[0, -1]) / (2.0 + weight))
 
 
 def test_a_wheelset_without_any_conicity_keeps_its_reason() -> None:

@@ -21,7 +21,7 @@ def known(value: float) -> Estimate:
 def interval(number: int, covered_mm: Sequence[float]) -> IntervalConicities:
     """Return a geometry whose conicity at an amplitude a (in mm) is 0.1 a + number."""
     nothing = BinValues(np.full(2, np.nan), np.full(2, np.nan), (BinStatus.TOO_FEW,) * 2)
-    grid = (1.0, 2.0, 3.0, 4.0)
+    grid = (1.0, 1.25, 3.0, 4.0)
     conicity = tuple(known(0.1 * a + number) if a in covered_mm else Estimate.unknown(WHY) for a in grid)
     reference = max((a for a in covered_mm if a <= 3.0), default=3.0)
     geometry = WheelsetGeometry(
@@ -48,11 +48,12 @@ def interval(number: int, covered_mm: Sequence[float]) -> IntervalConicities:
 
 
 WHY = Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "amplitude not covered")
-ALL, TO_2, TO_1 = (1.0, 2.0, 3.0, 4.0), (1.0, 2.0), (1.0,)
+# From less than 1.5 mm nothing is extrapolated.
+ALL, TO_1_25, TO_1 = (1.0, 1.25, 3.0, 4.0), (1.0, 1.25), (1.0,)
 
 
 def test_three_millimetres_where_most_intervals_cover_it() -> None:
-    chosen = conicity_points([interval(0, ALL), interval(1, TO_2), interval(2, ALL), interval(3, ALL)])
+    chosen = conicity_points([interval(0, ALL), interval(1, TO_1_25), interval(2, ALL), interval(3, ALL)])
     assert chosen.quantity == "equivalent_conicity"
     assert [p.value for p in chosen.points] == pytest.approx([0.3, 2.3, 3.3])
     assert "1 of 4" in str(chosen.note)
@@ -60,16 +61,16 @@ def test_three_millimetres_where_most_intervals_cover_it() -> None:
 
 
 def test_the_largest_amplitude_that_most_cover_and_never_a_mixture() -> None:
-    chosen = conicity_points([interval(0, ALL), interval(1, TO_2), interval(2, TO_2), interval(3, TO_1)])
-    assert chosen.quantity == "equivalent_conicity_2_mm"
-    assert chosen.amplitude == pytest.approx(2e-3)
-    assert [p.value for p in chosen.points] == pytest.approx([0.2, 1.2, 2.2])
-    assert "2 mm" in str(chosen.note)
+    chosen = conicity_points([interval(0, ALL), interval(1, TO_1_25), interval(2, TO_1_25), interval(3, TO_1)])
+    assert chosen.quantity == "equivalent_conicity_1.25_mm"
+    assert chosen.amplitude == pytest.approx(1.25e-3)
+    assert [p.value for p in chosen.points] == pytest.approx([0.125, 1.125, 2.125])
+    assert "1.25 mm" in str(chosen.note)
 
 
 def test_the_one_most_cover_where_none_is_covered_by_most() -> None:
-    chosen = conicity_points([interval(0, (3.0,)), interval(1, (2.0,)), interval(2, (2.0,))])
-    assert chosen.quantity == "equivalent_conicity_2_mm"
+    chosen = conicity_points([interval(0, (3.0,)), interval(1, (1.25,)), interval(2, (1.25,))])
+    assert chosen.quantity == "equivalent_conicity_1.25_mm"
     assert len(chosen.points) == 2
 
 
@@ -81,7 +82,7 @@ def test_nothing_to_go_by_says_why() -> None:
 
 
 def test_what_a_young_wheelset_did_not_reach_long_ago_does_not_keep_its_trend_from_three_millimetres() -> None:
-    histories = [interval(day, TO_2 if day < 5 else ALL) for day in range(12)]
+    histories = [interval(day, TO_1_25 if day < 5 else ALL) for day in range(12)]
     chosen = conicity_points(histories)
     assert chosen.quantity == "equivalent_conicity"
     assert len(chosen.points) == 7
