@@ -48,7 +48,9 @@ SURVEYS: Mapping[str, SurveyPlan] = {
     "shift 10 m": SurveyPlan(0.1 * MM, shift=10.0),
     "scale 1.2": SurveyPlan(0.1 * MM, scale=1.2),
     "other section": SurveyPlan(0.1 * MM, other_section=True),
+    "other section 1 mm": SurveyPlan(MM, other_section=True),
     "sign": SurveyPlan(0.1 * MM, scale=-1.0),
+    "sign 0.5 mm": SurveyPlan(0.5 * MM, scale=-1.0),
 }
 NAMES = [name for name, plan in SURVEYS.items() if plan.std is not None and plan.right and plan.stated is None]
 POSITIONS = {"0 m": 0.0, "0.5 m": 0.5, "2 m": 2.0}

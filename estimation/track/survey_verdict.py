@@ -19,6 +19,7 @@ from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction
 
 CONFIRMED = "agrees with what the fleet has measured"
+NOT_COVERED = "the passes do not cover enough of the section"
 MIRRORED = Reason(ReasonCode.SURVEY_MIRRORED, "left and right are exchanged: it is the mirror image")
 
 
@@ -28,6 +29,7 @@ class VerdictLimits:
 
     understated: float = 5.0  # times the std on file that a survey's errors may be, for it to be of this section
     least_factor: float = 0.5  # of the factor that a survey with such errors has
+    related: float = 6.0  # stds of the factor: journeys that are placed on another section's survey make 1 to 2
     least_of_unlike: float = 0.75  # the same where it is unlike what the passes show:
     least_explained: float = 0.5  # of what the curves leave of y
     most_error: float = 0.5  # of the survey's size
@@ -58,14 +60,16 @@ class SurveyVerdict:
     """``refused`` where the survey is wrong beyond doubt; without a reason nothing has been decided yet.
 
     ``contradicted`` where something is wrong, but not what: nothing is estimated from such passes. ``harmless`` where
-    all that is wrong is its zero point, which the positions of journeys on it make up for. ``doubted_scale`` is the
-    relative scale error of a survey that is kept although the passes show one.
+    all that is wrong is its zero point, which the positions of journeys on it make up for. ``elsewhere`` where another
+    section, place or the other side fits better. ``doubted_scale`` is the relative scale error of a survey that is kept
+    although the passes show one.
     """
 
     refused: bool
     reason: Reason | None
     contradicted: bool = False
     harmless: bool = False
+    elsewhere: bool = False
     doubted_scale: float = 0.0
 
 
@@ -96,36 +100,60 @@ def survey_verdict(
     """
     p = limits or VerdictLimits()
     if fit is None or not np.isfinite(fit.factor_std):
-        return SurveyVerdict(refused=False, reason=_open("the passes do not cover enough of the section"))
+        return SurveyVerdict(refused=False, reason=_open(NOT_COVERED))
     if fit.followed < p.least_followed:
         text = (
             f"the curves explain {fit.followed:.0%} of the passes: they do not follow the equations of their vehicles"
             " on this survey; which of parameters, survey and positions is wrong is open"
         )
-        return SurveyVerdict(refused=False, reason=Reason(ReasonCode.MODEL_CONTRADICTED, text), contradicted=True)
+        open_reason = Reason(ReasonCode.MODEL_CONTRADICTED, text)
+        return SurveyVerdict(refused=False, reason=open_reason, contradicted=True, elsewhere=True)
     other = _of_another(fit, filed_std, p)
     if other is not None:
-        return SurveyVerdict(refused=True, reason=other)
+        return SurveyVerdict(refused=True, reason=other, elsewhere=other is not MIRRORED)
     if not converged:
         return SurveyVerdict(refused=False, reason=None)
     if not fit.factor_std <= p.widest_factor * abs(fit.factor):
-        return SurveyVerdict(refused=False, reason=_open("the passes do not cover enough of the section"))
-    return _judged(fit, witnesses, p)
+        elsewhere = _displaced(witnesses, p, alone=True) is not None
+        return SurveyVerdict(refused=False, reason=_open(NOT_COVERED), elsewhere=elsewhere)
+    return _judged(fit, witnesses, filed_std, p)
 
 
-def _judged(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> SurveyVerdict:
+def is_mirrored(
+    verdict: SurveyVerdict, fit: SurveyFit | None, image: SurveyVerdict, image_fit: SurveyFit | None
+) -> bool:
+    """Return whether a survey that does not fit where it is said to be is the mirror image of its section.
+
+    Where the track has waves of one length, the mirror image half a wave away is not unlike the section.
+
+    Parameters
+    ----------
+    verdict, fit
+        On the survey as it is.
+    image, image_fit
+        On its mirror image.
+    """
+    if fit is None or image_fit is None or image.refused or image.contradicted or image.elsewhere:
+        return False
+    return verdict.elsewhere and image_fit.explained > fit.explained
+
+
+def _judged(fit: SurveyFit, witnesses: Witnesses, filed_std: float, p: VerdictLimits) -> SurveyVerdict:
     """Return the verdict on a survey of this section: refused, doubted, or confirmed."""
     open_scale = p.stds * witnesses.slope_std + (1.0 - fit.followed)
     scaled = _scaled(fit, open_scale, p)
-    wrong = combined([scaled, _displaced(witnesses, p)])
+    displaced = _displaced(witnesses, p)
+    wrong = combined([scaled, displaced])
     if wrong is not None:
-        return SurveyVerdict(refused=True, reason=wrong, harmless=scaled is None)
-    scaled = _scaled(fit, 0.0, p)
-    doubted = combined([scaled, _displaced(witnesses, p, alone=True)])
+        harmless = scaled is None and not _explains_little(fit, filed_std, p)
+        return SurveyVerdict(refused=True, reason=wrong, harmless=harmless, elsewhere=displaced is not None)
+    scaled, displaced = _scaled(fit, 0.0, p), _displaced(witnesses, p, alone=True)
+    doubted = combined([scaled, displaced])
     if doubted is not None:
         text = f"it is kept, although {doubted.text}: as well {_at_fault(fit, witnesses, p)} may be wrong"
         scale = 0.0 if scaled is None else abs(float(np.log(fit.scale)))
-        return SurveyVerdict(refused=False, reason=_open(text), doubted_scale=scale)
+        elsewhere = displaced is not None
+        return SurveyVerdict(refused=False, reason=_open(text), elsewhere=elsewhere, doubted_scale=scale)
     return SurveyVerdict(refused=False, reason=Reason(ReasonCode.SURVEY_CONFIRMED, CONFIRMED))
 
 
@@ -144,11 +172,22 @@ def _of_another(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> Reason | 
 
 def _unrelated(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
     """Whether a survey follows the passes by less than one of this section would, be its std understated or not."""
-    errors = p.understated * filed_std
-    unlike = fit.explained < p.least_explained and fit.error > max(p.most_error * fit.size, errors)
-    least = p.least_of_unlike if unlike else p.least_factor
-    share = min(errors / fit.size, 1.0) if fit.size > 0.0 else 1.0
+    if _nothing_in_common(fit, p):
+        return True
+    least = p.least_of_unlike if _explains_little(fit, filed_std, p) else p.least_factor
+    share = min(p.understated * filed_std / fit.size, 1.0) if fit.size > 0.0 else 1.0
     return fit.factor + p.stds * fit.factor_std < least * (1.0 - share**2)
+
+
+def _nothing_in_common(fit: SurveyFit, p: VerdictLimits) -> bool:
+    """Whether a survey, however large its errors, is none of this section: a straight line would be nearer to it."""
+    below = min(p.related * fit.factor_std, p.least_factor - p.stds * fit.factor_std)
+    return fit.factor < below and fit.error > fit.size
+
+
+def _explains_little(fit: SurveyFit, filed_std: float, p: VerdictLimits) -> bool:
+    """Whether a survey is unlike what the passes show, by more than errors that its std admits."""
+    return fit.explained < p.least_explained and fit.error > max(p.most_error * fit.size, p.understated * filed_std)
 
 
 def _at_fault(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> str:

@@ -23,10 +23,17 @@ from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.track.survey_check import check_survey, worth_more
-from estimation.track.survey_fit import fit_survey
+from estimation.track.survey_fit import SurveyFit, fit_survey
 from estimation.track.survey_gauge import judge_gauge
 from estimation.track.survey_posterior import SurveyPosterior, survey_posterior
-from estimation.track.survey_verdict import SurveyVerdict, Witnesses, place_of, survey_verdict
+from estimation.track.survey_verdict import (
+    MIRRORED,
+    SurveyVerdict,
+    Witnesses,
+    is_mirrored,
+    place_of,
+    survey_verdict,
+)
 from estimation.track.versions import (
     carry_over_findings,
     changed_vehicles,
@@ -165,6 +172,16 @@ class _Epoch:
 
     def judge(self, weighed: Weighed, survey: TrackAlignment) -> SurveyVerdict | None:
         """Return what the passes say of the survey that they were placed on; None where they were not."""
+        judged = self._judged(weighed, survey)
+        if judged is None or not judged[0].elsewhere:
+            return None if judged is None else judged[0]
+        image = replace(survey, alignment=-survey.alignment)
+        other = self._judged(self.weigh(image), image)
+        exchanged = other is not None and is_mirrored(*judged, *other)
+        return SurveyVerdict(refused=True, reason=MIRRORED) if exchanged else judged[0]
+
+    def _judged(self, weighed: Weighed, survey: TrackAlignment) -> tuple[SurveyVerdict, SurveyFit | None] | None:
+        """Return what the passes say of a survey as it is, and how well it fits them; None where there are none."""
         iterated = weighed.estimate.iterated
         if iterated is None:
             return None
@@ -175,7 +192,7 @@ class _Epoch:
         slope_std = 0.0 if iterated.slope is None else iterated.slope.std
         witnesses = Witnesses(iterated.corrections, slope_std)
         filed = float(np.nanmedian(survey.alignment_std))
-        return survey_verdict(fit, witnesses, filed, converged=weighed.estimate.report.converged)
+        return survey_verdict(fit, witnesses, filed, converged=weighed.estimate.report.converged), fit
 
     def judge_gauge(self, estimate: SectionEstimate, survey: TrackAlignment) -> Reason | None:
         """Return what is wrong with a surveyed gauge; None where nothing is, or nothing has been decided yet."""
@@ -251,7 +268,11 @@ def _extended(
         found = carry_over_findings(posterior.alignment, posterior.before)  # on one grid
         found = replace(found, scale_std=float(np.hypot(found.scale_std, doubted)))
         in_motion = replace(found, alignment=posterior.in_motion)
-        if _sharper(posterior.before, found, settings) or requires_reestimation(posterior.before, in_motion, settings):
+        if (
+            _sharper(posterior.before, found, settings)
+            or requires_reestimation(posterior.before, in_motion, settings)
+            or posterior.before.scale_std < settings.same_std * doubted
+        ):
             return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=found)
     return _with_gauge_shifts(kept, survey, epoch.vehicles, settings)
 

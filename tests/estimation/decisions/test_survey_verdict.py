@@ -10,8 +10,10 @@ from test_section_limits import ELSEWHERE, LENGTH, P, a_pass, estimated, prior
 
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
+from estimation.track.screening.screen import Screened
 from estimation.track.survey_fit import SurveyFit, fit_survey
-from estimation.track.survey_verdict import SurveyVerdict, Witnesses, survey_verdict
+from estimation.track.survey_verdict import MIRRORED, SurveyVerdict, Witnesses, is_mirrored, survey_verdict
+from estimation.track.update import _Epoch
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment
 
@@ -178,6 +180,50 @@ def test_errors_of_a_survey_however_large_are_no_reason_to_refuse_it() -> None:
     assert verdict(noisy, filed=0.3e-3) == refused(ReasonCode.SURVEY_UNRELATED)
 
 
+def test_a_survey_with_nothing_in_common_with_the_passes_is_refused_whatever_its_std() -> None:
+    """On another section positions that are sought on it alone make a factor of one or two stds."""
+    other = replace(FIT, factor=0.059, factor_std=0.01, explained=0.0, error=1.01e-3, size=1e-3)
+    for std in (0.1e-3, 0.3e-3, 3e-3):
+        assert verdict(other, filed=std, converged=False) == refused(ReasonCode.SURVEY_UNRELATED)
+    assert verdict(replace(other, factor=0.061), filed=3e-3, converged=False) == MOVING
+    assert verdict(replace(other, error=0.99e-3), filed=3e-3, converged=False) == MOVING
+    poor = replace(other, factor=0.5, factor_std=0.1)  # passes that know little of a survey that may be right
+    assert verdict(poor, filed=3e-3, converged=False) == MOVING
+
+
+def test_a_survey_that_is_said_to_be_displaced_is_kept_only_where_it_explains_the_passes_there() -> None:
+    half_a_wave = replace(FIT, factor=0.8, explained=0.49, error=0.51e-3)
+    assert not judged(half_a_wave, 9.0, 9.0).harmless
+    assert judged(half_a_wave, 9.0, 9.0, filed=0.11e-3).harmless
+    assert judged(replace(half_a_wave, explained=0.51), 9.0, 9.0).harmless
+    assert judged(replace(half_a_wave, error=0.49e-3), 9.0, 9.0).harmless
+
+
+def test_a_survey_is_a_mirror_image_where_that_fits_better_and_at_its_place() -> None:
+    """Half a wave away the mirror image of a track with waves of one length is like it."""
+    half_a_wave, image = replace(FIT, factor=0.57, explained=0.31), replace(FIT, explained=0.82)
+    displaced, at_its_place = judged(half_a_wave, 9.0, 9.0), judged(image, 0.3, 0.3)
+    assert is_mirrored(displaced, half_a_wave, at_its_place, image)
+    assert not is_mirrored(displaced, image, at_its_place, half_a_wave)
+    assert not is_mirrored(displaced, half_a_wave, judged(image, 9.0, 9.0), image)
+    assert not is_mirrored(judged(half_a_wave), half_a_wave, at_its_place, image)
+    for wrong in (scaled(1.5), replace(image, followed=0.4)):
+        assert not is_mirrored(displaced, half_a_wave, judged(wrong), image)
+    assert not is_mirrored(displaced, half_a_wave, at_its_place, None)
+
+
+def test_the_mirror_image_is_tried_wherever_another_place_or_section_fits_better() -> None:
+    assert judged(FIT, 9.0, 9.0).elsewhere
+    assert judged(FIT, 9.0, 9.0, vehicles=1).elsewhere
+    assert judged(replace(FIT, factor_std=0.2), 9.0, 9.0).elsewhere
+    assert judged(replace(FIT, factor=0.0)).elsewhere
+    assert judged(replace(FIT, followed=0.4)).elsewhere
+    assert not judged(scaled(1.3)).elsewhere
+    assert not judged(scaled(-1.0)).elsewhere
+    assert judged(scaled(-1.0)).reason is MIRRORED
+    assert not judged(FIT).elsewhere
+
+
 def test_what_the_passes_do_not_know_is_left_open() -> None:
     assert verdict(None) == OPEN
     assert verdict(replace(FIT, factor_std=np.nan)) == OPEN
@@ -185,3 +231,21 @@ def test_what_the_passes_do_not_know_is_left_open() -> None:
     assert verdict(replace(FIT, factor_std=0.099)) == RIGHT
     assert verdict(replace(FIT, followed=0.49)) == (False, ReasonCode.MODEL_CONTRADICTED)
     assert verdict(replace(FIT, followed=0.51)) == RIGHT
+
+
+def test_the_mirror_image_of_a_track_of_one_wavelength_is_called_so() -> None:
+    """Its journeys come to rest half a wave away, where it is not unlike the section."""
+    s = np.arange(-200.0, LENGTH + 200.0)
+    place = 1e-3 * np.sin(2.0 * np.pi * s / 18.0 + 2.5 * ELSEWHERE / np.max(np.abs(ELSEWHERE)))
+    passes = [replace(a_pass(k, place, start_ns=k), vehicle=f"V{k % 2}") for k in range(4)]
+    survey = replace(prior(), alignment=place[200 : 200 + LENGTH + 1])
+    epoch = _Epoch("S", Screened(tuple(passes), (), known_contradicted=False), P, None)
+    for sign, code in ((1.0, ReasonCode.SURVEY_CONFIRMED), (-1.0, ReasonCode.SURVEY_MIRRORED)):
+        turned = replace(survey, alignment=sign * survey.alignment)
+        on_survey = epoch.weigh(turned)
+        found = epoch.judge(on_survey, turned)
+        assert found is not None
+        assert (found.refused, code_of(found.reason)) == (sign < 0.0, code)
+        as_it_is = epoch._judged(on_survey, turned)
+        assert as_it_is is not None
+        assert code_of(as_it_is[0].reason) is not ReasonCode.SURVEY_MIRRORED

@@ -133,6 +133,12 @@ def test_a_scale_that_is_in_doubt_widens_what_rests_on_the_survey() -> None:
     assert found.outcome is UpdateOutcome.SURVEY_EXTENDED
     assert found.alignment is not None
     assert found.alignment.scale_std == pytest.approx(np.hypot(0.1, 0.01))
+    for scale_std, outcome in ((0.049, UpdateOutcome.SURVEY_EXTENDED), (0.051, UpdateOutcome.SURVEY_KEPT)):
+        as_certain = weighed(1e-4, doubted)  # nothing but the doubt is new
+        assert as_certain.posterior is not None
+        file = replace(SURVEY, scale_std=scale_std)
+        as_certain = replace(as_certain, posterior=replace(as_certain.posterior, before=file))
+        assert _with_survey(as_certain, file, SETTINGS, survey_checked=False).outcome is outcome
 
 
 def test_a_survey_whose_zero_point_alone_is_wrong_is_kept_where_the_fleet_has_none() -> None:
