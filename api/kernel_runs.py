@@ -169,13 +169,15 @@ def _saturation() -> Iterator[FloatArray]:
 def _rolling_radius() -> Iterator[FloatArray]:
     rng = np.random.default_rng(9)
     speeds, part, starts = np.empty(2), np.arange(2), np.array([0, 20])
-    pieces, samples = np.empty((2, rolling_kernels.ROWS, 40)), rng.standard_normal((5, 60))
-    samples[4] += 20.0
+    pieces, samples = np.empty((2, rolling_kernels.ROWS, 40)), rng.standard_normal((6, 60))
+    samples[5] += 20.0
     taper = frozen_array(np.hanning(40), (40,), name="taper")
     rolling_kernels.write_pieces(samples, starts, 0.02, taper, pieces, speeds)
     equation = rolling_kernels.Equation(
-        7e6, 1e3, 2e5, 5e4, 1e4, 0.45, 9.81, yaw_is_gyroscope=False, roll_is_gyroscope=True
-    )
+        lateral_creep=7e6, spin_creep=1e4, mass=1e3, lateral_stiffness=2e5, lateral_damping=5e4, load=1e4, radius=0.45,
+        half=0.75, per_moment=9e-8, yaw_inertia=7e2, yaw_creep=8e6, yaw_stiffness=2e6, yaw_damping=1e3, pitch=4e2,
+        wheelbase=2.5, gravity=9.81, yaw_is_gyroscope=False, roll_is_gyroscope=True,
+    )  # fmt: skip
     products, noise = np.zeros((2, 2, 6, 7, 7))
     densities = np.full(4, 1e-6), np.full(4, 1e-8)
     place = (0.02, 40, 1.0, equation, *densities, (2.5, 10.0))

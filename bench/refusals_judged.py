@@ -147,7 +147,8 @@ def _judged(
     geometry = estimate_geometry(merge_all(good, bins), bins, GeometryParameters(uncertainty=uncertainty))
     if geometry.status is not Status.MODEL_MISMATCH:
         radius, std = vehicle_class.parameters.nominal_radius, vehicle_class.std_of("nominal_radius")
-        sums = [part for own in nodes[axle] for part in rolling_sums(own, vehicle_class, parameters.signals)]
+        used = [one for one in windows if not isinstance(one, Reason)]
+        sums = [part for own in used for part in rolling_sums(own, vehicle_class, parameters.signals)]
         geometry = geometry.against(check_radius(sums, radius, std))
         return replace(_verdict(geometry, case, axle), radius=_radius(sums, case))
     return _verdict(geometry, case, axle)

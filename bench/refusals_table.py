@@ -32,6 +32,11 @@ WRONG_EXPLANATION = (
     " by how much the published conicity is another one than with the right file, *covers* the share of its intervals"
     " that hold the truth."
 )
+INTERVAL_HEADER = ("sensors, m/s", "wheelsets", "conicities of nine", "error: median / 95 %", "covers")
+INTERVAL_TITLE = "Intervals by sensors and speed, where the file is right"
+INTERVAL_EXPLANATION = (
+    "The noise of a sensor is integrated: the slower the vehicle, the less is known of its lateral displacement."
+)
 RADIUS_TITLE = "The radius that the motion has, where the file is right"
 RADIUS_EXPLANATION = (
     "In percent of the radius; 68 % of the errors are below the second one. *Std by noise alone* is the bound of Cramer"
@@ -72,6 +77,21 @@ def wrong_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     return [_wrong(kind, [one for one in found if one["kind"] == kind], right) for kind in kinds]
 
 
+def interval_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Return how many conicities of right wheelsets are published and right, by sensors and speed.
+
+    Parameters
+    ----------
+    found
+        As ``summary_rows`` takes them.
+    """
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for one in found:
+        if one["kind"] == RIGHT:
+            groups.setdefault(f"{one['drawn']['sensors']}, {one['drawn']['speed']}", []).append(one)
+    return [_intervals(name, groups[name]) for name in sorted(groups)]
+
+
 def radius_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return what the motion shows of the radius of right wheelsets, by track and sensors.
 
@@ -97,6 +117,7 @@ def tables(found: Sequence[Mapping[str, Any]]) -> list[Table]:
     return [
         terminal_table(TITLE, HEADER, summary_rows(found)),
         terminal_table(WRONG_TITLE, WRONG_HEADER, wrong_rows(found)),
+        terminal_table(INTERVAL_TITLE, INTERVAL_HEADER, interval_rows(found)),
         terminal_table(RADIUS_TITLE, RADIUS_HEADER, radius_rows(found)),
     ]
 
@@ -111,6 +132,8 @@ def page_body(found: Sequence[Mapping[str, Any]]) -> list[str]:
         markdown_table(HEADER, summary_rows(found), range(1, 4)),
         f"{WRONG_TITLE}: {judged_wrong} of the seeds. {WRONG_EXPLANATION}",
         markdown_table(WRONG_HEADER, wrong_rows(found), range(1, 6)),
+        f"{INTERVAL_TITLE}. {INTERVAL_EXPLANATION}",
+        markdown_table(INTERVAL_HEADER, interval_rows(found), range(1, 5)),
         f"{RADIUS_TITLE}. {RADIUS_EXPLANATION}",
         markdown_table(RADIUS_HEADER, radius_rows(found), range(1, 6)),
     ]
@@ -179,6 +202,12 @@ def _moved(of_kind: Sequence[Mapping[str, Any]], right: Mapping[tuple[int, int],
         pairs = zip(one["values"], before, strict=True) if one["values"] and before else ()
         moved += [now / then - 1.0 for now, then in pairs if now is not None and then is not None]
     return f"{np.median(moved):+.0%}".replace("%", " %") if moved else ""
+
+
+def _intervals(name: str, of_row: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    covered = [held for one in of_row for held in one["covered"]]
+    share = f"{np.mean(covered):.1%}".replace("%", " %") if covered else ""
+    return name, str(len(of_row)), f"{len(covered) / len(of_row):.1f}", _error(of_row), share
 
 
 def _radius(name: str, of_row: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ published.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -119,7 +120,8 @@ def filtered(
     precision, information = state.precision.copy(), state.information.copy()
     blocks, diverged = state.blocks, state.diverged
     parameters = state.series.parameters
-    noise = max(parameters.uncertainty.expected_noise, LEAST_NOISE)
+    of_sensors = math.sqrt(motion.displacement_noise)
+    noise = max(math.hypot(parameters.uncertainty.alignment_noise, of_sensors), LEAST_NOISE)
     before = np.diag(prior.std**-2.0)
     for block in np.unique(motion.block[keep]):
         inputs = _inputs(motion, parameters, keep & (motion.block == block))

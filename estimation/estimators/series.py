@@ -33,7 +33,7 @@ class SeriesState:
 
     parameters: EstimatorParameters
     gram: FloatArray  # (g, m, m)
-    cross: FloatArray  # (g, m, 7) with R and its derivatives by the logarithms of the parameters, m
+    cross: FloatArray  # (g, m, 8) with R and its derivatives by the logarithms of the parameters, m
     squares: float  # m2, weighted sum of R^2
     sums: FloatArray  # (CELLS,) m, weighted sum of R by displacement
     counts: FloatArray  # (CELLS,) effective samples by displacement

@@ -7,6 +7,7 @@ carries. A number whose total standard deviation is not well below what is known
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -34,7 +35,7 @@ FEWEST_BINS = 5
 # Samples that say as much as one would of the scales of sensors and of their angle: errors of y - d last, and look
 # like scales; they do not look like roll.
 COUNTED_AS_ONE = (10_000.0, 10_000.0, 1_000.0)
-NOISE = YAW_TARGETS.index("noise")
+NOISE, DISPLACEMENT_NOISE = YAW_TARGETS.index("noise"), YAW_TARGETS.index("displacement_noise")
 
 HIDDEN_JUMP_SHARE = 0.5  # of the error of y - d, by which contact jumps are off where it is hidden
 HIDDEN_SHARE = 0.5  # of the residual's variance that sensor noise may make up, for the rest to show the error of y - d
@@ -60,7 +61,7 @@ class _Replicates:
     """Solutions of the whole table (row 0) and with each group left out (rows 1..)."""
 
     lateral: FloatArray  # (1 + g, b, 4, 7)
-    yaw: FloatArray  # (1 + g, b, 4, 7)
+    yaw: FloatArray  # (1 + g, b, 4, 8)
     residual: FloatArray  # (b,) rms residual of the yaw equation as a rolling radius difference, m
     groups_in_bin: FloatArray  # (b,)
     by_scales: FloatArray  # (b, 3, q) R, its slope and curvature per std of what is left of the scales in a bogie
@@ -131,12 +132,22 @@ def contradictions(
     uncertainty
         Of the class, the sensors and the track.
     """
-    fit = model_fit(table, bins, uncertainty.expected_noise)
+    fit = model_fit(table, bins, _expected_noise(table, bins, uncertainty))
     stds = (uncertainty.stiffness, uncertainty.creep)
     if fit is None:
         return ()
     found = (mismatch(fit, *stds, in_bogie=bins.wheelbase is not None), displaced(fit))
     return tuple(one for one in found if one is not None)
+
+
+def _expected_noise(table: BinTable, bins: BinParameters, uncertainty: ParameterUncertainty) -> float:
+    """Return the std of the error of y - d, m, by the alignment and, at the speeds of the samples, by the sensors."""
+    size = bins.yaw_regressors
+    gram, cross, _ = least_squares.unpack(table.yaw.sum(axis=0), size, len(YAW_TARGETS))
+    c = size - REGRESSORS + 1  # the first of the curve's
+    square = float(gram[:, c, c].sum())
+    of_sensors = float(cross[:, c, DISPLACEMENT_NOISE].sum()) / square if square > 0.0 else 0.0
+    return math.hypot(uncertainty.alignment_noise, math.sqrt(of_sensors))
 
 
 def _screened(
@@ -148,7 +159,8 @@ def _screened(
     jump = ~too_few & _jumps(replicates, too_few, parameters)
     unc = parameters.uncertainty
     centre = table.centres
-    noise, hidden = _displacement_noise(replicates, too_few | jump, bins, unc.expected_noise)
+    expected = _expected_noise(table, bins, unc)
+    noise, hidden = _displacement_noise(replicates, too_few | jump, bins, expected)
     error = DisplacementError.of(
         noise,
         centre,
@@ -165,7 +177,7 @@ def _curve(
     table: BinTable, replicates: _Replicates, screening: _BinScreening, bins: BinParameters, unc: ParameterUncertainty
 ) -> CurveReplicates:
     """Return R across each bin with its replicates and sensitivities."""
-    shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 7, 3), by target
+    shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 8, 3), by target
     of_parameters = shape[0, :, 1:, :] * unc.yaw()[:, None]
     return CurveReplicates(
         edges=table.edges,

@@ -21,14 +21,14 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.rolling_sums import RollingSums
 
 EXPECTED = np.array([1.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of the unknowns; nothing is expected of the radius
-EXPECTED_STD = np.array([0.01, 10.0, 0.1, 0.1, 300.0, 0.05])  # gravity also stands for dL - dR, 100 times the roll
+EXPECTED_STD = np.array([0.01, 10.0, 0.1, 0.1, 300.0, 300.0])  # gravity and curve stand for dL - dR, 100 times as large
 ROUNDS = 4  # of weights that follow from what is left
 OUTLYING = 2.0  # times the median of what is left in the bands, over the noise: a band with more is left out
 SHORT_BANDS = 2  # those of the shortest wavelengths, in which vibration shows
-MODEL_STD = 9e-3  # m: right radii are found within 25 mm, curved contact geometry and stiff bogies included
-NOISE_DOUBT = 0.2  # of what taking off the noise changes
-NOISE_DOUBT_LEFT = 0.35  # the same, per noise that is left in all bands beyond that on file
-NOISE_DOUBT_VIBRATING = 0.75  # the same on axle boxes that vibrate
+MODEL_STD = 5e-3  # m: without noise right radii are found 1 % too small
+NOISE_DOUBT = 0.1  # of what taking off the noise changes
+NOISE_DOUBT_LEFT = 0.6  # the same, per noise that is left in all bands beyond that on file
+NOISE_DOUBT_VIBRATING = 0.4  # the same on axle boxes that vibrate
 FRICTION_SHARE = 0.3  # of the radius, per share by which the suspension moves the wheelset more than on dry rails
 SCALE_SHARE = 0.5  # of the radius, per scale of yaw against lateral sensor: more than sensors have is what is missing
 MOST_UNEXPLAINED = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
@@ -39,7 +39,7 @@ MISTAKE = (
 )
 CERTAIN = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
 
-_SCALE, _RADIUS, _SUSPENSION = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension"))
+_SCALE, _RADIUS, _SUSPENSION, _CURVE = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension", "curve"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,32 +122,36 @@ def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
 def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
     """Return the radius from sums (parts, BANDS, TERMS, TERMS)."""
     total, of_noise = products.sum(axis=0), noise.sum(axis=0)
+    taken_off = noise.copy()
+    # curve and gravity are one where contact is straight: its noise is what keeps them apart there
+    taken_off[..., 1 + _CURVE, 1 + _CURVE] = 0.0
     with_noise = _solution(_weighted(np.ones(BANDS), total))
     share = min(1.0, float(np.min(_left(total, of_noise, with_noise))))  # sensors may be better than on file
     weights = np.ones(BANDS)
     left = np.ones(BANDS)
+    without_noise = products - share * taken_off
+    by_band = without_noise.sum(axis=0)
     for _ in range(ROUNDS):
-        left = _left(total, of_noise, _solution(_weighted(weights, total - share * of_noise)))
+        left = _left(total, of_noise, _solution(_weighted(weights, by_band)))
         weights = (left <= OUTLYING * np.median(left)) / np.maximum(left, 1.0)
-    sums = np.einsum("b,pbij->pij", weights, products - share * noise)
+    sums = np.einsum("b,pbij->pij", weights, without_noise)
     whole = sums.sum(axis=0)
     information = whole[1:, 1:] + np.diag(1.0 / EXPECTED_STD**2)
     if np.linalg.eigvalsh(information)[0] <= 0.0:
         return None
     best = _solution(whole)
-    if _unexplained(whole, best) > MOST_UNEXPLAINED:
+    if best[_RADIUS] <= 0.0 or _unexplained(whole, best) > MOST_UNEXPLAINED:
         return None
     replicates = np.array([best, *(_solution(whole - one) for one in sums)])
     bound = math.sqrt(float(np.linalg.inv(information)[_RADIUS, _RADIUS]))
     corrected = best[_RADIUS] - _solution(_weighted(weights, total))[_RADIUS]
+    sampling = float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS])
     stds = [
-        float(normal_equivalent(jackknife_std(replicates), len(sums))[_RADIUS]),
-        bound,
+        max(sampling, bound, _std_of_bands(weights, by_band)),
         MODEL_STD,
         _noise_doubt(left) * corrected,
         FRICTION_SHARE * best[_RADIUS] * max(best[_SUSPENSION] - 1.0, 0.0),
         SCALE_SHARE * best[_RADIUS] * abs(best[_SCALE] - 1.0),
-        _std_of_bands(weights, total - share * of_noise),
     ]
     return RollingRadius(float(best[_RADIUS]), float(np.linalg.norm(stds)), bound)
 
@@ -155,8 +159,8 @@ def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
 def _std_of_bands(weights: FloatArray, by_band: FloatArray) -> float:
     """Return the std of the radius, m, by what of the equation varies from wavelength to wavelength.
 
-    Curved contact geometry is not in the equation. More data do not lessen it, but each band has its own share of it:
-    the jackknife leaves out one band at a time.
+    More data do not lessen it, but each band has its own share of it: the jackknife leaves out one band at a time. What
+    the bands have of sampling is in it too.
     """
     of_bands = weights[:, None, None] * by_band
     whole = of_bands.sum(axis=0)

@@ -17,8 +17,9 @@ from estimation.geometry.contact_roll import ContactRoll
 from estimation.geometry.rolling_line import FREE, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
-from estimation.vehicle.sensor_noise import USUAL_CUTOFF, displacement_noise
 from estimation.vehicle.vehicle_class import VehicleClass
+
+USUAL_CUTOFF = 40.0  # m, of the high-pass of the motion
 
 UNKNOWN_FACTOR = 0.4  # relative std of a factor from which on nothing is known of the quotient
 
@@ -74,7 +75,7 @@ class ParameterUncertainty:
     displacement: float = 0.0  # of a common scale error of y - d: lateral sensor and alignment
     jump_position_std: float = 0.0  # m, of where contact jumps are from place to place, on a gauge that varies
     jump_mean_std: float = 0.0  # m, of where they are on average: a gauge that is not on file
-    expected_noise: float = 0.0  # m, std of the error of y - d by its sensors and the alignment
+    alignment_noise: float = 0.0  # m, std of the error of y - d by the alignment; that by sensors is in bin tables
     scale: float = 0.0  # of rL - rR as a whole: by nominal radius, half contact distance and the yaw sensor
     of_bogie: tuple[float, float, float] = (0.02, 0.02, MOUNTING_STD)  # yaw sensor against the frame's, those, angle
     held_shares: tuple[float, ...] = FREE  # of a difference of diameters, by ``rolling_line.SLOPES``
@@ -94,7 +95,6 @@ class ParameterUncertainty:
             creep=vehicle_class.std_of("longitudinal_creep_coefficient"),
             stiffness=vehicle_class.std_of("yaw_stiffness"),
             mass=vehicle_class.std_of("yaw_inertia"),
-            expected_noise=displacement_noise(vehicle_class),
             displacement=math.hypot(vehicle_class.sensors.lateral.scale_std, SCALE_STDS[roll]),
             scale=math.hypot(
                 vehicle_class.std_of("nominal_radius"),
@@ -122,7 +122,7 @@ class ParameterUncertainty:
         return replace(
             self,
             ratio=max(ratio_stds) if ratio_stds and len(ratio_stds) == len(used) else self.ratio,
-            expected_noise=math.hypot(self.expected_noise, max((alignment_std(one) for one in used), default=0.0)),
+            alignment_noise=max((alignment_std(one) for one in used), default=self.alignment_noise),
             displacement=math.hypot(self.displacement, max((_scale_std(one, wheelset) for one in used), default=0.0)),
             jump_position_std=max(
                 (_jump_position_std(track, wheelset) for track in used), default=self.jump_position_std
@@ -135,9 +135,9 @@ class ParameterUncertainty:
         return np.array([self.creep, self.creep, self.mass, self.mass, self.stiffness, self.stiffness])
 
     def yaw(self) -> FloatArray:
-        """(6,) relative stds in the order of YAW_TARGETS after z2; that of saturation is of 1/mu."""
+        """(7,) relative stds in the order of YAW_TARGETS after z2; that of saturation is of 1/mu."""
         creep, stiffness = (self.creep, self.stiffness) if self.ratio is None else (0.0, self.ratio)
-        return np.array([creep, stiffness, self.mass, self.creep, self.inverse_friction, 0.0])
+        return np.array([creep, stiffness, self.mass, self.creep, self.inverse_friction, 0.0, 0.0])
 
 
 def _sensors_of_bogie(vehicle_class: VehicleClass) -> tuple[float, float, float]:

@@ -264,7 +264,7 @@ def _outcome(loader: WindowLoader, work: _Work, *, rolls: bool) -> _Estimated | 
     cells = _cells(window, work, parameters, correction, misplaced)
     if isinstance(cells, Reason):
         return cells
-    rolling = rolling_sums(loader.stored(record), parameters.vehicle_class, parameters.signals) if rolls else None
+    rolling = rolling_sums(window, parameters.vehicle_class, parameters.signals) if rolls else None
     return _Estimated(cells, rolling)
 
 

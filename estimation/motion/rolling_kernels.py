@@ -11,7 +11,7 @@ from estimation.compiled import compiled
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.vehicle.linear_wheelset import ComplexArray
 
-ROWS = 4  # spectra: y'', V psi', phi'' and ym''
+ROWS = 5  # spectra: y'', V psi', phi'', ym'' and psi_f'' of the bogie frame
 TERMS = 7
 
 
@@ -19,11 +19,20 @@ class Equation(NamedTuple):
     """What the terms of the equation and their noise follow from."""
 
     lateral_creep: float  # f22, N
+    spin_creep: float  # f23, N m
     mass: float  # kg
     lateral_stiffness: float  # N/m
     lateral_damping: float  # N s/m
     load: float  # N
     radius: float  # m
+    half: float  # l, m
+    per_moment: float  # r0/(l f11), m/(N m): of rL - rR
+    yaw_inertia: float  # kg m2
+    yaw_creep: float  # 2 l^2 f11, N m2: times psi'/V
+    yaw_stiffness: float  # N m
+    yaw_damping: float  # N m s
+    pitch: float  # Iwy/r0, kg m: times V phi'
+    wheelbase: float  # m; infinite without a bogie
     gravity: float  # m/s2 in the lateral sensors; 0 where it is not
     yaw_is_gyroscope: bool
     roll_is_gyroscope: bool
@@ -47,12 +56,12 @@ def level(row: FloatArray) -> None:
 def write_pieces(
     samples: FloatArray, starts: IntArray, dt: float, taper: FloatArray, pieces: FloatArray, speeds: FloatArray
 ) -> None:
-    """Write the rows of each piece (k, 4, n), level and tapered, and its mean speed, from accelerations and speed.
+    """Write the rows of each piece (k, 5, n), level and tapered, and its mean speed, from accelerations and speed.
 
     Parameters
     ----------
     samples
-        (5, m) accelerations and speed.
+        (6, m) accelerations, that of the frame's yaw, and speed.
     starts
         (k,) first sample of each piece.
     dt
@@ -60,7 +69,7 @@ def write_pieces(
     taper
         (n,) of a piece.
     pieces, speeds
-        Written: (k, 4, n) and (k,) m/s.
+        Written: (k, 5, n) and (k,) m/s.
     """
     n = len(taper)
     yaw_rate = np.empty(n)
@@ -71,14 +80,15 @@ def write_pieces(
             yaw = samples[1, first + i]
             rate += yaw
             yaw_rate[i] = rate - 0.5 * yaw
-            speed += samples[4, first + i]
+            speed += samples[5, first + i]
         speeds[k] = speed / n
         level(yaw_rate)
         for i in range(n):
             pieces[k, 0, i] = samples[0, first + i]
-            pieces[k, 1, i] = samples[4, first + i] * dt * yaw_rate[i]
+            pieces[k, 1, i] = samples[5, first + i] * dt * yaw_rate[i]
             pieces[k, 2, i] = samples[2, first + i]
             pieces[k, 3, i] = samples[3, first + i]
+            pieces[k, 4, i] = samples[4, first + i]
         for r in range(ROWS):
             level(pieces[k, r])
             for i in range(n):
@@ -87,7 +97,7 @@ def write_pieces(
 
 @compiled(nogil=True)
 def write_terms(omega: float, speed: float, e: Equation, terms: ComplexArray) -> None:
-    """Write the terms (7, 4) of the equation per spectrum at an angular frequency; the others stay zero.
+    """Write the terms (7, 5) of the equation per spectrum at an angular frequency; the others stay zero.
 
     Parameters
     ----------
@@ -98,24 +108,28 @@ def write_terms(omega: float, speed: float, e: Equation, terms: ComplexArray) ->
     e
         Coefficients of the equation.
     terms
-        (7, 4), written.
+        (7, 5), written.
     """
     compliance = speed / (2.0 * e.lateral_creep)
     terms[0, 0], terms[0, 2] = 1.0, e.gravity / omega**2
+    terms[0, 1] = e.spin_creep / e.lateral_creep * 1j * omega / speed
     terms[1, 1], terms[2, 2] = 1.0, -1.0
     inertia = -compliance * e.mass * 1j * omega
     terms[3, 0], terms[3, 2] = inertia * terms[0, 0], inertia * terms[0, 2]
     suspension = -compliance * (e.lateral_stiffness / (1j * omega) + e.lateral_damping)
     terms[4, 0], terms[4, 3] = suspension, -suspension
     terms[5, 2] = -compliance * e.load / (1j * omega)
-    terms[6, 1] = 1j * omega / speed
+    curve = compliance * e.load * e.per_moment / (2.0 * e.half)
+    of_yaw = e.yaw_stiffness - e.yaw_inertia * omega**2 + 1j * omega * (e.yaw_creep / speed + e.yaw_damping)
+    terms[6, 1], terms[6, 2] = curve * of_yaw / speed, curve * e.pitch * speed
+    terms[6, 4] = -curve * (e.yaw_stiffness / (1j * omega) + e.yaw_damping)
 
 
 @compiled(nogil=True)
 def write_noise(
     omega: float, speed: float, e: Equation, density: FloatArray, counting: FloatArray, noise: FloatArray
 ) -> None:
-    """Write the squared noise densities (4,) of the spectra, of sensors and counting.
+    """Write the squared noise densities (5,) of the spectra, of sensors and counting.
 
     Parameters
     ----------
@@ -124,16 +138,17 @@ def write_noise(
     speed
         m/s.
     e
-        Which sensors are gyroscopes.
+        Which sensors are gyroscopes, and how far those on the frame are from each other.
     density, counting
         (4,) squared noise densities, of the sensors and of what counting makes of them.
     noise
-        (4,), written.
+        (5,), written.
     """
-    for j in range(ROWS):
+    for j in range(ROWS - 1):
         rate = (j == 1 and e.yaw_is_gyroscope) or (j == 2 and e.roll_is_gyroscope)  # noqa: PLR2004 - the rows
         noise[j] = density[j] * (omega**2 if rate else 1.0) + counting[j]
     noise[1] *= (speed / omega) ** 2
+    noise[4] = 2.0 * noise[3] / e.wheelbase**2
 
 
 @compiled(nogil=True)
@@ -143,9 +158,9 @@ def left_noise(terms: ComplexArray, noise: FloatArray, radius: float) -> float:
     Parameters
     ----------
     terms
-        (7, 4) of the equation.
+        (7, 5) of the equation.
     noise
-        (4,) squared noise densities of the spectra.
+        (5,) squared noise densities of the spectra.
     radius
         On file, m.
     """
@@ -167,7 +182,7 @@ def add_spectra(
     Parameters
     ----------
     spectra, speeds
-        (k, 4, f) of the pieces, and (k,) their mean speeds, m/s.
+        (k, 5, f) of the pieces, and (k,) their mean speeds, m/s.
     part
         (k,) to which a piece is added.
     dt, samples

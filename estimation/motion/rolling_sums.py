@@ -3,16 +3,19 @@
 A wheelset that rolls moves sideways at the rails, r below its axle, as its yaw and the lateral creep let it. Eq. 1
 solved for the velocity there, and differentiated, is
 
-    y'' = s V psi' - r phi'' - (V/(2 f22)) (a m y''' + b (ky (y' - ym') + fy (y'' - ym'')) + c W phi') + e psi''
+    y'' = s V psi' - r phi'' - (f23/f22) psi''
+          - (V/(2 f22)) (a m y''' + b (ky (y' - ym') + fy (y'' - ym'')) + c W phi' + g W R'/(2 l))
 
 with six unknowns: the scale s of yaw against lateral sensor, the radius r, the factors a, b and c of inertia,
-suspension and gravity, and the length e of spin creep and of what is late. Track and geometry of the wheels take no
-part, so that this holds on any track. The sums are taken over Fourier transforms of short pieces, by wavelength, beside
-the sums that the noise of the sensors makes of them.
+suspension and gravity, and g of the contact angles: dL - dR goes with the roll where contact is straight, and with
+R = rL - rR where it is curved, which Eq. 2 has of the yaw; in a bogie that needs the yaw of its frame. The track takes
+no part, so that this holds on any track. The sums are taken over Fourier transforms of short pieces, by wavelength,
+beside the sums that the noise of the sensors makes of them.
 """
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -28,14 +31,14 @@ from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.equations_of_motion import GRAVITY
 from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
-WAVELENGTHS = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones curved contact geometry and noise
+WAVELENGTHS = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones noise
 BANDS = 6  # of equal ratio, longest wavelengths first
 PIECE_S = 8.0  # half of one overlaps the next
 TOGETHER = 4  # pieces that are transformed at once: what fits into the cache of a processor
 PART_S = 15.0  # of a window: what is left out as one by the jackknife
 USUAL_LATERAL, USUAL_ANGULAR = 1e-3, 2e-3  # m/s2 and rad/s2 per root hertz: MEMS sensors, where nothing is on file
 USUAL_RATE = 1e-4  # rad/s per root hertz, of a gyroscope
-UNKNOWNS = ("scale", "radius", "inertia", "suspension", "gravity", "spin")
+UNKNOWNS = ("scale", "radius", "inertia", "suspension", "gravity", "curve")
 TERMS = 1 + len(UNKNOWNS)  # the lateral acceleration first
 
 
@@ -45,12 +48,14 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     Parameters
     ----------
     window
-        Measured accelerations and speed, (n,) each.
+        Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, else it says nothing.
     vehicle_class
         Of its vehicle, with the nominal radius on file of its wheelset.
     signals
         Least speed, and how long gaps may be that straight lines bridge.
     """
+    if vehicle_class.bogie is not None and window.frame_yaw_acceleration is None:
+        return ()
     if runs_backwards(window):
         window = turned_over(window)
     dt = window.sample_interval_s
@@ -81,7 +86,7 @@ def _add(
     products: FloatArray,
     noise: FloatArray,
 ) -> None:
-    """Add the pieces of a segment, accelerations and speed (5, m), that begin at ``starts`` to their parts."""
+    """Add the pieces of a segment, accelerations and speed (6, m), that begin at ``starts`` to their parts."""
     dt, taper = window.sample_interval_s, _taper(size)
     unit = 0.5 * size / dt * float(np.mean(taper**2))  # of a squared spectrum per squared noise density
     densities = _densities(vehicle_class.sensors), _resolution_noise(window)
@@ -101,22 +106,35 @@ def _taper(size: int) -> FloatArray:
 
 def _equation(vehicle_class: VehicleClass) -> kernels.Equation:
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
+    half, longitudinal = p.half_contact_distance, p.longitudinal_creep_coefficient
     return kernels.Equation(
-        p.lateral_creep_coefficient,
-        p.wheelset_mass,
-        p.lateral_stiffness,
-        p.lateral_damping,
-        p.load,
-        p.nominal_radius,
-        GRAVITY if sensors.measures_gravity else 0.0,
-        sensors.yaw_is_gyroscope,
-        sensors.roll_is_gyroscope,
+        lateral_creep=p.lateral_creep_coefficient,
+        spin_creep=p.lateral_spin_creep_coefficient,
+        mass=p.wheelset_mass,
+        lateral_stiffness=p.lateral_stiffness,
+        lateral_damping=p.lateral_damping,
+        load=p.load,
+        radius=p.nominal_radius,
+        half=half,
+        per_moment=p.nominal_radius / (half * longitudinal),
+        yaw_inertia=p.yaw_inertia,
+        yaw_creep=2.0 * half**2 * longitudinal,
+        yaw_stiffness=p.yaw_stiffness,
+        yaw_damping=p.yaw_damping,
+        pitch=p.pitch_inertia / p.nominal_radius,
+        wheelbase=math.inf if vehicle_class.bogie is None else vehicle_class.bogie.wheelbase,
+        gravity=GRAVITY if sensors.measures_gravity else 0.0,
+        yaw_is_gyroscope=sensors.yaw_is_gyroscope,
+        roll_is_gyroscope=sensors.roll_is_gyroscope,
     )
 
 
 def _bridged(window: Window, usable: BoolArray, part: slice) -> FloatArray:
-    """Return accelerations and speed (5, m) of a part of a window, straight lines where samples are missing."""
-    return np.stack([bridged(getattr(window, name)[part], usable[part]) for name in (*ACCELERATIONS, "speed")])
+    """Return accelerations, the frame's and speed (6, m) of a part of a window, straight lines where any is missing."""
+    frame = window.frame_yaw_acceleration
+    accelerations = [getattr(window, name) for name in ACCELERATIONS]
+    rows = (*accelerations, np.zeros(len(usable)) if frame is None else frame, window.speed)
+    return np.stack([bridged(row[part], usable[part]) for row in rows])
 
 
 def _resolution_noise(window: Window) -> FloatArray:

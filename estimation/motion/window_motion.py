@@ -37,6 +37,7 @@ from estimation.values.motion import OF_FRAME, Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import Window
+from estimation.vehicle.sensor_noise import displacement_noise
 
 NANOSECONDS = 1_000_000_000
 
@@ -89,7 +90,15 @@ def motion(
     block = np.floor(seconds / parameters.block_s).astype(np.int64)
     signals["speed"] = np.where(window.speed > 0, window.speed, np.nan)
     ratio = 1.0 if track.findings is None else track.findings.stiffness_ratio.get(window.vehicle, 1.0)
-    return Motion(**signals, valid=valid, block=block, band_limited=True, stiffness_ratio=ratio, sample_interval_s=dt)
+    return Motion(
+        **signals,
+        valid=valid,
+        block=block,
+        band_limited=True,
+        stiffness_ratio=ratio,
+        sample_interval_s=dt,
+        displacement_noise=0.0,  # ``window_motion`` knows the sensors
+    )
 
 
 def _unusable(
@@ -232,7 +241,12 @@ def window_motion(
     if correction is not None:
         window = replace(window, distance=correction.at(window.distance))
     shift = gauge_shift(window, track, parameters.vehicle, parameters.signals, integrated)
-    return motion(window, track, parameters.signals, layout, shift, integrated, parameters.vehicle.nominal_radius)
+    moved = motion(window, track, parameters.signals, layout, shift, integrated, parameters.vehicle.nominal_radius)
+    if isinstance(moved, Reason):
+        return moved
+    cutoff_wavelength = min(parameters.signals.cutoff_wavelength, track.cutoff_wavelength)
+    noise = displacement_noise(parameters.vehicle_class, cutoff_wavelength, moved.speed[moved.valid])
+    return replace(moved, displacement_noise=float(np.mean(noise)))
 
 
 def _checked(window: Window, parameters: WindowParameters) -> IntegratedWindow | Reason:

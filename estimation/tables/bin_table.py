@@ -34,7 +34,7 @@ from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN
 from estimation.vehicle.sensor_noise import difference_noise
 from estimation.vehicle.vehicle_class import VehicleClass
 
-TABLE_VERSION = 5
+TABLE_VERSION = 6
 KEYS = 256  # wheelsets whose keys are kept
 
 

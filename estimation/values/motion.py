@@ -10,7 +10,9 @@ import numpy as np
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
 OF_FRAME = ("frame_yaw", "frame_yaw_rate", "frame_displacement")
-NOT_SIGNALS = frozenset({"valid", "block", "band_limited", "stiffness_ratio", "sample_interval_s", *OF_FRAME})
+NOT_SIGNALS = frozenset(
+    {"valid", "block", "band_limited", "stiffness_ratio", "sample_interval_s", "displacement_noise", *OF_FRAME}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,7 @@ class Motion:
     frame_yaw_rate: FloatArray | None = None  # (n,) rad/s
     frame_displacement: FloatArray | None = None  # (n,) m, lateral, of the frame above the axle
     sample_interval_s: float = math.nan  # between samples; what filters over time needs it
+    displacement_noise: float = 0.0  # m2, variance of ``displacement`` by the sensors; mean over the valid samples
 
     def __post_init__(self) -> None:
         n = len(self.valid)

@@ -16,7 +16,7 @@ from estimation.values.motion import OF_FRAME, Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 LATERAL_COLUMNS = 9  # x1, x2 and the targets of Eq. 1
-YAW_TARGET_COLUMNS = 7
+YAW_TARGET_COLUMNS = 8
 
 
 class Signals(NamedTuple):
@@ -57,6 +57,7 @@ class Coefficients(NamedTuple):
     axle_load: float
     angle_factor: float  # x2
     difference_noise: float
+    displacement_noise: float
     wheelbase: float
     in_bogie: bool
 
@@ -79,7 +80,13 @@ _NOTHING = frozen_array(np.zeros(0), (0,), name="nothing")
 
 
 def coefficients_of(
-    p: VehicleParameters, angle_factor: float, difference_noise: float, wheelbase: float, *, in_bogie: bool
+    p: VehicleParameters,
+    angle_factor: float,
+    difference_noise: float,
+    displacement_noise: float,
+    wheelbase: float,
+    *,
+    in_bogie: bool,
 ) -> Coefficients:
     """Return the coefficients of a vehicle.
 
@@ -91,6 +98,8 @@ def coefficients_of(
         x2, N.
     difference_noise
         Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
+    displacement_noise
+        Variance of y - d by the noise of the sensors, m2.
     wheelbase
         Of the bogie, m; without one it plays no part.
     in_bogie
@@ -114,6 +123,7 @@ def coefficients_of(
         p.axle_load,
         angle_factor,
         difference_noise,
+        displacement_noise,
         wheelbase,
         in_bogie,
     )
@@ -199,7 +209,7 @@ def yaw_targets(signals: Signals, k: Coefficients, i: int, row: FloatArray, at: 
     row[at], row[at + 1], row[at + 2], row[at + 3] = c, z2, creep - z2, spring
     row[at + 4], row[at + 5] = inertia, spin
     row[at + 6] = creep_moment * force / (1.5 * k.axle_load)
-    row[at + 7] = c * k.difference_noise / signals.speed[i] ** 3
+    row[at + 7], row[at + 8] = c * k.difference_noise / signals.speed[i] ** 3, c * k.displacement_noise
 
 
 @compiled(nogil=True)
@@ -237,7 +247,7 @@ def yaw_regressors(signals: Signals, k: Coefficients, i: int, row: FloatArray) -
 
 @compiled(nogil=True, error_model="numpy")
 def write_equations(signals: Signals, k: Coefficients, lateral: FloatArray, yaw: FloatArray) -> None:
-    """Write x1, x2 and targets of Eq. 1 (n, 9), regressors and targets of Eq. 2 (n, 2 or 4, and 7) of all samples.
+    """Write x1, x2 and targets of Eq. 1 (n, 9), regressors and targets of Eq. 2 (n, 2 or 4, and 8) of all samples.
 
     Parameters
     ----------

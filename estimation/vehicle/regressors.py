@@ -14,8 +14,8 @@ the lateral motion, whose noise is not that of z2. A third is what z2 has too mu
 y and measures psi + b phi, by b: k_psi phi and the creep of phi'/V.
 
 Creep forces saturate: a force T of a wheel needs 1 + T/(3 mu N) times its linear creep (Vermeulen and Johnson 1964,
-first term). The derivative by 1/mu stands beside the others. The last target of z2 is c times the variance of R that
-the noise of the sensors makes: regressed on c it gives the mean of that variance.
+first term). The derivative by 1/mu stands beside the others. The last two targets of z2 are c times the variance of
+R and of y - d that the noise of the sensors makes: regressed on c they give the means of these variances.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regression_kernels import Coefficients, coefficients_of, signals_of, write_equations
 
 LATERAL_TARGETS = ("z1", "lateral_creep", "spin_creep", "mass", "load", "lateral_stiffness", "lateral_damping")
-YAW_TARGETS = ("z2", "longitudinal_creep", "yaw_stiffness", "yaw_inertia", "spin_creep", "saturation", "noise")
+YAW_TARGETS = (
+    "z2", "longitudinal_creep", "yaw_stiffness", "yaw_inertia", "spin_creep", "saturation", "noise",
+    "displacement_noise",
+)  # fmt: skip
 REGRESSORS = 4
 SHARED_IN_BOGIE = 3  # regressors of z2 that are the same in all bins: two scale errors and an angle of the sensors
 SMALLEST_FACTOR = 1e-6  # N; in place of zero, with which the data say nothing of D
@@ -43,7 +46,7 @@ class Regression:
     lateral: FloatArray  # (n, 2) x1, x2
     lateral_targets: FloatArray  # (n, 7), see LATERAL_TARGETS
     yaw: FloatArray  # (n, 2) (l W/2) psi, c; in a bogie (n, 4) the shared regressors, c
-    yaw_targets: FloatArray  # (n, 7), see YAW_TARGETS
+    yaw_targets: FloatArray  # (n, 8), see YAW_TARGETS
 
 
 def angle_difference_factor(parameters: VehicleParameters) -> float:
@@ -112,4 +115,5 @@ def coefficients(
     f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
     p = replace(parameters, longitudinal_creep_coefficient=f11)
     in_bogie = motion.frame_yaw is not None and motion.frame_displacement is not None
-    return coefficients_of(p, angle_difference_factor(p), difference_noise, wheelbase, in_bogie=in_bogie)
+    noises = difference_noise, motion.displacement_noise
+    return coefficients_of(p, angle_difference_factor(p), *noises, wheelbase, in_bogie=in_bogie)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import GRAVITY, RAIL_HEAD_RADIUS
 from estimation.vehicle.vehicle_class import VehicleClass
 
@@ -59,31 +62,37 @@ MOST_DIFFERENCE_NOISE = 0.3e-3  # m, std of rL - rR at the usual speed
 CUTOFF_STEP = 5.0  # m
 SHORTEST_CUTOFF = 30.0  # m
 USUAL_SPEED = 20.0  # m/s
-USUAL_CUTOFF = 40.0  # m
 
 
-def displacement_noise(vehicle_class: VehicleClass) -> float:
-    """Return the std of the lateral displacement by the noise of the sensors at a usual speed and cut-off, m.
+def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, speed: FloatArray) -> FloatArray:
+    """Return the variance (n,) of the lateral displacement by the noise of the sensors, m2.
 
     Of white noise of an acceleration, integrated twice, and of the roll, which is taken off at the height of the axle.
-    Where gravity is taken out, g times the roll is integrated twice once more, which adds to the same error.
+    Where gravity is taken out, g times the roll is integrated twice once more, which adds to the same error. A slow
+    vehicle takes longer over a wave: twice integrated, the variance grows with the third power of its period, and that
+    of g times the roll with the seventh.
 
     Parameters
     ----------
     vehicle_class
         Sensors and radius; a noise density that is not on file is zero.
+    cutoff_wavelength
+        m, of the high-pass of the motion.
+    speed
+        (n,) m/s.
     """
+    slowest = speed / cutoff_wavelength
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius
     gravity = GRAVITY if sensors.measures_gravity else 0.0
     if not sensors.measures_gravity:
         height += RAIL_HEAD_RADIUS
     of_roll = 1 if sensors.roll_is_gyroscope else 2
-    crossed = 2.0 * gravity * height * _integrated(of_roll + 1)
-    both = height**2 * _integrated(of_roll) + crossed + gravity**2 * _integrated(of_roll + 2)
-    return math.sqrt(sensors.lateral.noise_density**2 * _integrated(2) + sensors.roll.noise_density**2 * both)
+    crossed = 2.0 * gravity * height * _integrated(of_roll + 1, slowest)
+    both = height**2 * _integrated(of_roll, slowest) + crossed + gravity**2 * _integrated(of_roll + 2, slowest)
+    return sensors.lateral.noise_density**2 * _integrated(2, slowest) + sensors.roll.noise_density**2 * both
 
 
-def _integrated(times: int) -> float:
-    """Return the variance of white noise of density one that is integrated so often, without its slow waves."""
+def _integrated(times: int, slowest: FloatArray) -> FloatArray:
+    """Return the variance (n,) of white noise of density one, integrated so often, of frequencies from ``slowest``."""
     order = 2 * times
-    return 1.0 / ((order - 1) * (2.0 * math.pi) ** order * (USUAL_SPEED / USUAL_CUTOFF) ** (order - 1))
+    return np.asarray(1.0 / ((order - 1) * (2.0 * math.pi) ** order * slowest ** (order - 1)))

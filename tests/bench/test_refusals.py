@@ -10,7 +10,7 @@ import pytest
 from bench.refusals import SKIPPED, run_seed, stored
 from bench.refusals_case import DIMENSIONS, drawn_case, simulated
 from bench.refusals_judged import OnFile, judged, registered
-from bench.refusals_table import HEADER, WRONG_HEADER, radius_rows, summary_rows, wrong_rows
+from bench.refusals_table import HEADER, WRONG_HEADER, interval_rows, radius_rows, summary_rows, wrong_rows
 
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "refusals.md"
 
@@ -81,6 +81,18 @@ def test_an_open_radius_is_a_doubt_on_a_radius_alone_and_what_a_mistake_moves_is
         assert (said["found"], said["moved"], said["covers"]) == (share, "+10 %", "100 %")
     (row,) = radius_rows([before, {**before, "radius": (0.03, 0.03, 0.01)}])
     assert row == ("{track}, {sensors}".format(**before["drawn"]), "2", "-1.0 / 4.4", "3.0", "1.0", "1")  # type: ignore[arg-type]
+
+
+def test_intervals_are_counted_by_sensors_and_speed() -> None:
+    drawn = dict(line("right")["drawn"])  # type: ignore[call-overload]
+    held, missed, slow = (
+        {**line("right"), "drawn": drawn | {"sensors": "mems", "speed": speed}, "covered": covered}
+        for speed, covered in (("20", [True] * 3), ("20", [False]), ("12", []))
+    )
+    wrong = {**line("radius +10 %"), "drawn": missed["drawn"]}
+    first, second = interval_rows([held, missed, slow, wrong])
+    assert (*first[:3], first[-1]) == ("mems, 12", "1", "0.0", "")
+    assert (*second[:3], second[-1]) == ("mems, 20", "2", "2.0", "75.0 %")
 
 
 def test_a_seed_that_derails_is_skipped_and_results_are_read_again(tmp_path: Path) -> None:

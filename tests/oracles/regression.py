@@ -55,7 +55,12 @@ def regression(
         np.column_stack([x1, x2]),
         np.column_stack([z1, (2 * f22 / V) * rolling_slip, spin, inertia, weight, spring, damper]),
         np.column_stack([*first, c]),
-        np.column_stack([z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin, saturation, c * difference_noise / V**3]),
+        np.column_stack(
+            [
+                *(z2, creep - z2, yaw_spring, yaw_inertia, yaw_spin, saturation),
+                *(c * difference_noise / V**3, c * motion.displacement_noise),
+            ]
+        ),
     )
 
 

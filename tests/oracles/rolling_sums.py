@@ -30,9 +30,16 @@ from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
 
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:
     """Return the sums of each part of a window, as the product's own does."""
+    if vehicle_class.bogie is not None and window.frame_yaw_acceleration is None:
+        return ()
     if runs_backwards(window):
         # With its rear end first a vehicle moves to the right when it yaws to the left.
-        window = replace(window, yaw_acceleration=-window.yaw_acceleration)
+        frame = window.frame_yaw_acceleration
+        window = replace(
+            window,
+            yaw_acceleration=-window.yaw_acceleration,
+            frame_yaw_acceleration=None if frame is None else -frame,
+        )
     dt = window.sample_interval_s
     size, each = round(PIECE_S / dt), round(PART_S / dt)
     parts: dict[int, list[RollingSums]] = {}
@@ -49,11 +56,13 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
 
 
 def _bridged(window: Window, usable: BoolArray, part: slice) -> FloatArray:
-    """Return accelerations and speed (5, m) of a part of a window, straight lines where samples are missing."""
+    """Return accelerations, the frame's and speed (6, m) of a part of a window, straight lines where any is missing."""
     known = np.flatnonzero(usable[part])
     at = np.arange(part.stop - part.start)
-    rows = [getattr(window, name)[part] for name in (*ACCELERATIONS, "speed")]
-    return np.stack([np.interp(at, known, row[known]) for row in rows])
+    frame = window.frame_yaw_acceleration
+    rows = [getattr(window, name) for name in ACCELERATIONS]
+    rows += [np.zeros(len(usable)) if frame is None else frame, window.speed]
+    return np.stack([np.interp(at, known, row[part][known]) for row in rows])
 
 
 def _resolution_noise(window: Window) -> FloatArray:
@@ -62,8 +71,8 @@ def _resolution_noise(window: Window) -> FloatArray:
 
 
 def _piece(samples: FloatArray, dt: float, counting: FloatArray, vehicle_class: VehicleClass) -> RollingSums:
-    """Return the sums of one piece, accelerations and speed (5, m)."""
-    n, speed = samples.shape[1], float(samples[4].mean())
+    """Return the sums of one piece, accelerations, the frame's and speed (6, m)."""
+    n, speed = samples.shape[1], float(samples[5].mean())
     frequency = np.asarray(np.fft.rfftfreq(n, dt), dtype=np.float64)
     longest = speed / WAVELENGTHS[1]
     used = (frequency >= longest) & (frequency <= speed / WAVELENGTHS[0])
@@ -71,12 +80,12 @@ def _piece(samples: FloatArray, dt: float, counting: FloatArray, vehicle_class: 
     window = np.hanning(n)
     unit = 0.5 * n / dt * float(np.mean(window**2))  # of a squared spectrum per squared noise density
     yaw_rate = np.cumsum(samples[1]) - 0.5 * samples[1]
-    rows = np.stack([samples[0], samples[4] * dt * _level(yaw_rate), samples[2], samples[3]])
+    rows = np.stack([samples[0], samples[5] * dt * _level(yaw_rate), samples[2], samples[3], samples[4]])
     moved = np.fft.rfft(_level(rows) * window)[:, used]
     moved[1] *= np.tan(0.5 * omega * dt) / (0.5 * omega * dt)  # the trapezoidal rule's shortfall
     terms = _terms(omega, speed, vehicle_class)
     values = np.einsum("kjf,jf->kf", terms, moved)
-    noise = _noise(omega, speed, vehicle_class.sensors, counting)
+    noise = _noise(omega, speed, vehicle_class, counting)
     weight = 2.0 / _left(terms, noise, vehicle_class.parameters.nominal_radius)
     band = np.minimum((BANDS * np.log(frequency[used] / longest) / np.log(WAVELENGTHS[1] / WAVELENGTHS[0])), BANDS - 1)
     share = weight * (band.astype(np.int64)[None, :] == np.arange(BANDS)[:, None])
@@ -114,27 +123,40 @@ def _level(values: FloatArray) -> FloatArray:
 
 
 def _terms(omega: FloatArray, speed: float, vehicle_class: VehicleClass) -> ComplexArray:
-    """Return the terms (TERMS, 4, f) of the equation per spectrum of y'', V psi', phi'' and ym''."""
+    """Return the terms (TERMS, 5, f) of the equation per spectrum of y'', V psi', phi'', ym'' and psi_f''."""
     p = vehicle_class.parameters
     compliance = speed / (2.0 * p.lateral_creep_coefficient)
     gravity = GRAVITY if vehicle_class.sensors.measures_gravity else 0.0
-    terms = np.zeros((TERMS, 4, len(omega)), dtype=np.complex128)
+    terms = np.zeros((TERMS, 5, len(omega)), dtype=np.complex128)
     terms[0, 0], terms[0, 2] = 1.0, gravity / omega**2
+    terms[0, 1] = p.lateral_spin_creep_coefficient / p.lateral_creep_coefficient * 1j * omega / speed
     terms[1, 1] = 1.0
     terms[2, 2] = -1.0
-    terms[3] = -compliance * p.wheelset_mass * 1j * omega * terms[0]
+    lateral = terms[0] * np.array([1.0, 0.0, 1.0, 0.0, 0.0])[:, None]
+    terms[3] = -compliance * p.wheelset_mass * 1j * omega * lateral
     suspension = -compliance * (p.lateral_stiffness / (1j * omega) + p.lateral_damping)
     terms[4, 0], terms[4, 3] = suspension, -suspension
     terms[5, 2] = -compliance * p.load / (1j * omega)
-    terms[6, 1] = 1j * omega / speed
+    # (rL - rR)'/(2 l) of Eq. 2, per spectrum: yaw inertia, creep and suspension, the gyroscopic moment, and the frame
+    half, f11 = p.half_contact_distance, p.longitudinal_creep_coefficient
+    difference = np.zeros((5, len(omega)), dtype=np.complex128)
+    difference[1] = (p.yaw_stiffness + 1j * omega * p.yaw_damping - omega**2 * p.yaw_inertia) / speed
+    difference[1] += 2.0 * half**2 * f11 * 1j * omega / speed**2
+    difference[2] = p.pitch_inertia * speed / p.nominal_radius
+    difference[4] = -p.yaw_stiffness / (1j * omega) - p.yaw_damping
+    difference *= -p.nominal_radius / (half * f11) / (2.0 * half)
+    terms[6] = -compliance * p.load * difference
     return terms
 
 
-def _noise(omega: FloatArray, speed: float, sensors: SensorLayout, counting: FloatArray) -> FloatArray:
-    """Return the squared noise densities (4, f) of y'', V psi', phi'' and ym'', of sensors and counting."""
+def _noise(omega: FloatArray, speed: float, vehicle_class: VehicleClass, counting: FloatArray) -> FloatArray:
+    """Return the squared noise densities (5, f) of y'', V psi', phi'', ym'' and psi_f'', of sensors and counting."""
+    sensors = vehicle_class.sensors
     squared = _densities(sensors)[:, None] * _per_density(omega, sensors) ** 2 + counting[:, None]
     squared[1] *= (speed / omega) ** 2
-    return np.asarray(squared)
+    bogie = vehicle_class.bogie
+    of_frame = np.zeros_like(omega) if bogie is None else 2.0 * squared[3] / bogie.wheelbase**2
+    return np.asarray(np.vstack([squared, of_frame]))
 
 
 def _left(terms: ComplexArray, noise: FloatArray, radius: float) -> FloatArray:

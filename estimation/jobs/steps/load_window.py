@@ -58,21 +58,6 @@ class WindowLoader:
     known: Mapping[WindowKey, WindowRecord] = field(default_factory=dict)
     _kept: dict[WindowKey, Window] = field(default_factory=dict)
 
-    def stored(self, record: WindowRecord) -> Window:
-        """Return a window without what its class adds.
-
-        Parameters
-        ----------
-        record
-            Of the window.
-
-        Raises
-        ------
-        PurgedError, DamagedError
-            As :meth:`load`.
-        """
-        return self._samples(record.key)
-
     def load(self, record: WindowRecord, vehicle_class: VehicleClass) -> Window | Reason:
         """Return a stored window as its vehicle's class reads it, or why it is not to be used.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError, NotFoundError
 from estimation.geometry.rolling_radius import check_radius
+from estimation.jobs.steps.load_window import load_window
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.storage import UnitOfWork
@@ -47,8 +48,8 @@ class RadiusOnFile:
     ) -> Contradiction | None:
         """Return that windows contradict the radius on file or leave it open; None where they do not or are silent.
 
-        A window whose samples are missing or damaged takes no part. Where none has samples any more, what was found
-        when they were there remains.
+        A window takes no part whose samples, or those of the other axle of its bogie, are missing or damaged. Where
+        none has samples any more, what was found when they were there remains.
 
         Parameters
         ----------
@@ -91,11 +92,14 @@ class RadiusOnFile:
         return found
 
     def _of_samples(self, start_ns: int, assumed: Assumed) -> tuple[RollingSums, ...] | None:
+        record, vehicle_class = self.unit.windows.get(self.wheelset, start_ns), assumed.windows.vehicle_class
+        if record is None:
+            return None
         try:
-            window = self.unit.windows.load(self.wheelset, start_ns)
+            window = load_window(self.unit, record, vehicle_class)
         except (NotFoundError, DamagedError):
             return None  # its table remains
-        return rolling_sums(window, assumed.windows.vehicle_class, assumed.windows.signals)
+        return None if isinstance(window, Reason) else rolling_sums(window, vehicle_class, assumed.windows.signals)
 
 
 def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:

@@ -73,7 +73,7 @@ class Wheelset:
         z1[:, 0], z1[:, 1] = self.S * x1 + self.D * x2, self.S_by_creep * x1 + self.D_by_creep * x2
         a, c = 4.0 * np.sin(3.0 * i + 1.0), np.full(n, -PER_METRE)
         yaw = np.column_stack([a, c, c * u, c * u * u])
-        z2 = np.zeros((n, 7))
+        z2 = np.zeros((n, len(YAW_TARGETS)))
         z2[:, 0] = self.A * a + c * (self.R[b] + self.by_group[g] + self.rise[b] * u) + self._noise(yaw, b)
         z2[:, 1] = self.A_by_creep * a + c * self.R_by_creep
         one = np.zeros(n, dtype=np.int64)

@@ -11,13 +11,14 @@ from plain_windows import DT, GOOD, SPEED, layout, plain_track, plain_window
 
 from estimation.errors import ParameterError
 from estimation.motion.integration import segments
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.window_motion import NO_ALIGNMENT, motion, window_motion
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, GaugeShift, TrackAlignment, TrackFindings
 from estimation.values.windows import Window
+from estimation.vehicle.vehicle_class import SensorChannel
 
 SIGNALS = SignalParameters()
 PARAMETERS = WINDOWS
@@ -257,3 +258,33 @@ def test_what_the_gauge_does_to_a_wheelset_is_part_of_the_track() -> None:
     inner = slice(350, -350)
     expected = -PER_GAUGE * 2e-3 * np.sin(2 * np.pi * SPEED * T / WAVE)
     np.testing.assert_allclose(found.displacement[inner], expected[inner], atol=0.03e-3)  # e is linear over a metre
+
+
+def noise_at(
+    speed: FloatArray, cutoff: float = SIGNALS.cutoff_wavelength, track: TrackAlignment | None = None
+) -> float:
+    """Return the std, m, of the displacement by a noisy lateral sensor in a window of these speeds."""
+    sensors = replace(PARAMETERS.vehicle_class.sensors, lateral=SensorChannel(noise_density=1e-3))
+    noisy = WindowParameters(
+        replace(PARAMETERS.vehicle_class, sensors=sensors), replace(SIGNALS, cutoff_wavelength=cutoff)
+    )
+    window = plain_window(speed=speed, distance=DT * np.cumsum(speed))
+    found = window_motion(window, track or plain_track(), noisy)
+    assert isinstance(found, Motion)
+    return float(np.sqrt(found.displacement_noise))
+
+
+def test_a_motion_knows_how_far_the_sensors_are_off_at_its_speed_and_cut_off() -> None:
+    slow, fast = np.full(N, 10.0), np.full(N, 20.0)
+    usual = noise_at(fast)
+    assert usual == pytest.approx(0.0414e-3, rel=0.01)
+    assert noise_at(slow) == pytest.approx(2.0**1.5 * usual)
+    assert noise_at(fast, cutoff=30.0) == pytest.approx(0.75**1.5 * usual)
+    assert noise_at(fast, track=plain_track(cutoff_wavelength=30.0)) == pytest.approx(0.75**1.5 * usual)
+
+
+def test_the_noise_of_a_window_is_the_mean_over_its_samples_and_not_that_at_its_mean_speed() -> None:
+    speed = np.where(np.arange(N) < N / 2, 10.0, 20.0)
+    assert noise_at(speed) ** 2 == pytest.approx(4.5 * noise_at(np.full(N, 20.0)) ** 2, rel=0.01)
+    stood = np.where(np.arange(N) > 0.8 * N, 2.0, 20.0)  # too slow to count
+    assert noise_at(stood) == pytest.approx(noise_at(np.full(N, 20.0)))

@@ -33,7 +33,7 @@ def motion() -> Motion:
     return ideal(run(120))
 
 
-def blocks(samples: int, expected_noise: float = 0.0) -> tuple[int, list[float]]:
+def blocks(samples: int, alignment: float = 0.0, sensors: float = 0.0) -> tuple[int, list[float]]:
     """Return how many blocks are filtered of one that a filter takes so many samples of, and the noise it is given."""
     noises: list[float] = []
 
@@ -41,10 +41,15 @@ def blocks(samples: int, expected_noise: float = 0.0) -> tuple[int, list[float]]
         noises.append(noise)
         return Posterior(np.zeros(2), np.eye(2), 1.0)
 
-    parameters = replace(SURE, uncertainty=replace(SURE.uncertainty, expected_noise=expected_noise))
+    parameters = replace(SURE, uncertainty=replace(SURE.uncertainty, alignment_noise=alignment))
     stride = max(round(block_filters.STEP_S / motion().sample_interval_s), 1)
     first = np.arange(len(motion())) < 1 + stride * (samples - 1)
-    one = replace(motion(), valid=motion().valid & first, block=np.zeros(len(motion()), dtype=np.int64))
+    one = replace(
+        motion(),
+        valid=motion().valid & first,
+        block=np.zeros(len(motion()), dtype=np.int64),
+        displacement_noise=sensors**2,
+    )
 
     def basis(x: np.ndarray) -> np.ndarray:
         return np.column_stack([np.ones(len(x)), x])
@@ -60,6 +65,11 @@ def test_a_filter_takes_blocks_of_a_hundred_samples(samples: int, of_it: int) ->
 @pytest.mark.parametrize(("expected", "noise"), [(0.0, 0.03e-3), (0.029e-3, 0.03e-3), (0.05e-3, 0.05e-3)])
 def test_a_filter_takes_no_displacement_for_better_known_than_three_hundredths(expected: float, noise: float) -> None:
     assert blocks(200, expected)[1] == [pytest.approx(noise)]
+    assert blocks(200, 0.0, expected)[1] == [pytest.approx(noise)]
+
+
+def test_a_filter_adds_the_noise_of_the_alignment_and_of_the_sensors_at_the_speed_of_the_window() -> None:
+    assert blocks(200, 0.3e-3, 0.4e-3)[1] == [pytest.approx(0.5e-3)]
 
 
 def test_a_range_is_covered_by_cells_of_a_hundred_samples() -> None:

@@ -43,6 +43,7 @@ def test_the_defaults_are_half_of_the_95_percent_limits() -> None:
         "yaw_stiffness": 0.1,
         "saturation": 6.0,  # of 1/mu, which is taken as zero
         "noise": 0.0,
+        "displacement_noise": 0.0,
     }
     np.testing.assert_allclose(2.0 * UNCERTAIN.lateral(), [limits[name] for name in LATERAL_TARGETS[1:]])
     np.testing.assert_allclose(2.0 * UNCERTAIN.yaw(), [limits[name] for name in YAW_TARGETS[1:]])
@@ -51,7 +52,7 @@ def test_the_defaults_are_half_of_the_95_percent_limits() -> None:
 
 def test_an_estimated_ratio_stands_for_creep_and_stiffness_of_the_yaw_equation_alone() -> None:
     known = replace(UNCERTAIN, ratio=0.03)
-    np.testing.assert_allclose(known.yaw(), [0.0, 0.03, 0.025, 0.1, 3.0, 0.0])
+    np.testing.assert_allclose(known.yaw(), [0.0, 0.03, 0.025, 0.1, 3.0, 0.0, 0.0])
     np.testing.assert_array_equal(known.lateral(), UNCERTAIN.lateral())
 
 
@@ -171,4 +172,4 @@ def test_of_the_error_of_an_alignment_counts_what_the_motion_keeps(
 ) -> None:
     """Of a survey all of it; of a fleet's, whose longest waves are known worst, a fifth."""
     known = track(alignment_std=np.full(len(S), 0.5e-3), cutoff_wavelength=cutoff, source=source)
-    assert UNCERTAIN.on([known]).expected_noise == pytest.approx(0.5e-3 * share, rel=1e-9)
+    assert UNCERTAIN.on([known]).alignment_noise == pytest.approx(0.5e-3 * share, rel=1e-9)

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from smooth_wheelset import ideal, run
 
 from estimation.geometry.estimate import (
     COUNTED_AS_ONE,
     HIDDEN_JUMP_SHARE,
     HIDDEN_SHARE,
     NOISE,
+    GeometryParameters,
     _displacement_noise,
+    _expected_noise,
     _Replicates,
+    estimate_geometry,
 )
 from estimation.geometry.model_fit import NOISE_DOUBT
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.motion.integration import ROLL_CUTOFF
-from estimation.tables.bin_table import BinParameters
+from estimation.tables.bin_table import BinParameters, init, merge_all, tabulate
+from estimation.values.geometry import BinTable
+from estimation.values.reasons import ReasonCode
 from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGETS
 
 BINS, SLOPE, EXPECTED = 21, 0.5, 0.12e-3
@@ -56,3 +64,30 @@ def test_the_shipped_figures() -> None:
     assert (HIDDEN_SHARE, HIDDEN_JUMP_SHARE, COUNTED_AS_ONE) == (0.5, 0.5, (10_000.0, 10_000.0, 1_000.0))
     assert ParameterUncertainty().of_bogie == (0.02, 0.02, np.radians(2.0))
     assert (NOISE_DOUBT, ROLL_CUTOFF) == (0.5, 120.0)
+
+
+def noisy_table(*stds: float) -> BinTable:
+    """Return the table of windows of equally many samples whose sensors are so far off at their speeds, m."""
+    moved = ideal(run(240, swing=4.0))
+    return merge_all([tabulate(replace(moved, displacement_noise=std**2), PARAMETERS) for std in stds], PARAMETERS)
+
+
+def test_windows_of_different_speeds_add_their_variances() -> None:
+    unknown = ParameterUncertainty()
+    assert _expected_noise(noisy_table(0.3e-3, 0.1e-3), PARAMETERS, unknown) == pytest.approx(np.sqrt(0.05) * 1e-3)
+    known = replace(unknown, alignment_noise=0.4e-3)
+    assert _expected_noise(noisy_table(0.3e-3), PARAMETERS, known) == pytest.approx(0.5e-3)
+    assert _expected_noise(init(PARAMETERS), PARAMETERS, known) == 0.4e-3
+
+
+def test_what_the_sensors_are_off_at_a_low_speed_is_in_the_interval_and_beyond_measure_in_doubt() -> None:
+    fast, slow, crawling = (
+        estimate_geometry(noisy_table(std), PARAMETERS, GeometryParameters()) for std in (0.0, 0.1e-3, 1e-3)
+    )
+    for one, other in zip(fast.conicity, slow.conicity, strict=True):
+        if one.std is not None and other.std is not None:
+            assert other.std >= one.std
+    assert slow.rolling_radius_difference.std[20] > 1.1 * fast.rolling_radius_difference.std[20]
+    assert (fast.reason, slow.reason) == (None, None)
+    assert crawling.reason is not None
+    assert crawling.reason.code is ReasonCode.CONICITY_OPEN

@@ -112,7 +112,7 @@ def test_the_rolling_radius_is_the_same_either_way() -> None:
     known, signals = of_bogie(SOFT), SignalParameters()
     there, back = (
         rolling_radius(
-            [part for axle in (1, 2) for one in windows(SOFT, axle) for part in rolling_sums(f(one), known, signals)]
+            [part for axle in (1, 2) for one in joined(SOFT, axle) for part in rolling_sums(f(one), known, signals)]
         )
         for f in (lambda one: one, rear_first)
     )

@@ -33,7 +33,9 @@ def motion_of(seed: int, n: int, *, in_bogie: bool) -> Motion:
     values["speed"] = np.where(rng.random(n) < 0.05, np.nan, rng.uniform(10.0, 40.0, n))
     valid = (rng.random(n) < 0.9) & np.isfinite(values["speed"])
     block = np.where(rng.random(n) < 0.05, -1, rng.integers(80_000_000, 80_000_000 + 40, n).cumsum() // n)
-    return Motion(**values, valid=valid, block=block, band_limited=True, stiffness_ratio=rng.uniform(0.8, 1.2))
+    ratio, noise = rng.uniform(0.8, 1.2), rng.uniform(0.0, 1e-7)
+    shared = {"band_limited": True, "stiffness_ratio": ratio, "displacement_noise": noise}
+    return Motion(**values, valid=valid, block=block, **shared)
 
 
 def plain_group(block: IntArray, groups: int) -> IntArray:

@@ -141,6 +141,7 @@ def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_a
         "spin_creep": 0.1,
         "saturation": 3.0,
         "noise": 0.0,
+        "displacement_noise": 0.0,
     }
     assert dict(zip(YAW_TARGETS[1:], learnt.yaw(), strict=True)) == {
         "longitudinal_creep": 0.0,
@@ -149,6 +150,7 @@ def test_a_learnt_ratio_stands_for_creep_and_yaw_stiffness_in_the_yaw_equation_a
         "spin_creep": 0.1,
         "saturation": 3.0,
         "noise": 0.0,
+        "displacement_noise": 0.0,
     }
     np.testing.assert_array_equal(learnt.lateral(), assumed.lateral())
 
@@ -195,8 +197,10 @@ def test_the_derivative_by_friction_is_that_of_the_creep_law() -> None:
     np.testing.assert_allclose(found, target, rtol=1e-3, atol=1e-3 * np.abs(target).max())
 
 
-def test_the_noise_target_is_the_variance_of_the_radius_difference_at_the_speed_of_the_sample() -> None:
-    motion = ideal(run(20, swing=3.0))
+def test_the_noise_targets_are_variances_by_the_sensors_at_the_speed_of_the_sample() -> None:
+    motion = replace(ideal(run(20, swing=3.0)), displacement_noise=5.0)
     equation = regression(motion, ASSUMED, difference_noise=7.0)
-    np.testing.assert_allclose(equation.yaw_targets[:, -1] / equation.yaw[:, 1], 7.0 / motion.speed**3)
-    assert not regression(motion, ASSUMED).yaw_targets[:, -1].any()
+    targets = dict(zip(YAW_TARGETS, (equation.yaw_targets / equation.yaw[:, 1:]).T, strict=True))
+    np.testing.assert_allclose(targets["noise"], 7.0 / motion.speed**3)
+    np.testing.assert_allclose(targets["displacement_noise"], 5.0)
+    assert not regression(replace(motion, displacement_noise=0.0), ASSUMED).yaw_targets[:, -2:].any()

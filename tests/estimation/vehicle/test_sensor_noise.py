@@ -18,11 +18,11 @@ BOGIE = BogieParameters(wheelbase=2.5, frame_mass=2600.0, frame_yaw_inertia=3000
 YAW, FRAME = 2e-3, 1e-3  # noise densities
 
 
-def integrated(density: float, integrals: int, speed: float, seed: int) -> FloatArray:
+def integrated(density: float, integrals: int, speed: float, seed: int, cutoff: float = CUTOFF) -> FloatArray:
     """Return white noise integrated so many times, without what is slower than the cut-off wavelength."""
     white = density * np.sqrt(0.5 / DT) * np.random.default_rng(seed).standard_normal(SAMPLES)
     frequency = np.fft.rfftfreq(SAMPLES, DT)
-    kept = frequency >= speed / CUTOFF
+    kept = frequency >= speed / cutoff
     spectrum = np.zeros(len(frequency), dtype=complex)
     spectrum[kept] = np.fft.rfft(white)[kept] / (2j * np.pi * frequency[kept]) ** integrals
     return np.fft.irfft(spectrum, SAMPLES)
@@ -84,15 +84,36 @@ def test_the_cut_off_is_shorter_where_the_noise_of_the_yaw_sensor_drowns_long_wa
     assert of_wheelset.signals.cutoff_wavelength == 35.0
 
 
+@pytest.mark.parametrize(("speed", "cutoff"), [(20.0, CUTOFF), (12.0, CUTOFF), (12.0, 30.0)])
 @pytest.mark.parametrize(("gravity", "height"), [(True, 0.45), (False, 0.53)])
-def test_the_roll_that_is_taken_off_the_displacement_brings_its_noise(*, gravity: bool, height: float) -> None:
+def test_the_roll_that_is_taken_off_the_displacement_brings_its_noise(
+    height: float, speed: float, cutoff: float, *, gravity: bool
+) -> None:
     """Gravity and height add: both are the same error of the roll."""
-    lateral, roll = SensorChannel(noise_density=1e-3), SensorChannel(noise_density=3e-3)
-    sensors = replace(PAPER_CLASS.sensors, lateral=lateral, roll=roll, measures_gravity=gravity)
-    found = []
+    sensors = replace(
+        PAPER_CLASS.sensors,
+        lateral=SensorChannel(noise_density=1e-3),
+        roll=SensorChannel(noise_density=3e-3),
+        measures_gravity=gravity,
+    )
+    simulated = []
     for seed in range(4):
-        moved = integrated(1e-3, 2, 20.0, seed) + height * integrated(3e-3, 2, 20.0, seed + 10)
+        moved = integrated(1e-3, 2, speed, seed, cutoff) + height * integrated(3e-3, 2, speed, seed + 10, cutoff)
         if gravity:
-            moved = moved - 9.81 * integrated(3e-3, 4, 20.0, seed + 10)
-        found.append(moved.var())
-    assert displacement_noise(replace(PAPER_CLASS, sensors=sensors)) == pytest.approx(np.sqrt(np.mean(found)), rel=0.1)
+            moved = moved - 9.81 * integrated(3e-3, 4, speed, seed + 10, cutoff)
+        simulated.append(moved.var())
+    expected = displacement_noise(replace(PAPER_CLASS, sensors=sensors), cutoff, np.array([speed]))
+    assert np.sqrt(expected) == pytest.approx(np.sqrt(np.mean(simulated)), rel=0.1)
+
+
+def test_a_slow_vehicle_integrates_its_noise_for_longer() -> None:
+    """By the third power of the time that a wave takes; at a crawl the tilt, g times the roll, is nearly all."""
+    noisy, silent = SensorChannel(noise_density=1e-3), SensorChannel()
+    plain = replace(PAPER_CLASS.sensors, lateral=silent, roll=silent, measures_gravity=True)
+    for sensors, power in (
+        (replace(plain, lateral=noisy), 3),
+        (replace(plain, roll=noisy), 7),
+        (replace(plain, roll=noisy, roll_is_gyroscope=True), 5),
+    ):
+        slow, fast = displacement_noise(replace(PAPER_CLASS, sensors=sensors), CUTOFF, np.array([1.0, 2.0]))
+        assert slow / fast == pytest.approx(2.0**power, rel=0.05)
