@@ -2,7 +2,6 @@
 
 ::
 
-    version = 2                  # of the format; without it 1, which has neither a name nor [[class]] and [[fleet]]
     name = "plan 2027-01"        # what alerts keep of the rules that raised them, with a digest
 
     [conicity_limit]             # of all fleets and classes
@@ -34,7 +33,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel, Field, create_model
 
@@ -43,10 +42,8 @@ from api.rules_tables import both_units, changed, table_of
 from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
 from ingest.input_file import Code, InputFile, InputTable, Location, read_toml
 
-NEWEST = 2
 _ALARM_FLOOD = "alarm_flood"
 _COMPARED = frozenset({"parameters"})  # of comparisons between all fleets
-_OF_NEWEST = ("name", "class", "fleet")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,13 +77,12 @@ def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     Raises
     ------
     InputError
-        The file cannot be read or is no TOML; a version that is not known; an unknown table or key; a value of the
+        The file cannot be read or is no TOML; an unknown table or key; a value of the
         wrong type or outside its range; values that contradict each other, such as a clear limit on the wrong side of
         its raise limit; one scope twice. Names the file, the line and the field.
     """
     book = book if book is not None else RuleBook()
     file = read_toml(path)
-    _check_version(file)
     given = file.parse(_schema(book))
     everywhere = _with(book, _Layer(None, None, given, ()), file)
     layers = list(_layers(given, file))
@@ -98,16 +94,6 @@ def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
                 found = _with(found, layer, file)
         books[scope] = found
     return replace(everywhere, name=getattr(given, "name", None) or "", scoped=books)
-
-
-def _check_version(file: InputFile) -> None:
-    version = file.values.get("version", 1)
-    if isinstance(version, bool) or version not in (1, NEWEST):
-        raise file.error(f"{version!r} is not known; this release reads 1 and {NEWEST}", ("version",))
-    later = next((key for key in _OF_NEWEST if key in file.values), None)
-    if version != NEWEST and later is not None:
-        where = (later, 0) if isinstance(file.values[later], list) else (later,)
-        raise file.error(f"is of version {NEWEST}: write 'version = {NEWEST}' at the top of the file", where)
 
 
 def _schema(book: RuleBook) -> type[InputTable]:
@@ -127,7 +113,6 @@ def _schema(book: RuleBook) -> type[InputTable]:
     return create_model(
         "Rules",
         __base__=InputTable,
-        version=(Literal[1, 2], 1),
         name=(Code | None, None),
         classes=(list[of_class], Field(default=[], alias="class")),  # type: ignore[valid-type]  # made here
         fleets=(list[of_fleet], Field(default=[], alias="fleet")),  # type: ignore[valid-type]  # made here

@@ -164,14 +164,14 @@ class WindowReasons:
     def _section(self, code: str) -> SectionFacts:
         if code not in self._sections:
             report = self.unit.tracks.report(code)
-            survey = None if report is None else report.report.get("recording")
-            refused = isinstance(survey, str) and survey.startswith(NOT_USED)
+            said = {} if report is None else report.report
+            refused = str(said.get("recording")).startswith(NOT_USED)
             self._sections[code] = SectionFacts(
                 code=code,
                 in_force=self.unit.tracks.in_force(code),
                 looked_at=report is not None,
                 found=None if report is None else report.reason,
-                survey=Reason(ReasonCode.SURVEY_DIFFERS, str(survey)) if refused else None,
+                survey=Reason(ReasonCode(str(said["recording_code"])), str(said["recording"])) if refused else None,
                 failed=self._failed(SubjectKind.SECTION, code, ALIGNMENT),
             )
         return self._sections[code]

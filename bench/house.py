@@ -71,9 +71,9 @@ LOOSE_WORDS = (
 )
 WORD = re.compile(rf"(?<![a-z])({'|'.join(LOOSE_WORDS)})(?![a-z])", re.IGNORECASE)
 MIGRATIONS = "versions"
-"""Folder of files that describe databases of earlier releases."""
+"""Folder of the migrations: they carry the tables, and no logic."""
 
-OWN_FILES = ("bench/house.py", "tests/bench/test_house.py", "fleet_db/former_reasons.py")
+OWN_FILES = ("bench/house.py", "tests/bench/test_house.py")
 
 INFRASTRUCTURE = re.compile(
     r"""(

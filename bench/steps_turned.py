@@ -34,7 +34,7 @@ BEFORE, BEHIND = 12, 8  # intervals
 COMMON, NOISE, TRACK = 0.03, 0.003, 0.01e-3  # conicity; conicity; m of R
 WEAR_PER_KM = 2e-7  # of the hollow, relative
 FEW = 4  # intervals within which it is to be found
-NOTHING = Reason(ReasonCode.OTHER, "not simulated")
+NOTHING = Reason(ReasonCode.NOT_FINITE, "not simulated")
 
 
 def turned_rows(seed: int, lives: int) -> Iterator[BenchRow]:

@@ -176,12 +176,11 @@ class PurgedError(DamagedError):
 
 
 class MigrationError(StorageError):
-    """The database is at another migration head than this code; ``known`` is whether an upgrade leads from there."""
+    """The database is at another migration than this code needs; ``remedy`` is what its operator does."""
 
-    def __init__(self, found: str | None, expected: str, *, known: bool = True) -> None:
+    def __init__(self, found: str | None, expected: str, remedy: str = "run: treadwatch db upgrade") -> None:
         self.found = found
         self.expected = expected
-        remedy = "run: treadwatch db upgrade" if known else "this version does not know it: run the later one it is of"
         super().__init__(f"the database is at migration {found or 'none'}, this version needs {expected}; {remedy}")
 
 

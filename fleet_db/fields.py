@@ -3,8 +3,6 @@
 Arrays stay arrays. Every other field becomes JSON by its type: None, flags, whole numbers and texts as they are, an
 enumeration by its value, a float in hexadecimal, which loses no bit of NaN, infinity or a signed zero, a tuple as a
 list, a mapping as an object, and a value inside a value (an estimate) as the list of its fields.
-
-What was stored before a field was added is read with that field's default; a value inside a value gets new fields last.
 """
 
 from __future__ import annotations
@@ -20,8 +18,6 @@ import numpy as np
 
 from estimation.errors import StorageError
 from estimation.values.json_value import JsonValue
-from estimation.values.reasons import Reason
-from fleet_db.former_reasons import former_reason
 from fleet_db.packing import Array
 
 V = TypeVar("V")
@@ -65,15 +61,16 @@ def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Arr
     Raises
     ------
     StorageError
-        A field does not fit its type.
+        A field is missing or does not fit its type.
     """
-    stored: dict[str, Any] = {}
-    for name, hint in _hints(cast("Hashable", kind)).items():
-        if get_origin(hint) is np.ndarray and name in arrays:
-            stored[name] = arrays[name]
-        elif name in scalars and name not in given:
-            stored[name] = from_json(scalars[name], hint)
-    return kind(**{**stored, **given})
+    stored = dict(given)
+    try:
+        for name, hint in _hints(cast("Hashable", kind)).items():
+            if name not in given:
+                stored[name] = arrays[name] if get_origin(hint) is np.ndarray else from_json(scalars[name], hint)
+    except (LookupError, ValueError) as error:
+        raise StorageError(f"a packed {kind.__name__} does not fit: {error}") from error
+    return kind(**stored)
 
 
 def to_json(item: object) -> JsonValue:
@@ -147,9 +144,7 @@ def _value_reader(kind: type[Any]) -> Callable[[Any], Any]:
     readers = [_reader(one) for one in _hints(cast("Hashable", kind)).values()]
 
     def read(stored: Any) -> Any:  # noqa: ANN401 - as ``from_json``
-        if kind is Reason and isinstance(stored, str):  # stored before reasons had codes
-            return former_reason(stored)
-        return kind(*[reader(one) for reader, one in zip(readers, stored, strict=False)])
+        return kind(*[reader(one) for reader, one in zip(readers, stored, strict=True)])
 
     return read
 
@@ -162,7 +157,7 @@ class _Members(dict[Any, Enum]):
         self._kind = kind
 
     def __missing__(self, stored: object) -> Enum:
-        return self._kind(stored)  # raises, or knows it by another name
+        return self._kind(stored)  # raises
 
 
 def _number(stored: object) -> float:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from alembic import command
 from alembic.config import Config
 
-from estimation.errors import MigrationError
 from fleet_db.locks import Subject, serialise
-from fleet_db.revisions import SCRIPTS, head, known_revisions, revision_of
+from fleet_db.revisions import SCRIPTS, check_upgradable, head
 from fleet_db.session import IMMEDIATE, database_engine, sqlite_file, translate_errors
 
 
@@ -19,7 +18,7 @@ def upgrade(url: str) -> str:
     ParameterError
         ``url`` names no database that can be used.
     MigrationError
-        The database is at a migration that this version does not know.
+        The database is from before the first release, or of a later version.
     StorageError
         It cannot be reached.
     """
@@ -30,9 +29,7 @@ def upgrade(url: str) -> str:
     try:
         with translate_errors(), engine.connect().execution_options(**IMMEDIATE) as connection, connection.begin():
             serialise(connection, Subject.MIGRATION)
-            found = revision_of(connection)
-            if found is not None and found not in known_revisions():
-                raise MigrationError(found, head(), known=False)
+            check_upgradable(connection)
             config = _config()
             config.attributes["connection"] = connection
             command.upgrade(config, "head")

@@ -18,7 +18,7 @@ from estimation.values.exact_table import ExactTable
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
 from estimation.values.json_value import JsonValue
 from estimation.values.rolling_sums import RollingSums
-from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings, TrackLayout
+from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, TrackLayout
 from estimation.values.trend import WearTrend
 from fleet_db.fields import fields_of, to_json, value_of
 from fleet_db.packing import Array, pack, unpack
@@ -28,22 +28,13 @@ ALIGNMENTS = 4  # that are kept unpacked, some megabytes each
 TREND, GEOMETRY, LAYOUT, BIN_TABLE = "wear_trend", "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
 EXACT_TABLE, ROLLING_SUMS = "exact_table", "rolling_sums"
-SURVEYED, ESTIMATED = 1, 2  # versions of a packed alignment: the first has no source, cut-off, scale and gauge
-SURVEY = (AlignmentSource.RECORDED, np.inf, 0, True)  # these four of a surveyed alignment
-FORMER_STATUSES = {  # of a bin, as they were stored before they were codes
-    "too few samples": "too_few_samples",
-    "a contact jump crosses the bin": "contact_jump",
-    "the data cannot say": "unobservable",
-}
 STATUSES = {status.value: status for status in BinStatus}
-STATUSES |= {former: STATUSES[value] for former, value in FORMER_STATUSES.items()}
 PROFILE_ARRAYS = ("y", "z", "slope")
 
 
 def pack_trend(trend: WearTrend) -> bytes:
     """Return ``trend`` as one blob."""
-    scalars, arrays = fields_of(trend)
-    return pack(TREND, VERSION, _renamed(scalars, "fitted", "current"), arrays)
+    return pack(TREND, VERSION, *fields_of(trend))
 
 
 def unpack_trend(blob: bytes, *, where: str) -> WearTrend:
@@ -55,7 +46,7 @@ def unpack_trend(blob: bytes, *, where: str) -> WearTrend:
         The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, TREND, where=where)
-    return value_of(WearTrend, _renamed(packed.scalars, "current", "fitted"), packed.arrays)
+    return value_of(WearTrend, packed.scalars, packed.arrays)
 
 
 def pack_geometry(geometry: WheelsetGeometry) -> bytes:
@@ -66,7 +57,7 @@ def pack_geometry(geometry: WheelsetGeometry) -> bytes:
     return pack(
         GEOMETRY,
         VERSION,
-        {"combinations": statuses, **_renamed(scalars, "reported_amplitude", "headline_amplitude")},
+        {"combinations": statuses, **scalars},
         {
             **arrays,
             "values": np.stack([values.value for values in combinations.values()]),
@@ -89,8 +80,7 @@ def unpack_geometry(blob: bytes, *, where: str) -> WheelsetGeometry:
         name: BinValues(value, std, tuple(map(STATUSES.__getitem__, listed)))
         for (name, listed), value, std in zip(statuses.items(), arrays["values"], arrays["stds"], strict=True)
     }
-    scalars = _renamed(packed.scalars, "headline_amplitude", "reported_amplitude")
-    return value_of(WheelsetGeometry, scalars, arrays, **combinations)
+    return value_of(WheelsetGeometry, packed.scalars, arrays, **combinations)
 
 
 def pack_layout(layout: TrackLayout) -> bytes:
@@ -122,15 +112,10 @@ def unpack_layout(blob: bytes, version: int, *, where: str) -> TrackLayout:
 def pack_alignment(alignment: TrackAlignment) -> bytes:
     """Return ``alignment`` as one blob, without its version, so that the same content is the same blob."""
     scalars, arrays = fields_of(alignment, without={"version", "findings"})
-    first = {name: scalars[name] for name in ("section", "status")}
-    known = (alignment.source, alignment.cutoff_wavelength, alignment.scale_std, alignment.gauge_known) == SURVEY
-    if known and alignment.findings is None:
-        return pack(ALIGNMENT, SURVEYED, first, arrays)
-    scalars = _renamed(scalars, "cutoff_wavelength", "cut_off")
     if alignment.findings is not None:
         scalars["findings"], shifts = _pack_findings(alignment.findings)
         arrays |= shifts
-    return pack(ALIGNMENT, ESTIMATED, scalars, arrays)
+    return pack(ALIGNMENT, VERSION, scalars, arrays)
 
 
 @lru_cache(maxsize=ALIGNMENTS)
@@ -152,10 +137,9 @@ def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment
         The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, ALIGNMENT, where=where)
-    scalars = _renamed(packed.scalars, "cut_off", "cutoff_wavelength")
-    stored = scalars.pop("findings", None)
+    stored = packed.scalars.get("findings")
     findings = None if stored is None else _unpack_findings(stored, packed.arrays)
-    return value_of(TrackAlignment, scalars, packed.arrays, version=version, findings=findings)
+    return value_of(TrackAlignment, packed.scalars, packed.arrays, version=version, findings=findings)
 
 
 def _pack_findings(findings: TrackFindings) -> tuple[JsonValue, dict[str, Array]]:
@@ -362,8 +346,3 @@ def unpack_rolling_sums(blob: bytes, *, where: str) -> tuple[RollingSums, ...]:
     """
     arrays = unpack(blob, ROLLING_SUMS, where=where).arrays
     return tuple(RollingSums(*both) for both in zip(arrays["products"], arrays["noise"], strict=True))
-
-
-def _renamed(scalars: Mapping[str, Any], before: str, after: str) -> dict[str, Any]:
-    """Return ``scalars`` with one name replaced in its place: a field was renamed after values had been stored."""
-    return {after if name == before else name: value for name, value in scalars.items()}

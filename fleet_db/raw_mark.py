@@ -1,7 +1,7 @@
 """Whether the store of raw recordings is that of this database, or a bare place where a folder should be mounted.
 
 A mark in the store is known to the database. A store without it is marked where it cannot be another one: the database
-has no receipt yet, or recordings of its receipts are in the store (after a restore, or of an earlier version).
+has no receipt yet, or recordings of its receipts are in the store (after a restore).
 """
 
 from __future__ import annotations

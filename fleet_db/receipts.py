@@ -37,7 +37,7 @@ class ChunkRecord:
     recorded_ns: int
     purged_ns: int | None = None  # our time at which its raw bytes were deleted; its windows stay as they are
     clock_checked_ns: int | None = None  # our time against which the vehicle's is checked where received_ns was wrong
-    file_name: str | None = None  # under which it came; None where an older version received it
+    file_name: str | None = None  # under which it came
     sender: str | None = None  # who sent it where it came by HTTP or through a drop folder
 
     @property

@@ -62,7 +62,7 @@ class RegistryEvent:
     recorded_ns
         Our time; None where it is not known.
     after
-        What it was afterwards where it was entered or changed; None of decisions that an earlier version stored.
+        What it was afterwards where it was entered or changed; None of others.
     """
 
     id: int

@@ -5,6 +5,7 @@ Every service looks at its start, and ``/readyz`` at every request.
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from pathlib import Path
 
@@ -15,6 +16,12 @@ from fleet_db.session import sqlite_file, translate_errors
 
 SCRIPTS = Path(__file__).parent / "migrations"
 TABLE = "alembic_version"
+BEFORE_FIRST_RELEASE = re.compile(r"\d{4}")
+FROM_BEFORE = (
+    "it is from before the first release, and no upgrade leads from there: name a new database, enter the registry and "
+    "ingest the recordings again"
+)
+FROM_LATER = "this version does not know it: run the later one it is of"
 
 
 def check_head(engine: Engine) -> None:
@@ -33,7 +40,27 @@ def check_head(engine: Engine) -> None:
     with translate_errors(), engine.connect() as connection:
         found = revision_of(connection)
     if found != head():
-        raise MigrationError(found, head(), known=found is None or found in known_revisions())
+        raise refusal(found)
+
+
+def check_upgradable(connection: Connection) -> None:
+    """Refuse a database that no upgrade of this version leads from.
+
+    Raises
+    ------
+    MigrationError
+        It is from before the first release, or of a later version.
+    """
+    found = revision_of(connection)
+    if found is not None and found not in known_revisions():
+        raise refusal(found)
+
+
+def refusal(found: str | None) -> MigrationError:
+    """Return the refusal of a database that is not at the head, with what to do about it."""
+    if found is None or found in known_revisions():
+        return MigrationError(found, head())
+    return MigrationError(found, head(), FROM_BEFORE if BEFORE_FIRST_RELEASE.fullmatch(found) else FROM_LATER)
 
 
 def revision_of(connection: Connection) -> str | None:
@@ -54,5 +81,8 @@ def head() -> str:
 
 @cache
 def known_revisions() -> tuple[str, ...]:
-    """Return the migrations of this version, the first one first: the numbers with which their files begin."""
-    return tuple(sorted(path.name.partition("_")[0] for path in (SCRIPTS / "versions").glob("[0-9]*_*.py")))
+    """Return the migrations of this version, the first one first: the numbers with which their files begin.
+
+    They are r0001 and so on: 0001 and so on are of databases from before the first release.
+    """
+    return tuple(sorted(path.name.partition("_")[0] for path in (SCRIPTS / "versions").glob("r[0-9]*_*.py")))

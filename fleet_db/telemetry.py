@@ -200,7 +200,7 @@ def _scalars(window: Window) -> dict[str, Any]:
         "odometer_m": to_json(window.odometer_m),
         "resolution": to_json(window.resolution),
         "quality": {name: _to_json(name, getattr(window.quality, name)) for name in QUALITY},
-        # only where there is some: the file of another window stays as it was
+        # only where there is some
         **({"hunting": to_json(window.quality.hunting)} if window.quality.hunting.share else {}),
         **({"blows": to_json(window.quality.blows)} if window.quality.blows.share else {}),
     }

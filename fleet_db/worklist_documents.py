@@ -21,8 +21,8 @@ from estimation.values.worklist import (
     WorklistState,
 )
 
-FORM = 2
-"""Grows with every change of what a row says, so that rows of an earlier release are made again."""
+FORM = 1
+"""Grows with every change of what a row says, so that rows are made again; a row that waits to be made has none."""
 
 
 def to_document(row: WorklistRow) -> str:

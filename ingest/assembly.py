@@ -210,14 +210,10 @@ class Assembler:
         return replace(spared, windows=tuple(w for w in windows if not spared.keeps(w.window.start_ns, self.length_ns)))
 
     def _has_own_time(self, source: ChunkRecord) -> bool:
-        if OWN_TIME in source.counts:  # receipts of older versions do not have it
-            return bool(source.counts[OWN_TIME])
-        return self.recordings.load_neighbour(source).vehicle_ns is not None
+        return bool(source.counts[OWN_TIME])
 
     def _recorder_ns(self, source: ChunkRecord) -> Span:
-        if RECORDER_FIRST in source.counts:
-            return source.counts[RECORDER_FIRST], source.counts[RECORDER_LAST]
-        return self.recordings.load_neighbour(source).recorder_ns
+        return source.counts[RECORDER_FIRST], source.counts[RECORDER_LAST]
 
     def _loaded(
         self, sources: Sequence[ChunkRecord], *, keep_unreadable: bool

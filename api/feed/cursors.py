@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 
@@ -32,11 +31,11 @@ HOW_TO_GO_ON = "read what is open now from /v1/alerts?open=true, then follow `ne
 
 @dataclass(frozen=True, slots=True)
 class FeedCursor:
-    """A place in the feed; one of an earlier version has neither identity nor check."""
+    """A place in the feed."""
 
     sequence: int
-    identity: str | None
-    check: str | None
+    identity: str
+    check: str
 
 
 def check_of(event: AlertEvent | None) -> str:
@@ -89,8 +88,6 @@ def decode(narrowed: FeedFilter, cursor: str | None) -> FeedCursor | None:
     key = cursors.decode(FEED, narrowed.bound, cursor)
     if key is None:
         return None
-    if isinstance(key, int) and not isinstance(key, bool) and 0 <= key < cursors.INT64:
-        return FeedCursor(key, None, None)
     form = _FORM.fullmatch(key) if isinstance(key, str) else None
     if form is None or int(form["sequence"]) >= cursors.INT64:
         raise cursors.refused("this is no cursor of this list")
@@ -109,7 +106,7 @@ def position(unit: SqlUnitOfWork, narrowed: FeedFilter, path: str, cursor: FeedC
     path
         Where to go on, with the filter.
     cursor
-        Of the client; one of an earlier version belongs to the first branch.
+        Of the client.
 
     Raises
     ------
@@ -119,7 +116,7 @@ def position(unit: SqlUnitOfWork, narrowed: FeedFilter, path: str, cursor: FeedC
     if cursor is None:
         return None
     branches = unit.feed_branches.all()
-    place = _place(branches, cursor)
+    place = next((place for place, branch in enumerate(branches) if branch.identity == cursor.identity), None)
     if place is None:
         raise _of_another(path, "the cursor is of another database", None)
     shared = min((later.after_sequence for later in branches[place + 1 :]), default=None)
@@ -127,15 +124,9 @@ def position(unit: SqlUnitOfWork, narrowed: FeedFilter, path: str, cursor: FeedC
         begin = encode(narrowed, branches[-1], unit.alerts.last_in_feed(shared))
         raise _of_another(path, "the cursor is of this database before it was restored", begin)
     event = unit.alerts.event(cursor.sequence)
-    if (event is None and cursor.sequence) or cursor.check not in {None, check_of(event)}:
+    if (event is None and cursor.sequence) or cursor.check != check_of(event):
         raise _of_another(path, "the database has another history than the cursor", None)
     return event
-
-
-def _place(branches: Sequence[FeedBranch], cursor: FeedCursor) -> int | None:
-    if cursor.identity is None:
-        return 0
-    return next((place for place, branch in enumerate(branches) if branch.identity == cursor.identity), None)
 
 
 def _of_another(path: str, detail: str, begin: str | None) -> ProblemError:

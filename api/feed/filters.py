@@ -40,7 +40,7 @@ class FeedFilter:
 
     @property
     def bound(self) -> Mapping[str, object]:
-        """What a cursor is bound to; nothing for the whole feed, as in earlier versions."""
+        """What a cursor is bound to; nothing for the whole feed."""
         named = {"fleet": self.fleets, "kind": self.kinds, "severity": self.severities}
         found: dict[str, object] = {name: sorted(values) for name, values in named.items() if values}
         return found if self.visible is None else found | {"visible": sorted(self.visible)}

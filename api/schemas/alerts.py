@@ -77,9 +77,7 @@ class Alert(Representation):
     shelved_until: Timestamp | None
     shelved_reason: str | None
     external_refs: list[str]
-    rules_version: str | None = Field(
-        description="The rules that it was raised by; null where an earlier release raised it."
-    )
+    rules_version: str | None = Field(description="The rules that it was raised by.")
     version: int
     links: Links
 

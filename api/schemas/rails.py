@@ -18,8 +18,6 @@ from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 MM = 1000.0
 NO_GEOMETRY = Estimate.unknown(Reason(ReasonCode.NO_GEOMETRY, "there is no geometry at this amplitude yet"))
 
-NO_TREND = Reason(ReasonCode.TOO_FEW_PERIODS, "too few periods of the section are known")  # of earlier versions
-
 
 class ConicityMethod(StrEnum):
     """How a conicity was found; those of different methods are never mixed."""
@@ -135,7 +133,7 @@ def section_rails(record: SectionRailsRecord) -> SectionRails:
         As stored.
     """
     own, trend = f"/v1/track-sections/{segment(record.section)}", record.trend
-    no_trend = (record.no_trend or NO_TREND) if trend is None else None
+    no_trend = record.no_trend if trend is None else None
     return SectionRails(
         section=record.section,
         reference_wheel_profile=record.reference_wheel_profile,

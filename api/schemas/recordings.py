@@ -50,7 +50,7 @@ class Recording(Representation):
 
     digest: str = Field(description="SHA-256 of its bytes: its identity.", examples=["ab" * 32])
     vehicle: str = Field(description="Code of the vehicle that it came for; it need not be registered.")
-    file_name: str | None = Field(description="Under which it came; null where an older version received it.")
+    file_name: str | None = Field(description="Under which it came.")
     format: str = Field(description="Ending of its format.", examples=[".blf"])
     size_bytes: int = Field(description="Of its bytes as they came.")
     received_at: Timestamp = Field(description="When its receipt was given, by our clock.")

@@ -66,7 +66,7 @@ class RegistryDecision(Representation):
     action: RecordAction
     by: str = Field(description="Who; empty where a registry file was loaded with recordings.", examples=["j.smith"])
     reason: str = Field(examples=["of another wheelset"])
-    recorded_at: Timestamp | None = Field(description="Our time; null where an earlier version did not keep it.")
+    recorded_at: Timestamp | None = Field(description="Our time; null where it is not known.")
     before: Record | None = Field(description="The record before; null where it is new or was restored.")
     after: Record | None = Field(description="The record since; null where it was voided, or is not known.")
 

@@ -1,4 +1,4 @@
-"""The evidence that alerts keep, as the API answers it; also that of earlier releases."""
+"""The evidence that alerts keep, as the API answers it."""
 
 from __future__ import annotations
 
@@ -7,16 +7,15 @@ from typing import Any, Literal
 
 from api.schemas import evidence as kinds
 from api.schemas.stored_values import Stored, code, count, counted, date, distance, estimate, moment, number, part, text
-from estimation.alerts.fleet_alerts import MEMBER_COUNT, OPEN_MEMBER_COUNT, WHEELSETS, as_counted
+from estimation.alerts.fleet_alerts import MEMBER_COUNT, OPEN_MEMBER_COUNT, WHEELSETS
 from estimation.alerts.life_cycle import DELAYS
 from estimation.alerts.rules.identity import MOUNTED
 from estimation.values.alerts import Alert, AlertScope
 from estimation.values.identity import AFTER, BEFORE
 from estimation.values.json_value import JsonValue
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason
 from estimation.values.step_causes import StepCause
 
-_NOT_KNOWN = "not known"
 _INDICATORS: tuple[Literal["offset", "shape"], ...] = ("offset", "shape")
 _MOUNTED_PARTS = 4
 _CAUSES = tuple(cause.value for cause in StepCause)
@@ -28,7 +27,7 @@ def evidence_of(alert: Alert) -> kinds.Evidence:
     Parameters
     ----------
     alert
-        Of today or of an earlier release.
+        As stored.
     """
     if alert.scope is AlertScope.FLEET:
         return _fleet_alert(alert)
@@ -89,15 +88,13 @@ def _measure(stored: Stored) -> kinds.MeasureEvidence:
 
 def _limit_forecast(stored: Stored) -> kinds.LimitForecastEvidence:
     of_rule = _of_rule(stored)
-    because = of_rule["unknown_because"]
-    unknown = None if because is None else Reason(of_rule["unknown_because_code"] or ReasonCode.OTHER, because)
-    if "distance_to_limit_km" not in stored:
-        unknown = unknown or Reason(ReasonCode.OTHER, _NOT_KNOWN)
+    because, because_code = of_rule["unknown_because"], of_rule["unknown_because_code"]
+    unknown = None if because is None or because_code is None else Reason(because_code, because)
     return kinds.LimitForecastEvidence(
         kind="limit_forecast",
         quantity=text(stored.get("quantity")),
         slope_1_per_1000_km=estimate(stored.get("slope_per_1000_km")),
-        fitted_1=estimate(stored.get("fitted", stored.get("current"))),  # `current` in the first releases
+        fitted_1=estimate(stored.get("fitted")),
         distance_to_limit_km=distance(stored.get("distance_to_limit_km"), unknown),
         date_of_limit=date(stored.get("date_of_limit_ns"), unknown),
         within_km=number(stored.get("within_km")),
@@ -279,7 +276,7 @@ def _wheel_flat(stored: Stored) -> kinds.WheelFlatEvidence:
 
 
 def _fleet_alert(alert: Alert) -> kinds.FleetAlertEvidence:
-    stored = as_counted(alert.evidence)
+    stored = alert.evidence
     listed = stored.get(WHEELSETS)
     return kinds.FleetAlertEvidence(
         kind="fleet_alert",

@@ -1,4 +1,4 @@
-"""Values of the JSON that alerts keep, read as what they should be; None where an earlier release stored another thing.
+"""Values of the JSON that alerts keep, read as what they should be; None where another thing is stored.
 
 An alert is answered for good: nothing here raises, whatever is stored.
 """

@@ -88,7 +88,7 @@ class AlignmentReport(Representation):
     diversity_1: float | None = Field(description="How far the passes of a place differ: 0 means no information.")
     covered_1: float | None = Field(description="Share of the section whose alignment is known.")
     converged: bool = Field(description="Positions, stiffness ratios and, where it is estimated, gauge have converged.")
-    convergence: list[Convergence] = Field(description="Of each quantity; empty in reports of earlier versions.")
+    convergence: list[Convergence] = Field(description="Of each quantity; empty where nothing was estimated.")
     rounds: int
     moved_m: float | None = Field(description="By which the last round moved a position at most.")
     residual_rms_mm: float | None

@@ -137,7 +137,7 @@ def _geometry(conicity: float) -> WheelsetGeometry:
     )
 
 
-_BEYOND = Estimate.unknown(Reason(ReasonCode.OTHER, "the motion does not reach this amplitude"))
+_BEYOND = Estimate.unknown(Reason(ReasonCode.NOT_FINITE, "the motion does not reach this amplitude"))
 
 
 def _estimate(value: float) -> Estimate:

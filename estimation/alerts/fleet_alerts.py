@@ -7,7 +7,7 @@ and every event carries it. Its times are those of its members, thus of the data
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from estimation.alerts.life_cycle import DELAYS, SEVERITY_RANK, updated, without_stale_acknowledgement
@@ -19,7 +19,6 @@ from estimation.values.json_value import JsonValue
 HOUR_NS = 3_600_000_000_000
 MOST_NAMED = 5  # wheelsets in the evidence
 MEMBER_COUNT, OPEN_MEMBER_COUNT, WHEELSETS = "member_count", "open_member_count", "wheelsets"
-_MEMBERS = "members"  # all of them, in the evidence of earlier releases
 
 
 def in_flood(opened_ns: Sequence[int], rule: AlarmFloodRule) -> list[bool]:
@@ -114,7 +113,7 @@ def refreshed(alert: Alert, members: Sequence[Alert], now_ns: int) -> Transition
         without_stale_acknowledgement(alert, now_ns),
         last_seen_ns=max(alert.last_seen_ns, *(member.last_seen_ns for member in members)),
         occurrence_count=len(members),
-        evidence={name: value for name, value in alert.evidence.items() if name != _MEMBERS} | _counted(members),
+        evidence={**alert.evidence, **_counted(members)},
     )
     still_open = [member for member in members if member.closed_ns is None]
     if not still_open:
@@ -157,29 +156,3 @@ def _counted(members: Sequence[Alert]) -> dict[str, JsonValue]:
         OPEN_MEMBER_COUNT: sum(member.closed_ns is None for member in members),
         WHEELSETS: [member.wheelset for member in ordered[:MOST_NAMED]],
     }
-
-
-def as_counted(evidence: Mapping[str, JsonValue]) -> Mapping[str, JsonValue]:
-    """Return the evidence of a fleet alert with its members counted, also where an earlier release listed them all.
-
-    Parameters
-    ----------
-    evidence
-        As stored.
-    """
-    listed = evidence.get(_MEMBERS)
-    if MEMBER_COUNT in evidence or not isinstance(listed, list):
-        return evidence
-    members = [one for one in listed if isinstance(one, dict)]
-    ranks = [str(severity) for severity in SEVERITY_RANK]
-    ordered = sorted(members, key=lambda one: (not one.get("open"), -_rank(one.get("severity"), ranks)))
-    counted: dict[str, JsonValue] = {
-        MEMBER_COUNT: len(members),
-        OPEN_MEMBER_COUNT: sum(bool(one.get("open")) for one in members),
-        WHEELSETS: [str(one.get("wheelset")) for one in ordered[:MOST_NAMED]],
-    }
-    return {name: value for name, value in evidence.items() if name != _MEMBERS} | counted
-
-
-def _rank(severity: JsonValue, ranks: Sequence[str]) -> int:
-    return ranks.index(severity) if isinstance(severity, str) and severity in ranks else -1

@@ -36,8 +36,8 @@ def run(context: JobContext) -> Mapping[str, int]:
 
     Each wheelset is one transaction, in which its alerts are updated, cleared and closed. What is to be raised waits
     for the others of its fleet, since too many of a kind are raised as one; each fleet is then one transaction. A run
-    that ends early raises what it has found; what it has not stored the next run finds again. Rows of the worklist that
-    an earlier release made, or left empty, are made again on the way.
+    that ends early raises what it has found; what it has not stored the next run finds again. Rows of the worklist of
+    another form, or empty, are made again on the way.
     """
     isolation = Isolation(context, STAGE)
     with context.storage.read() as unit:

@@ -61,7 +61,6 @@ class CloseReason(StrEnum):
     SENSOR_CHANGED = "sensor_changed", "sensor exchanged or calibrated"
     MOUNTING_CORRECTED = "mounting_corrected", "mounting corrected"
     RULE_DISABLED = "rule_disabled", "rule switched off"
-    OTHER = "other", "closed for a reason that an earlier version stored"
 
 
 class AlertEventKind(StrEnum):

@@ -307,7 +307,7 @@ class GeometryRecord:
 
     @property
     def estimator(self) -> str:
-        """Name of the estimator; records from before there was a choice are of ``bins``."""
+        """Name of the estimator; ``bins`` where none is named."""
         return str(self.parameters.get("estimator", "bins"))
 
 

@@ -137,7 +137,6 @@ class ReasonCode(StrEnum):
     SURVEY_UNIT = "survey_unit", "The survey has another unit. Register it again in the right unit."
     SURVEY_MIRRORED = "survey_mirrored", "The survey has left and right exchanged. Register it with the other sign."
     SURVEY_DISPLACED = "survey_displaced", "The survey is displaced along the section. Check its zero point."
-    SURVEY_DIFFERS = "survey_differs", "The survey differs by more than its standard deviation allows."
     MODEL_CONTRADICTED = (
         "model_contradicted",
         "The passes fit the equations of their vehicles on this survey badly. Check parameters, survey and positions.",
@@ -386,8 +385,6 @@ class ReasonCode(StrEnum):
         "processing_failed",
         "The program failed at it. It is in quarantine and tried again at growing intervals; see the log.",
     )
-    # stored by earlier versions
-    OTHER = "other", "A reason that an earlier version stored; see its sentence."
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,7 +38,7 @@ class TabledWindow:
     record: WindowRecord
     parameter_key: str
     track_version: int | None
-    content_digest: str | None  # of the table; None of one from before it was kept
+    content_digest: str  # of the table
     rolled: bool = False  # into the sums, or found to belong to none
     roll_up: int | None = None  # number of the roll-up; None where it is in none
     running_km: float | None = None  # mileage with which it was rolled

@@ -168,7 +168,7 @@ class AlignmentRecord:
     cut_off_m: float  # inf where every wavelength is known
     scale_std: float
     gauge_known: bool
-    alignment_std_m: float | None  # median along the section; None of recordings before it was kept
+    alignment_std_m: float | None  # median along the section; None where none is known
     points: int
     recorded_ns: int | None
     superseded_ns: int | None = None

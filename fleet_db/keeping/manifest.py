@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -52,9 +52,9 @@ class Manifest:
     window_files: int
     file_bytes: int
     windows_kept: bool
-    missing: tuple[str, ...] = field(default_factory=tuple)
-    recordings_kept: bool = True
-    raw_store: str = ""
+    missing: tuple[str, ...]
+    recordings_kept: bool
+    raw_store: str
 
     def database_file(self, folder: Path) -> Path:
         """Return where the database of this backup is."""

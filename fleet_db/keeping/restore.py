@@ -25,7 +25,7 @@ from fleet_db.migrate import upgrade
 from fleet_db.models import Base, WindowRow
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
-from fleet_db.revisions import known_revisions
+from fleet_db.revisions import check_upgradable, known_revisions, refusal
 from fleet_db.rows import table_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, sqlite_file, translate_errors
 from fleet_db.stores.feed_branches import FeedBranchStore
@@ -89,9 +89,11 @@ def restore(into: Installation, folder: Path, name: str | None = None, *, progre
     Raises
     ------
     InputError
-        There is no such backup, its database is damaged, or it is of a newer version.
+        There is no such backup, its database is damaged, or it is of a version that no upgrade leads from.
     ConflictError
         The database has content, or another backup, restore or purge is running.
+    MigrationError
+        No upgrade of this version leads from the migration of the database.
     StorageError, PassingFaultError
         The database, a file or a recording cannot be read or written.
     """
@@ -115,8 +117,7 @@ def _check(manifest: Manifest, folder: Path) -> None:
             "the database of the backup is damaged: it has another sha256 than its manifest", file=database
         )
     if manifest.migration not in known_revisions():
-        reason = f"is of a newer version: migration {manifest.migration}, this version knows {known_revisions()[-1]}"
-        raise InputError(reason, file=database)
+        raise InputError(str(refusal(manifest.migration)), file=database)
 
 
 def _check_without_content(engine: Engine) -> None:
@@ -124,6 +125,7 @@ def _check_without_content(engine: Engine) -> None:
     if file is not None and not file.exists():
         return
     with translate_errors(), engine.connect() as connection:
+        check_upgradable(connection)
         there = set(inspect(connection).get_table_names()) & set(CONTENT)
         tables = [Base.metadata.tables[one] for one in sorted(there)]
         full = [table.name for table in tables if connection.scalar(select(exists().select_from(table)))]

@@ -14,7 +14,7 @@ WAITING, WAITING_PG = text("rolled = 0"), text("NOT rolled")
 class WindowBinTableRow(Base):
     """The sufficient statistics of one window, packed; ``window_digest`` identifies the content of the window.
 
-    ``content_digest`` is of the table itself, null of one from before it was kept. A table that is ``rolled`` is part
+    ``content_digest`` is of the table itself. A table that is ``rolled`` is part
     of the sums of ``roll_up``, with the mileage and the digest of its share there; or of none.
     """
 

@@ -26,7 +26,7 @@ from sqlalchemy import (
 )
 
 from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
-from estimation.values.interval_conicities import IntervalConicities, interval_conicities
+from estimation.values.interval_conicities import IntervalConicities
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.changes import CHANGES, Changes
@@ -189,12 +189,7 @@ class GeometryStore:
         statement = select(*COLUMNS).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
         statement = statement.where(GEOMETRIES.c.baseline == baseline).order_by(GEOMETRIES.c.baseline_interval)
         rows = self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS}).all()
-        return [self._conicities(wheelset, row) if row.conicities is None else conicities_of(row) for row in rows]
-
-    def _conicities(self, wheelset: str, row: Row[Any]) -> IntervalConicities:
-        """Return those of a geometry from before they were kept beside it."""
-        (record,) = self.intervals(wheelset, row.baseline, first=row.baseline_interval, last=row.baseline_interval)
-        return interval_conicities(record)
+        return [conicities_of(row) for row in rows]
 
     def stale(self, limit: int, estimator: str | None = None) -> Sequence[str]:
         """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.

@@ -136,5 +136,5 @@ class PlausibilityStore:
         statement = select(*columns, func.count()).where(CHUNKS.c.state == ChunkState.REJECTED.value)
         found: dict[str, dict[str, int]] = {}
         for vehicle, code, count in self.connection.execute(statement.group_by(*columns).order_by(*columns)):
-            found.setdefault(vehicle, {})[code or ReasonCode.OTHER.value] = int(count)
+            found.setdefault(vehicle, {})[code] = int(count)
         return found

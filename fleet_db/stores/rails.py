@@ -116,7 +116,7 @@ def _cell(row: Row[Any]) -> StoredCell:
         document = json.loads(row.document)
         reason = from_json(document["reason"], Reason) if "reason" in document else None
         cell = _conicities(document, wheel, rail) if "arrays" in document or reason is None else None
-        extent = tuple(int(document.get(name, getattr(cell, name, 0))) for name in _EXTENT)
+        extent = tuple(int(document[name]) for name in _EXTENT)
     except (ValueError, TypeError, LookupError, AttributeError, StorageError, ParameterError) as error:
         text = f"the conicities of {wheel.wheelset} on {rail.section} are damaged in the store ({error})"
         return StoredCell(wheel, rail, "", None, Reason(ReasonCode.CELL_DAMAGED, text))

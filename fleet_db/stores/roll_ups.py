@@ -9,7 +9,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Connection, Row, Update, bindparam, delete, func, insert, or_, select, update
+from sqlalchemy import Connection, Row, Update, bindparam, delete, func, insert, select, update
 
 from estimation.errors import ConflictError
 from estimation.values.exact_table import ExactTable, RolledPart
@@ -281,11 +281,10 @@ def _note(
 
 @cache
 def _noted() -> Update:
-    table = or_(TABLES.c.content_digest == bindparam("of_table"), TABLES.c.content_digest.is_(None))
     return (
         update(TABLES)
         .where(TABLES.c.wheelset == bindparam("of_wheelset"), TABLES.c.start_ns == bindparam("of_start_ns"))
-        .where(TABLES.c.window_digest == bindparam("of_window"), table)
+        .where(TABLES.c.window_digest == bindparam("of_window"), TABLES.c.content_digest == bindparam("of_table"))
         .values(rolled=True, roll_up=bindparam("roll_up"), running_km=bindparam("running_km"), line=bindparam("line"))
         .execution_options(preserve_rowcount=True)
     )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, delete, func, or_, select
+from sqlalchemy import Connection, Row, Select, delete, func, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from estimation.values.suspension import SuspensionFinding
@@ -48,11 +48,9 @@ class SuspensionStore:
         epoch
             Its number.
         behind
-            What the epochs behind it have shown goes too, and what is from before epochs were kept.
+            What the epochs behind it have shown goes too.
         """
-        chosen = FINDINGS.c.epoch == epoch
-        if behind:
-            chosen = or_(FINDINGS.c.epoch >= epoch, FINDINGS.c.epoch.is_(None))
+        chosen = FINDINGS.c.epoch >= epoch if behind else FINDINGS.c.epoch == epoch
         self.connection.execute(delete(FINDINGS).where(FINDINGS.c.section == section, chosen))
 
     def list(self, vehicle: str | None = None) -> Sequence[SuspensionFinding]:

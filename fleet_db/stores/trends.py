@@ -74,7 +74,7 @@ class TrendStore:
             input_digest=row.input_digest,
             code_version=row.code_version,
             recorded_ns=row.recorded_ns,
-            parameters=row.parameters or {},
+            parameters=row.parameters,
         )
 
 

@@ -168,7 +168,7 @@ class WorklistStore:
                 self.connection.execute(delete(ENTRIES).where(ENTRIES.c.wheelset.in_(gone)))
 
     def outdated(self) -> Sequence[str]:
-        """Return the wheelsets whose row an earlier release made, or that have none, by serial."""
+        """Return the wheelsets whose row has another form, or that have none, by serial."""
         current = exists().where(ENTRIES.c.wheelset == WHEELSETS.c.serial, ENTRIES.c.form == FORM)
         serials = list(self.connection.scalars(select(WHEELSETS.c.serial).where(~current)))
         return [serial for part in _parts(serials) for serial in not_voided(self.connection, part)]
@@ -207,7 +207,7 @@ class WorklistStore:
             self.connection.execute(insert(KINDS), kinds)
 
     def _entries(self, statement: Select[Any]) -> list[WorklistEntry]:
-        """Return the rows; those that an earlier release made as they would be made now, where they stand."""
+        """Return the rows; those of another form as they would be made now, where they stand."""
         rows = self.connection.execute(statement).all()
         old = [row.wheelset for row in rows if row.form != FORM]
         made = {one.wheelset.serial: to_document(_row(one)) for one in (self.reader.read(old) if old else ())}

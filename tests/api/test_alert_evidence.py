@@ -1,4 +1,4 @@
-"""Evidence of alerts: typed by kind, in RFC 3339, safe for every reader of JSON; also what earlier releases stored."""
+"""Evidence of alerts: typed by kind, in RFC 3339, safe for every reader of JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from running_service import Service
 
 from api.schemas.stored_evidence import evidence_of
 from api.times import to_rfc3339
-from estimation.alerts.fleet_alerts import MOST_NAMED
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.life_cycle import transition
 from estimation.alerts.rules.book import ALERT_RULES
@@ -375,120 +374,21 @@ def _stored_delays() -> dict[str, Any]:
     return delays
 
 
-# as they were stored by earlier releases, and what is made of them
-FIRST_ESTIMATE = ESTIMATE | {"reason": None}
-OLDER: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
-    (  # no codes of reasons, no current conicity, no delays
-        "conicity_limit",
-        {
-            "quantity": "conicity at 2 mm",
-            "conicity": FIRST_ESTIMATE,
-            "windows": 5,
-            "limit": 0.4,
-            "unknown_because": "no usable data for too long",
-        },
-        {
-            "quantity": "conicity at 2 mm",
-            "amplitude_mm": None,
-            "conicity_1": ESTIMATE | UNEXPLAINED,
-            "current_1": None,
-            "windows": 5,
-            "limit_1": 0.4,
-            "unknown_because": "no usable data for too long",
-            "unknown_because_code": None,
-            "delays": None,
-        },
-    ),
-    (  # `current` was the fitted value; dates were rounded to six digits
-        "limit_forecast",
-        {
-            "quantity": "conicity at 2 mm",
-            "slope_per_1000_km": FIRST_ESTIMATE,
-            "current": FIRST_ESTIMATE,
-            "distance_to_limit_km": {"p10": 1.0, "p50": 2.0, "p90": 3.0},
-            "date_of_limit_ns": {"p10": 1.76723e18, "p50": 1.76724e18, "p90": 1.76725e18},
-            "within_km": 20000.0,
-            "limit": 0.4,
-            "points": 3,
-            "unknown_because": None,
-        },
-        {
-            "quantity": "conicity at 2 mm",
-            "slope_1_per_1000_km": ESTIMATE | UNEXPLAINED,
-            "fitted_1": ESTIMATE | UNEXPLAINED,
-            "distance_to_limit_km": {"p10": 1.0, "p50": 2.0, "p90": 3.0} | UNEXPLAINED,
-            "date_of_limit": {
-                "p10": "2026-01-01T01:13:20Z",
-                "p50": "2026-01-01T04:00:00Z",
-                "p90": "2026-01-01T06:46:40Z",
-                **UNEXPLAINED,
-            },
-            "within_km": 20000.0,
-            "limit_1": 0.4,
-            "points": 3,
-            **DECIDES,
-            "delays": None,
-        },
-    ),
-    (  # before rejected recordings
-        "data_quality",
-        {"implausible_windows": 2, "windows": 10, "reasons": {"odometer_implausible": 2}, "unknown_because": None},
-        {
-            "implausible_windows": 2,
-            "windows": 10,
-            "reasons": {"odometer_implausible": 2},
-            "rejected_recordings": None,
-            "rejected_reasons": {},
-            **DECIDES,
-            "delays": None,
-        },
-    ),
-    (  # of a rule that is gone, with counted nanoseconds
-        "hot_axle_box",
-        {"depth": {"value": 0.3, "unit": "mm"}, "seen_ns": AT, "windows": [1, 2], "sure": True},
-        {
-            "numbers": {"depth.value": 0.3, "windows.0": 1.0, "windows.1": 2.0},
-            "texts": {"depth.unit": "mm", "sure": "True"},
-            "times": {"seen_at": "2026-01-01T00:00:00.123456789Z"},
-            "delays": None,
-        },
-    ),
-]
-
-
-@pytest.mark.parametrize(("kind", "stored", "expected"), OLDER, ids=[kind for kind, _, _ in OLDER])
-def test_evidence_of_earlier_releases_is_answered(kind: str, stored: dict[str, Any], expected: dict[str, Any]) -> None:
-    found = evidence_of(replace(api_fleet.alert("W", kind), evidence=stored)).model_dump(mode="json")
-    named = kind if kind in {rule.kind for rule in ALERT_RULES} else "other"
-    assert found == {"kind": named, **expected}
-
-
-def test_a_fleet_alert_of_an_earlier_release_is_counted() -> None:
-    members = [
-        {"wheelset": f"W{number}", "alert_id": number, "severity": severity, "condition": "active", "open": is_open}
-        for number, (severity, is_open) in enumerate(
-            [("warning", False), ("warning", True), ("critical", True), *[("info", True)] * 2000]
-        )
-    ]
+def test_evidence_of_a_kind_that_no_rule_has_is_answered_by_what_it_is() -> None:
     stored: dict[str, Any] = {
-        "more_than": 5,
-        "within_hours": 24.0,
-        "members": members,
-        "delays": {"acknowledgement_days": 90.0},
+        "depth": {"value": 0.3, "unit": "mm"},
+        "seen_ns": AT,
+        "windows": [1, 2],
+        "sure": True,
     }
-    alert = replace(api_fleet.alert("W", "no_data"), alert_id=17, wheelset=None, evidence=stored)
-    found = evidence_of(alert)
-    assert found.model_dump(mode="json", exclude={"delays"}) == {
-        "kind": "fleet_alert",
-        "more_than": 5,
-        "within_hours": 24.0,
-        "member_count": 2003,
-        "open_member_count": 2002,
-        "wheelsets": ["W2", "W1", "W3", "W4", "W5"],
-        "members": "/v1/alerts?fleet_alert=17",
+    found = evidence_of(replace(api_fleet.alert("W", "hot_axle_box"), evidence=stored)).model_dump(mode="json")
+    assert found == {
+        "kind": "other",
+        "numbers": {"depth.value": 0.3, "windows.0": 1.0, "windows.1": 2.0},
+        "texts": {"depth.unit": "mm", "sure": "True"},
+        "times": {"seen_at": "2026-01-01T00:00:00.123456789Z"},
+        "delays": None,
     }
-    assert len(found.model_dump_json()) < 600
-    assert MOST_NAMED == 5
 
 
 LEAVES: list[Any] = [None, True, 3, -1.5, 2**60, 2**70, 1e300, float("nan"), float("inf"), "estimated", "x"]

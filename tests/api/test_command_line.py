@@ -7,6 +7,7 @@ import socket
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -118,6 +119,55 @@ def test_a_database_of_another_version_is_refused(treadwatch: Run, command: list
         connection.execute("UPDATE alembic_version SET version_num = 'from-the-future'")
     connection.close()
     assert "from-the-future" in refused(treadwatch(*command, data_dir=str(tmp_path)))
+
+
+ON_THE_DATABASE = (
+    ("serve",),
+    ("schedule",),
+    ("worker", "--dask-scheduler", "tcp://127.0.0.1:1"),
+    ("estimate",),
+    ("estimate", "--reasons"),
+    ("ingest", "log.blf", "--vehicle", "V-1"),
+    ("ingest", "--interface", "virtual", "--channel", "1", "--vehicle", "V-1"),
+    ("chunk", "drop", "folder"),
+    ("chunk", "work"),
+    ("chunk", "consume"),
+    ("chunk", "scrub"),
+    ("recordings", "list"),
+    ("quarantine", "list"),
+    ("reassemble", "--vehicle", "V-1"),
+    ("registry", "load", "registry.json"),
+    ("registry", "check", "registry.json"),
+    ("registry", "export", "out.json"),
+    ("registry", "history"),
+    ("rules", "replay", "--from", "2026-01-01"),
+    ("keys", "list"),
+    ("webhooks", "list"),
+    ("db", "upgrade"),
+    ("db", "check"),
+    ("db", "check", "--deep"),
+    ("db", "stats"),
+    ("db", "purge"),
+    ("backup", "kept"),
+)
+
+
+@pytest.mark.parametrize("command", ON_THE_DATABASE, ids="-".join)
+def test_every_command_refuses_a_database_from_before_the_first_release(
+    treadwatch: Run, command: tuple[str, ...], tmp_path: Path
+) -> None:
+    with closing(sqlite3.connect(tmp_path / "treadwatch.sqlite")) as connection, connection:
+        connection.execute("CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL)")
+        connection.execute("INSERT INTO alembic_version VALUES ('0049')")
+    (tmp_path / "registry.json").write_text("{}")
+    (tmp_path / "log.blf").write_bytes(b"")
+    (tmp_path / "folder").mkdir()
+    environment = {"data_dir": str(tmp_path), "kafka_servers": "127.0.0.1:1", "retention_file": ""}
+    done = treadwatch(*command, **environment)
+    assert (done.returncode, done.stdout) == (2, "")
+    line = done.stderr.strip().splitlines()[-1]  # a live bus says before that it listens
+    assert line.startswith("treadwatch: the database is at migration 0049")
+    assert line.endswith("name a new database, enter the registry and ingest the recordings again")
 
 
 @pytest.mark.parametrize(

@@ -139,27 +139,8 @@ def test_a_cursor_of_another_installation_is_refused(original: SqlStorage, polli
         assert len(unit.feed_branches.all()) == 1
 
 
-def test_cursors_of_an_earlier_version_are_taken_where_their_event_is_there(
-    original: SqlStorage, polling: Polling, tmp_path: Path
-) -> None:  # fmt: skip
+def test_what_is_no_cursor_of_the_feed_is_refused(original: SqlStorage, polling: Polling) -> None:
     with original.read() as unit:
         newest = unit.feed_branches.newest_sequence()
-    poller = polling("original")
-
-    def old(sequence: int) -> str:
-        return cursors.encode("poll_alert_feed", {}, sequence)
-
-    assert poller.poll(old(newest))[0] == []
-    assert poller.poll(old(0)) == poller.poll(None)
-    assert "." not in old(newest)
-    poller.refused(old(newest + 1))
-    assert poller.ask(old(-1)).status_code == 400
-    assert poller.ask(cursors.encode("poll_alert_feed", {}, "1.x.y")).status_code == 400
-    back_up(original, raw_of(original), tmp_path / "backups", 1, progress=quietly)
-    restored = tmp_path / "restored"
-    restore(installation(settings_of(restored).url, restored), tmp_path / "backups", progress=quietly)
-    with opened(restored) as storage:
-        api_fleet.raised(storage, "WS-020", KIND)
-        after = polling("restored")
-        assert len(after.poll(old(newest))[0]) == 1
-        assert after.refused(old(newest + 1))["next_cursor"]
+    for key in (newest, -1, "1.x.y"):
+        assert polling("original").ask(cursors.encode("poll_alert_feed", {}, key)).status_code == 400

@@ -67,33 +67,29 @@ def test_what_is_written_counts_and_the_rest_stays(tmp_path: Path) -> None:
     ("text", "field", "reason"),
     [
         ("[conicity]\n", "conicity", "unknown key"),
-        ("version = 3\n", "version", "reads 1 and 2"),
-        ("version = true\n", "version", "reads 1 and 2"),
-        ("name = 'x'\n", "name", "version = 2"),
-        ("[[fleet]]\nfleet = 'f'\n", "fleet[0]", "version = 2"),
-        ("version = 2\n[rules]\n", "rules", "unknown key"),
-        ("version = 2\n[[class]]\n", "class[0].class", "missing"),
-        ("version = 2\n[[class]]\nclass = 'c'\n[class.alarm_flood]\n", "class[0].alarm_flood", "unknown key"),
-        ("version = 2\n[[fleet]]\nfleet = 'f'\nname = 'x'\n", "fleet[0].name", "unknown key"),
+        ("[rules]\n", "rules", "unknown key"),
+        ("[[class]]\n", "class[0].class", "missing"),
+        ("[[class]]\nclass = 'c'\n[class.alarm_flood]\n", "class[0].alarm_flood", "unknown key"),
+        ("[[fleet]]\nfleet = 'f'\nname = 'x'\n", "fleet[0].name", "unknown key"),
         (
-            "version = 2\n[[fleet]]\nfleet = 'f'\nclass = 'c'\n[fleet.alarm_flood]\nmore_than = 3\n",
+            "[[fleet]]\nfleet = 'f'\nclass = 'c'\n[fleet.alarm_flood]\nmore_than = 3\n",
             "fleet[0].alarm_flood",
             "whole fleet",
         ),
-        ("version = 2\n[[class]]\nclass = 'c'\n[[class]]\nclass = 'c'\n", "class[1]", "twice"),
+        ("[[class]]\nclass = 'c'\n[[class]]\nclass = 'c'\n", "class[1]", "twice"),
         (
-            "version = 2\n[[class]]\nclass = 'c'\n[class.identity.parameters]\nreach = 1.0\n",
+            "[[class]]\nclass = 'c'\n[class.identity.parameters]\nreach = 1.0\n",
             "class[0].identity.parameters",
             "unknown key",
         ),
         (
-            "version = 2\n[[fleet]]\nfleet = 'f'\n[fleet.sensor_fault]\nclear_share = 0.7\n",
+            "[[fleet]]\nfleet = 'f'\n[fleet.sensor_fault]\nclear_share = 0.7\n",
             "fleet[0].sensor_fault.clear_share",
             "is above raise_share .*fleet f",
         ),
         (  # each by itself is possible, both together are not
             (
-                "version = 2\n[[class]]\nclass = 'c'\n[class.no_data]\ncritical_days = 10\n"
+                "[[class]]\nclass = 'c'\n[class.no_data]\ncritical_days = 10\n"
                 "[[fleet]]\nfleet = 'f'\n[fleet.no_data]\ndays = 11\n"
             ),
             "fleet[0].no_data.critical_days",
@@ -164,7 +160,6 @@ def test_a_file_that_is_missing_or_no_toml_is_named(tmp_path: Path) -> None:
 
 PAGE = Path(__file__).parents[2] / "docs" / "alert-rules.md"
 SCOPED = """
-version = 2
 name = "plan 2027-01"
 [no_data]
 days = 6
@@ -226,7 +221,6 @@ def test_the_version_names_the_rules_and_changes_with_every_setting(tmp_path: Pa
     assert len({*versions, book.version}) == 3
     unnamed = load_rules(written(tmp_path, "[no_data]\ndays = 3\n")).version
     assert unnamed.split(" ")[0] == "unnamed"
-    assert load_rules(written(tmp_path, "version = 1\n[no_data]\ndays = 3\n")).version == unnamed
 
 
 def test_check_prints_the_rules_by_fleet_and_class_and_refuses_in_one_line(tmp_path: Path, treadwatch: Run) -> None:
@@ -236,10 +230,10 @@ def test_check_prints_the_rules_by_fleet_and_class_and_refuses_in_one_line(tmp_p
     assert checked.stdout.startswith("version: plan 2027-01 ")
     scopes = [line.split(":")[0] for line in checked.stdout.splitlines() if line.endswith("of the above but")]
     assert scopes == ["class freight", "fleet north", "fleet north, class freight"]
-    refused = treadwatch("rules", "check", written(tmp_path, "version = 2\n[sensor_fault]\nclear_share = 0.7\n"))
+    refused = treadwatch("rules", "check", written(tmp_path, "[sensor_fault]\nclear_share = 0.7\n"))
     assert refused.returncode == 2
     (line,) = refused.stderr.splitlines()
-    assert line.endswith("rules.toml:3, field 'sensor_fault.clear_share': 0.7 is above raise_share (0.5)")
+    assert line.endswith("rules.toml:2, field 'sensor_fault.clear_share': 0.7 is above raise_share (0.5)")
 
 
 def test_the_example_of_the_page_can_be_used(tmp_path: Path) -> None:

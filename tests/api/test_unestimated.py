@@ -140,7 +140,8 @@ def test_windows_wait_for_an_alignment_which_the_last_look_did_not_find(service:
     few = Reason(ReasonCode.TOO_FEW_PASSES, "no place with 3 passes: 1 at most, 2 to go")
     with service.storage.write() as unit:
         report = replace(fleet.track_report("KM4", None, Status.UNESTIMATED), reason=few)
-        unit.tracks.add_report(replace(report, report={**report.report, "recording": "not used: it is mirrored"}))
+        said = {"recording": "not used: it is mirrored", "recording_code": "survey_mirrored"}
+        unit.tracks.add_report(replace(report, report={**report.report, **said}))
     (one,) = because(service)["reasons"]
     assert one["reason"] == (
         "the alignment of section KM4 is not known yet: no place with 3 passes: 1 at most, 2 to go;"

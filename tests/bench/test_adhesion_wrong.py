@@ -90,7 +90,7 @@ def test_the_exact_survey_is_the_track(fleet: Fleet) -> None:
 def test_one_vehicle_alone_is_wrong(fleet: Fleet) -> None:
     first, second = (one.code for one in fleet.scenario.vehicles[:2])
     assert {one.window.vehicle for one in first_vehicle(fleet).windows} == {first}
-    why = Reason(ReasonCode.OTHER, "")
+    why = Reason(ReasonCode.NOT_FINITE, "")
     right, wrong = (
         StoredPasses("S", tuple(refused("W", 0, code, "S", digest, why) for code in codes), np.ones(2), np.ones(2), 1.0)
         for codes, digest in (((first, second), "right"), ((first,), "wrong"))

@@ -35,7 +35,7 @@ LENGTH = 20 * SECOND
 START = 1_790_000_000 * SECOND
 MOUNTING = Mounting("WS-1", "V-1", 1, START, None, 1000.5, 2000.25)
 SECTION = TrackSectionRecord("S-7", 7, "by the river", "56E1", 0.05, 1.435, 12_345.5)
-NOT_COVERED, NO_CROSSING, SO = (Reason(ReasonCode.OTHER, text) for text in ("not covered", "no crossing", "so"))
+NOT_COVERED, NO_CROSSING, SO = (Reason(ReasonCode.NOT_FINITE, text) for text in ("not covered", "no crossing", "so"))
 CHUNK = ChunkRecord("c" * 64, "V-1", ".blf", 123, ChunkState.STORED, None, None, None, 0, {}, START, START + 1)
 ALERT = Alert(
     0, "F-1", "WS-1", "conicity_limit", Severity.WARNING, Condition.ACTIVE, 10, 10, 1, 0.9,

@@ -15,12 +15,12 @@ from full_storage import RECORDING, contents, fill
 from in_process_command import Run
 from stored_raw import installation, raw_of
 
-from estimation.errors import ConflictError, InputError
+from estimation.errors import ConflictError, InputError, MigrationError
 from estimation.values.runs import JobTrigger
 from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.manifest import read_manifest
+from fleet_db.keeping.manifest import read_manifest, write_manifest
 from fleet_db.keeping.restore import CAUSE, restore
 from fleet_db.migrate import upgrade
 from fleet_db.models import WheelsetBinRow
@@ -186,36 +186,33 @@ def test_an_interrupted_backup_does_not_count(embedded: SqlStorage, tmp_path: Pa
         read_manifest(tmp_path / "b")
 
 
-def test_a_backup_of_an_older_version_is_brought_to_this_one(
-    embedded: SqlStorage, target_url: str, opened: SqlStorage, tmp_path: Path
+@pytest.mark.parametrize(
+    ("migration", "said"), [("r9999", "does not know it"), ("0049", "from before the first release")]
+)
+def test_a_backup_that_no_upgrade_leads_from_is_refused(
+    embedded: SqlStorage, tmp_path: Path, migration: str, said: str
 ) -> None:
-    """The database of the backup is one of the first migration, as an older version would have written it."""
-    import hashlib  # noqa: PLC0415 - of this test alone
-
-    from alembic import command  # noqa: PLC0415 - of this test alone
-
-    from fleet_db.keeping.manifest import write_manifest  # noqa: PLC0415 - of this test alone
-    from fleet_db.migrate import _config  # noqa: PLC0415 - an upgrade to an older migration
-
     manifest = back_up(embedded, raw_of(embedded), tmp_path / "b", make.START, progress=quietly)
-    file = manifest.database_file(tmp_path / "b")
-    file.unlink()
-    engine = database_engine(f"sqlite:///{file}")
-    with engine.begin() as connection:
-        config = _config()
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0001")
-        connection.exec_driver_sql("INSERT INTO fleets VALUES ('F-9', 'the ninth')")
-    engine.dispose()
-    digest = hashlib.sha256(file.read_bytes()).hexdigest()
-    write_manifest(tmp_path / "b", replace(manifest, migration="0001", database_sha256=digest))
-    restore(installation(target_url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
-    with opened.read() as unit:
-        assert [fleet.code for fleet in unit.registry.fleets()] == ["F-9"]
-    write_manifest(tmp_path / "b", replace(manifest, migration="9999", database_sha256=digest))
-    shutil.rmtree(tmp_path / "restored")
-    with pytest.raises(InputError, match="of a newer version"):
-        restore(installation(target_url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
+    write_manifest(tmp_path / "b", replace(manifest, migration=migration))
+    url = f"sqlite:///{tmp_path / 'restored' / 'db.sqlite3'}"
+    with pytest.raises(InputError, match=rf"is at migration {migration}, .*{said}"):
+        restore(installation(url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
+    assert not list((tmp_path / "restored").glob("*.sqlite3"))
+
+
+def test_nothing_is_restored_into_a_database_from_before_the_first_release(
+    embedded: SqlStorage, empty_postgres_url: str, tmp_path: Path
+) -> None:
+    back_up(embedded, raw_of(embedded), tmp_path / "b", make.START, progress=quietly)
+    for url in (empty_postgres_url, f"sqlite:///{tmp_path / 'old.sqlite3'}"):
+        engine = database_engine(url)
+        with engine.begin() as connection:
+            connection.exec_driver_sql("CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL)")
+            connection.exec_driver_sql("INSERT INTO alembic_version VALUES ('0049')")
+        with pytest.raises(MigrationError, match="from before the first release"):
+            restore(installation(url, tmp_path / "restored"), tmp_path / "b", progress=quietly)
+        assert sqlalchemy.inspect(engine).get_table_names() == ["alembic_version"]
+        engine.dispose()
 
 
 def test_a_baseline_that_was_emptied_is_no_damage(full: SqlStorage) -> None:

@@ -1,21 +1,18 @@
-"""Migrations lead to exactly the tables that the code knows, on both databases."""
+"""Migrations lead to exactly the tables that the code knows; a database that they do not lead from is refused."""
 
 from __future__ import annotations
 
-import hashlib
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import sqlalchemy
-import stored_values as make
-from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
@@ -23,14 +20,10 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Engine
 
 from estimation.errors import MigrationError, ParameterError, StorageError
-from estimation.values.reasons import ReasonCode
-from estimation.values.track import AlignmentSource
 from fleet_db.migrate import upgrade
 from fleet_db.models import Base
-from fleet_db.packed_values import pack_alignment
 from fleet_db.revisions import SCRIPTS, check_head, head, known_revisions
 from fleet_db.session import database_engine
-from fleet_db.storage import SqlStorage
 
 ROOT = Path(__file__).parent.parent.parent
 
@@ -117,25 +110,74 @@ def test_a_database_never_migrated_is_refused(empty_url: str, engine: Engine) ->
 def test_a_database_of_another_version_is_refused(empty_url: str, engine: Engine) -> None:
     upgrade(empty_url)
     with engine.begin() as connection:
-        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = 'r9999'")
     with pytest.raises(MigrationError, match="this version does not know it") as caught:
         check_head(engine)
-    assert (caught.value.found, caught.value.expected) == ("9999", head())
+    assert (caught.value.found, caught.value.expected) == ("r9999", head())
     with engine.begin() as connection:
         connection.exec_driver_sql("INSERT INTO alembic_version VALUES ('0001')")
     with pytest.raises(MigrationError, match="this version does not know it") as caught:
         check_head(engine)
-    assert caught.value.found == "0001, 9999"
+    assert caught.value.found == "0001, r9999"
     with pytest.raises(MigrationError, match="this version does not know it"):
         upgrade(empty_url)
 
 
+@pytest.mark.parametrize("found", ["0001", "0029", "0049"])
+def test_a_database_from_before_the_first_release_is_refused_and_stays_as_it_is(
+    empty_url: str, engine: Engine, found: str
+) -> None:
+    with engine.begin() as connection:
+        connection.exec_driver_sql("CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY)")
+        connection.execute(sqlalchemy.text("INSERT INTO alembic_version VALUES (:found)"), {"found": found})
+    said = (
+        f"the database is at migration {found}, this version needs {head()}; it is from before the first release, and "
+        "no upgrade leads from there: name a new database, enter the registry and ingest the recordings again"
+    )
+    for refuses in (lambda: check_head(engine), lambda: upgrade(empty_url)):
+        with pytest.raises(MigrationError) as caught:
+            refuses()
+        assert str(caught.value) == said
+    assert sqlalchemy.inspect(engine).get_table_names() == ["alembic_version"]
+
+
 def test_a_migration_that_fails_leaves_nothing(empty_url: str, engine: Engine) -> None:
-    with engine.begin() as connection:  # the last table of the first migration is in the way
+    with engine.begin() as connection:  # a table that comes late is in the way
         connection.exec_driver_sql("CREATE TABLE window_bin_tables (x INTEGER)")
     with pytest.raises(StorageError, match="the database failed"):
         upgrade(empty_url)
     assert sqlalchemy.inspect(engine).get_table_names() == ["window_bin_tables"]
+
+
+KILLED_AT = """
+import os, signal, sys
+import sqlalchemy
+from fleet_db.migrate import upgrade
+
+url, last = sys.argv[1], int(sys.argv[2])
+done = 0
+
+@sqlalchemy.event.listens_for(sqlalchemy.Engine, "after_cursor_execute")
+def count(*_):
+    global done
+    done += 1
+    if done == last:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+upgrade(url)
+"""
+
+
+def test_an_upgrade_that_is_killed_leaves_nothing(empty_url: str, engine: Engine) -> None:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    for statement in (10, 60, 120):
+        run = [sys.executable, "-c", KILLED_AT, empty_url, str(statement)]
+        ended = subprocess.run(run, env=environment, check=False, capture_output=True)
+        assert ended.returncode == -signal.SIGKILL, ended.stderr
+        assert sqlalchemy.inspect(engine).get_table_names() == []
+        engine.dispose()
+    upgrade(empty_url)
+    check_head(engine)
 
 
 def test_two_upgrades_at_once(empty_url: str, engine: Engine) -> None:
@@ -149,7 +191,7 @@ def test_two_upgrades_at_once(empty_url: str, engine: Engine) -> None:
 def test_every_migration_is_a_module_of_the_package() -> None:
     names = [path.name for path in (SCRIPTS / "versions").glob("*.py") if path.name != "__init__.py"]
     assert names
-    assert all(re.fullmatch(r"\d{4}_[a-z_]+\.py", name) for name in names)
+    assert all(re.fullmatch(r"r\d{4}_[a-z_]+\.py", name) for name in names)
 
 
 def test_the_directory_of_a_new_file_is_made(tmp_path: Path) -> None:
@@ -185,103 +227,3 @@ def test_sqlite_is_opened_the_careful_way(sqlite_url: str) -> None:
         }
     engine.dispose()
     assert pragmas == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 30_000}
-
-
-def test_a_database_of_the_first_version_keeps_its_tracks(empty_url: str, engine: Engine) -> None:
-    """What it holds of alignments is a recording, in force until the fleet has found something."""
-    config = Config()
-    config.set_main_option("script_location", str(SCRIPTS))
-    with engine.begin() as connection:
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0001")
-        connection.exec_driver_sql(
-            "INSERT INTO track_sections VALUES ('S-7', 7, 'by the river', '56E1', 0.05, 1.435, 1000.0)"
-        )
-        packed = pack_alignment(make.alignment(4))
-        connection.execute(
-            sqlalchemy.text("INSERT INTO track_alignments VALUES ('S-7', 1, 'estimated', 40, :digest, :packed)"),
-            {"digest": hashlib.sha256(packed).hexdigest(), "packed": packed},
-        )
-    assert upgrade(empty_url) == head()
-    storage = SqlStorage(engine, Path("unused"))
-    with storage.write() as unit:
-        assert make.same(unit.tracks.alignment("S-7"), replace(make.alignment(4), version=1))
-        record = unit.tracks.in_force("S-7")
-        assert record is not None
-        assert (record.source, record.same_since, record.gauge_known) == (AlignmentSource.RECORDED, 1, True)
-        assert unit.tracks.add_alignment(make.alignment(4)) == 1
-        assert unit.tracks.report("S-7") is None
-
-
-def old_row(connection: sqlalchemy.Connection, table: str, **given: object) -> None:
-    """Insert a row as the schema of that time wants it: what is not given is one or an empty text."""
-    columns = sqlalchemy.Table(table, sqlalchemy.MetaData(), autoload_with=connection).columns
-    least = {int: 1, float: 1.0, str: "", bool: False, bytes: b"", dict: {}}
-    values = {column.name: least.get(column.type.python_type) for column in columns if not column.nullable}
-    connection.execute(sqlalchemy.insert(columns.values()[0].table).values(**(values | given)))
-
-
-def test_sentences_of_an_earlier_version_get_codes(empty_url: str, engine: Engine) -> None:
-    """A window that was refused for want of an alignment waits again once there is one, however its reason read."""
-    config = Config()
-    config.set_main_option("script_location", str(SCRIPTS))
-    clipped = "12.5% of the samples are clipped, at most 10% may be"
-    sentences = ["the alignment of the track section is not known", "somebody's own words", "", clipped]
-    with engine.begin() as connection:
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0005")
-        old_row(connection, "fleets", code="F")
-        old_row(connection, "vehicles", code="V", fleet="F", axles=4)
-        old_row(connection, "wheelsets", serial="W", fleet="F")
-        old_row(connection, "track_sections", code="S", number=1, rail_profile="60E1")
-        for start, sentence in enumerate(sentences):
-            state = "refused" if sentence else "pending"
-            old_row(connection, "windows", wheelset="W", start_ns=start, vehicle="V", axle=1, track_section="S",
-                    length_ns=1, state=state, reason=sentence)  # fmt: skip
-    assert upgrade(empty_url) == head()
-    with SqlStorage(engine, Path("unused")).write() as unit:
-        found = [None if window.reason is None else window.reason.code for window in unit.windows.list("W")]
-        assert found == [ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.OTHER, None, ReasonCode.CLIPPED]
-        assert unit.windows.requeue("S", ReasonCode.ALIGNMENT_UNKNOWN) == 1
-        assert [window.start_ns for window in unit.windows.ready(10, [])] == [0, 2]
-
-
-def test_sections_with_windows_of_an_earlier_version_are_known_whether_they_are_on_file_or_not(
-    empty_url: str, engine: Engine
-) -> None:
-    config = Config()
-    config.set_main_option("script_location", str(SCRIPTS))
-    with engine.begin() as connection:
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0037")
-        old_row(connection, "fleets", code="F")
-        old_row(connection, "vehicles", code="V", fleet="F", axles=1)
-        old_row(connection, "wheelsets", serial="W", fleet="F")
-        for number, code in ((1, "S"), (-1, "GONE"), (2, "NEW")):  # -1 is on no bus: the section was voided
-            old_row(connection, "track_sections", code=code, number=number, rail_profile="60E1")
-        for start, section in enumerate(("S", "S", None, "GONE")):
-            old_row(connection, "windows", wheelset="W", start_ns=start, vehicle="V", axle=1, track_section=section,
-                    length_ns=1, state="pending", reason="")  # fmt: skip
-    assert upgrade(empty_url) == head()
-    with SqlStorage(engine, Path("unused")).read() as unit:
-        assert unit.section_looks.touched() == {"S": 1, "GONE": 1}
-
-
-def test_no_trend_of_an_earlier_version_was_recorded_before_the_one_that_it_follows(
-    empty_url: str, engine: Engine
-) -> None:
-    config = Config()
-    config.set_main_option("script_location", str(SCRIPTS))
-    with engine.begin() as connection:
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0038")
-        old_row(connection, "fleets", code="F")
-        for serial in ("W", "X"):
-            old_row(connection, "wheelsets", serial=serial, fleet="F")
-        times = [("W", 10), ("X", 5), ("W", 7), ("W", 9), ("X", 6), ("W", 11)]  # our clock went back at the third
-        for number, (serial, recorded_ns) in enumerate(times, start=1):
-            old_row(connection, "trends", trend_id=number, wheelset=serial, recorded_ns=recorded_ns, status="invalid")
-    assert upgrade(empty_url) == head()
-    with engine.connect() as connection:
-        found = connection.execute(sqlalchemy.text("SELECT wheelset, recorded_ns FROM trends ORDER BY trend_id")).all()
-    assert [tuple(row) for row in found] == [("W", 10), ("X", 5), ("W", 10), ("W", 10), ("X", 6), ("W", 11)]

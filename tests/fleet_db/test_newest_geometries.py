@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import stored_values as make
-from sqlalchemy import Table, insert, select, union_all, update
+from sqlalchemy import Table, insert, select, union_all
 
 from estimation.values.geometry import GeometryRecord
 from estimation.values.interval_conicities import interval_conicities
@@ -56,10 +56,6 @@ def test_the_newest_of_each_baseline_and_interval(fleet: SqlStorage, seed: int) 
         assert [r.input_digest for r in unit.geometries.intervals("WS-1", 2)] == newest(second, EVER, current=False)
         assert unit.geometries.intervals("none") == []
         expected = [interval_conicities(r) for r in unit.geometries.intervals("WS-1", 2)]
-        assert make.same(tuple(unit.geometries.conicities("WS-1", 2)), tuple(expected))
-    with fleet.engine.begin() as connection:  # as an earlier release left them
-        connection.execute(update(GEOMETRIES).values(conicities=None))
-    with fleet.read() as unit:
         assert make.same(tuple(unit.geometries.conicities("WS-1", 2)), tuple(expected))
 
 

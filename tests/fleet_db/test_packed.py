@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import json
 import struct
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +11,6 @@ import stored_values as make
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from same_values import same_values
 
 from estimation.errors import StorageError
 from estimation.values.arrays import FloatArray
@@ -28,18 +24,15 @@ from fleet_db.packed_values import (
     pack_alignment,
     pack_bin_table,
     pack_geometry,
-    pack_layout,
     pack_trend,
     pack_wheel_pair,
     unpack_alignment,
     unpack_bin_table,
     unpack_geometry,
-    unpack_layout,
     unpack_trend,
     unpack_wheel_pair,
 )
 from fleet_db.packing import pack, unpack
-from fleet_db.telemetry import unpack_window
 
 ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 DTYPES = st.sampled_from([np.dtype("<f8"), np.dtype("<i8"), np.dtype("<i2"), np.dtype("u1")])
@@ -151,51 +144,13 @@ def test_a_date_keeps_its_last_nanosecond() -> None:
     assert float(make.START + 1) != make.START + 1  # a float64 would not have
 
 
-STORED = json.loads((Path(__file__).parent / "stored_blobs.json").read_text(encoding="utf-8"))
-
-
-def stored(name: str) -> bytes:
-    """Return a blob as the first release wrote it."""
-    return base64.b64decode(STORED[name])
-
-
-def test_what_the_first_release_stored_is_still_read() -> None:
-    shifts = gauge_shifts(2)
-    surveyed = make.alignment(1)
-    of_fleet = replace(
-        surveyed, source=AlignmentSource.FLEET, cutoff_wavelength=120.0, scale_std=0.01, gauge_known=False,
-        findings=TrackFindings({"V1": 1.01, "V2": 0.93}, 0.004, shifts),
-    )  # fmt: skip
-    assert make.same(unpack_geometry(stored("wheelset_geometry"), where="here"), replace(make.geometry(1), centre=None))
-    assert make.same(unpack_trend(stored("wear_trend"), where="here"), make.trend(1))
-    assert make.same(unpack_alignment(stored("surveyed"), 0, where="here"), surveyed)
-    assert unpack_alignment(stored("of_fleet"), 0, where="here").source == AlignmentSource.FLEET
-    assert make.same(
-        unpack_wheel_pair(stored("wheel_pair"), where="here"), (make.wheel("left", 1), make.wheel("right", 2))
-    )
-    assert make.same(unpack_bin_table(stored("bin_table"), where="here"), make.bin_table(1, 3, 4))
-    assert same_values(unpack_window(stored("window"), where="here"), make.window(samples=50))
-    layout = unpack_layout(stored("track_layout"), 3, where="here")
-    assert (layout.section, layout.version, list(layout.cant)) == ("S-1", 3, [0.0, 0.05, 0.0])
-    # versions of a track are distinguished by the bytes of their blob
-    assert pack_alignment(surveyed) == stored("surveyed")
-    assert pack_alignment(of_fleet) == stored("of_fleet")
-    assert pack_layout(layout) == stored("track_layout")
-
-
-def test_a_field_that_was_not_stored_has_its_default() -> None:
-    scalars, arrays = fields_of(make.trend(1))
-    del scalars["reason"]
-    scalars["fitted"] = scalars["fitted"][:-1]  # an estimate without its last field
-    found = value_of(WearTrend, scalars, arrays)
-    assert (found.reason, found.fitted.reason) == (None, None)
-    assert found.fitted.value == make.trend(1).fitted.value
-
-
 def test_what_does_not_fit_its_type_is_refused() -> None:
     scalars, arrays = fields_of(make.trend(1))
     with pytest.raises(StorageError, match="a packed number is None"):
         value_of(WearTrend, scalars | {"limit": None}, arrays)
+    for wrong in ({name: scalars[name] for name in scalars if name != "reason"}, scalars | {"fitted": [None]}):
+        with pytest.raises(StorageError, match="a packed WearTrend does not fit"):
+            value_of(WearTrend, wrong, arrays)
     with pytest.raises(TypeError, match="object has no place"):
         to_json(object())
 

@@ -180,7 +180,7 @@ def test_a_folder_with_the_recordings_but_without_the_mark_is_marked(
     receiver_on(registered, tmp_path, clock).receive_file(recording(tmp_path), VEHICLE)
     mark = tmp_path / "raw" / MARK_NAME
     text = mark.read_text()
-    mark.unlink()  # a restored folder, or one of an earlier version
+    mark.unlink()  # a restored folder
     receiver_on(registered, tmp_path, clock).receive_file(recording(tmp_path, 1), VEHICLE)
     assert mark.read_text() == text
 

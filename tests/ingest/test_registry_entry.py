@@ -146,7 +146,7 @@ def test_a_doubt_is_confirmed_by_its_name_alone(registered: SqlStorage, tmp_path
 
 
 def test_what_is_on_file_already_is_not_questioned_again(registered: SqlStorage, tmp_path: Path) -> None:
-    with registered.write() as unit:  # as an earlier version would have taken it
+    with registered.write() as unit:  # what the rules of entry would not take
         unit.registry.add_wheelset(WheelsetRecord("A/B__C", "N", "own", 0.9, None))
         unit.registry.add_reprofiling(Reprofiling("W-1", MOUNTED_NS - DAY_NS, 7.0))
     old = {"serial": "A/B__C", "fleet": "N", "wheel_profile": "own", "nominal_radius_mm": 900.0}

@@ -11,7 +11,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from ingest.simulator.fleet import FleetReport
 
-WRONG = Reason(ReasonCode.OTHER, "found to be wrong")
+WRONG = Reason(ReasonCode.NOT_FINITE, "found to be wrong")
 
 
 @url_on_sqlite

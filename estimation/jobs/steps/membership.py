@@ -109,7 +109,7 @@ class Membership:
             Of the roll-up.
         """
         record, at_ns = window.record, window.record.start_ns
-        table = " ".join((window.parameter_key, *([window.content_digest] if window.content_digest else ())))
+        table = f"{window.parameter_key} {window.content_digest}"
         if any(m.from_ns <= at_ns and (m.to_ns is None or at_ns < m.to_ns) for m in self.turned):
             table = f"{table} reversed"
         line = f"{at_ns} {record.content_digest} {table} {window.track_version} {mileage_km!r}"

@@ -24,7 +24,7 @@ from estimation.values.reasons import Reason, ReasonCode
 
 KNOWN = FrictionParameters()
 NO_ERRORS = FileErrors(0.0, 0.0, 0.0, 0.0, 0.0)
-NONE = Estimate.unknown(Reason(ReasonCode.OTHER, ""))
+NONE = Estimate.unknown(Reason(ReasonCode.NOT_FINITE, ""))
 SAMPLES, NOISE = 600, 3e-5  # of a place and pass; m
 
 

@@ -57,7 +57,7 @@ def test_too_little_that_is_left_is_called_low_adhesion_where_that_took_a_quarte
 
 
 def test_stretches_that_a_window_was_on() -> None:
-    none = Estimate.unknown(Reason(ReasonCode.OTHER, ""))
+    none = Estimate.unknown(Reason(ReasonCode.NOT_FINITE, ""))
     sums = FrictionSums(np.array([4, 5, 6]), np.ones(3), np.zeros((3, 6)), np.zeros((3, 4, len(INVERSE))))
     one = WindowAdhesion("W", 0, "V", "S", "", Status.ESTIMATED, none, none, none, none, sums)
     stretches = [(0.0, 100.0), (180.0, 210.0), (360.0, 500.0), (400.0, 500.0)]

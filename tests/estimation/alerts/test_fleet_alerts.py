@@ -21,7 +21,6 @@ from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
-from estimation.values.json_value import JsonValue
 from estimation.values.runs import JobRun, JobTrigger
 
 RAISED, UPDATED, ACKNOWLEDGED, CLEARED, CLOSED = (
@@ -98,15 +97,6 @@ def test_it_names_five_members_the_open_and_most_severe_first_whatever_their_num
     evidence = standing(*members).evidence
     assert evidence["wheelsets"] == ["W7", "W2", "W3", "W4", "W5"]
     assert (evidence["member_count"], evidence["open_member_count"]) == (8, 7)
-
-
-def test_the_members_of_an_earlier_release_are_counted_when_it_is_next_evaluated() -> None:
-    old = standing(member(1), member(2))
-    listed: list[JsonValue] = [{"wheelset": "W1", "open": True}, {"wheelset": "W2", "open": True}]
-    kept = {name: value for name, value in old.evidence.items() if name in {"more_than", "within_hours", "delays"}}
-    change = refreshed(replace(old, evidence={**kept, "members": listed}), [member(1), member(2)], 0)
-    assert change is not None
-    assert change.alert.evidence == old.evidence
 
 
 def test_it_is_unknown_only_where_all_open_members_are() -> None:

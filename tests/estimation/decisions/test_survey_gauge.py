@@ -218,7 +218,7 @@ def test_a_gauge_is_refused_only_where_the_alignment_is_confirmed(*, checked: bo
 
 def test_an_alignment_that_is_wrong_is_refused_before_its_gauge() -> None:
     found = _with_survey(refusing(OFF, CERTAIN, WRONG), SURVEY, SETTINGS, survey_checked=False)
-    assert (found.alignment, code_of(found.survey)) == (OFF, ReasonCode.SURVEY_DIFFERS)
+    assert (found.alignment, code_of(found.survey)) == (OFF, ReasonCode.SURVEY_UNRELATED)
 
 
 @pytest.mark.parametrize(("alone", "outcome"), [(FLEET, UpdateOutcome.NEW_VERSION), (None, UpdateOutcome.UNESTIMATED)])

@@ -122,6 +122,6 @@ def test_nothing_covered_is_a_reason() -> None:
     assert (none.points, none.amplitude, none.quantity) == ((), 3e-3, "equivalent_conicity")
     assert code_of(none.note) is ReasonCode.NO_CONICITY
     assert "amplitude not covered" in str(none.note)
-    reasons = [Reason(ReasonCode.OTHER, text) for text in ("d", "c", "b", "a")]
+    reasons = [Reason(ReasonCode.NOT_FINITE, text) for text in ("d", "c", "b", "a")]
     many = [replace(interval(0, ()), reason=reason) for reason in (None, *reasons)]
     assert str(conicity_points(many).note).endswith(": a, b, c")

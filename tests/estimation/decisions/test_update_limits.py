@@ -42,7 +42,7 @@ SHIFT = TrackFindings({}, 0.0, {"W": shift_of(0.3)})
 
 CONVERGED = replace(nothing(Reason(ReasonCode.NO_PASS, "no pass")), converged=True)
 RIGHT = SurveyVerdict(refused=False, reason=Reason(ReasonCode.SURVEY_CONFIRMED, CONFIRMED))
-WRONG = SurveyVerdict(refused=True, reason=Reason(ReasonCode.SURVEY_DIFFERS, "it differs"))
+WRONG = SurveyVerdict(refused=True, reason=Reason(ReasonCode.SURVEY_UNRELATED, "it differs"))
 OPEN = SurveyVerdict(refused=False, reason=None)
 
 
@@ -164,7 +164,7 @@ OFF = track(1.5 * D, std=0.29e-3, source=AlignmentSource.FLEET)  # a survey of D
 def test_a_survey_that_is_wrong_is_replaced_by_what_the_fleet_finds() -> None:
     found = by_survey(OFF, CERTAIN, WRONG)
     assert (found.outcome, found.alignment) == (UpdateOutcome.NEW_VERSION, OFF)
-    assert (code_of(found.survey), str(found.survey)) == (ReasonCode.SURVEY_DIFFERS, "not used: it differs")
+    assert (code_of(found.survey), str(found.survey)) == (ReasonCode.SURVEY_UNRELATED, "not used: it differs")
     assert by_survey(OFF, None, WRONG, checked=True).outcome is UpdateOutcome.SURVEY_KEPT
 
 
@@ -181,7 +181,7 @@ def test_what_replaces_a_survey_is_certain_and_better_than_half_of_what_is_wrong
 
 def test_where_a_survey_is_wrong_and_the_fleet_finds_nothing_nothing_is_known() -> None:
     found = by_survey(None, CERTAIN, WRONG)
-    assert (found.outcome, code_of(found.survey)) == (UpdateOutcome.SURVEY_REFUSED, ReasonCode.SURVEY_DIFFERS)
+    assert (found.outcome, code_of(found.survey)) == (UpdateOutcome.SURVEY_REFUSED, ReasonCode.SURVEY_UNRELATED)
     assert found.alignment is not None
     assert np.isnan(found.alignment.alignment).all()
     assert found.alignment.source is AlignmentSource.FLEET

@@ -156,7 +156,7 @@ def test_probability_above_is_the_normal_tail(value: float, std: float, limit: f
     assert probability_above(known(value, std), limit) == pytest.approx(
         stats.norm.sf(limit, loc=value, scale=std), abs=1e-12
     )
-    assert probability_above(Estimate.unknown(Reason(ReasonCode.OTHER, "no")), limit) is None
+    assert probability_above(Estimate.unknown(Reason(ReasonCode.NOT_FINITE, "no")), limit) is None
 
 
 def test_probability_within_a_distance_follows_the_published_quantiles() -> None:
