@@ -61,7 +61,6 @@ class GeometryRow(Base):
     reason: Mapped[Name]
     reason_code: Mapped[ReasonCodeColumn | None]
     windows: Mapped[Count]
-    parameter_key: Mapped[str] = mapped_column(String(128))
     headline_amplitude_m: Mapped[Real | None]
     equivalent_conicity: Mapped[Real | None]
     equivalent_conicity_std: Mapped[Real | None]

@@ -28,7 +28,7 @@ from sqlalchemy import (
 from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
 from estimation.values.interval_conicities import IntervalConicities
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import GeometryRow, WheelsetBinRow, WheelsetRow, WindowBinTableRow
@@ -191,7 +191,7 @@ class GeometryStore:
         rows = self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS}).all()
         return [conicities_of(row) for row in rows]
 
-    def stale(self, limit: int, estimator: str | None = None) -> Sequence[str]:
+    def stale(self, limit: int) -> Sequence[str]:
         """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
 
         A changed class of a vehicle, or a changed radius of a wheelset, counts as a change of the windows.
@@ -202,16 +202,10 @@ class GeometryStore:
         ----------
         limit
             Largest number of serials.
-        estimator
-            Its name as ``geometry_estimates.parameter_key`` ends in it, empty where it does not; a current geometry of
-            another estimator is stale too. None: the estimator does not matter.
         """
         self.changes.flush()
-        outdated = CHANGES.c.change > CHANGES.c.geometry_change
-        if estimator is not None:
-            outdated = or_(outdated, _made_otherwise(estimator))
         statement = select(CHANGES.c.wheelset).where(
-            outdated,
+            CHANGES.c.change > CHANGES.c.geometry_change,
             or_(
                 exists().where(TABLES.c.wheelset == CHANGES.c.wheelset),
                 exists().where(GEOMETRIES.c.wheelset == CHANGES.c.wheelset),
@@ -272,21 +266,6 @@ def _current() -> Select[Any]:
     return statement.order_by(with_windows_first, GEOMETRIES.c.baseline.desc()).limit(1)
 
 
-def _made_otherwise(estimator: str) -> ColumnElement[bool]:
-    """Return whether the geometry whose bins are a wheelset's current ones is of another estimator.
-
-    One that was kept, as the samples for another were gone, is not; with its own estimator chosen again it is.
-    """
-    key, estimated = GEOMETRIES.c.parameter_key, GEOMETRIES.c.status == Status.ESTIMATED.value
-    same = key.endswith(f" {estimator}", autoescape=True) if estimator else ~key.contains(" ")
-    kept = and_(estimated, func.coalesce(GEOMETRIES.c.reason_code, "") == ReasonCode.SAMPLES_PURGED.value)
-    return (
-        exists()
-        .where(BINS.c.wheelset == CHANGES.c.wheelset, BINS.c.bin == 0)
-        .where(GEOMETRIES.c.geometry_id == BINS.c.geometry_id, same == kept)
-    )
-
-
 def _key(record: GeometryRecord) -> ColumnElement[bool]:
     interval = GEOMETRIES.c.baseline_interval
     return and_(
@@ -314,7 +293,6 @@ def geometry_columns(record: GeometryRecord) -> dict[str, Any]:
         "status": str(geometry.status),
         **reason_columns(geometry.reason),
         "windows": geometry.windows,
-        "parameter_key": geometry.parameter_key,
         "headline_amplitude_m": null_if_nan(geometry.reported_amplitude),
         "equivalent_conicity": null_if_nan(geometry.equivalent_conicity.value),
         "equivalent_conicity_std": null_if_nan(geometry.equivalent_conicity.std),

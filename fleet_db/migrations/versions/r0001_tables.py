@@ -354,7 +354,6 @@ sa.Table(
     required("reason", TEXT),
     sa.Column("reason_code", CODE),
     required("windows", BIG),
-    required("parameter_key", sa.String(128)),
     sa.Column("headline_amplitude_m", REAL),
     sa.Column("equivalent_conicity", REAL),
     sa.Column("equivalent_conicity_std", REAL),
