@@ -161,16 +161,6 @@ def test_current_bins_are_plain_rows(fleet: SqlStorage) -> None:
     np.testing.assert_array_equal([row["lateral_displacement_high_m"] for row in rows], geometry.bin_edges[1:])
 
 
-def test_the_headline_is_in_columns(fleet: SqlStorage) -> None:
-    record = make.geometry_record(6)
-    put(fleet, record)
-    query = "SELECT equivalent_conicity, equivalent_conicity_std, zero_crossing_m FROM geometry_estimates"
-    with fleet.engine.connect() as connection:
-        row = connection.exec_driver_sql(query).one()
-    conicity = record.geometry.equivalent_conicity
-    assert tuple(row) == (conicity.value, conicity.std, None)
-
-
 def test_nan_in_the_parameters_is_refused(fleet: SqlStorage) -> None:
     with pytest.raises((ParameterError, ValueError)):
         put(fleet, make.geometry_record(parameters={"forgetting": float("nan")}))
