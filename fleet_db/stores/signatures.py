@@ -176,19 +176,11 @@ class SignatureStore:
         record
             With its provenance.
         """
-        conicity, differs = record.answer.conicity, record.disagreement
         values = {
             "wheelset": record.wheelset,
-            "baseline": record.baseline,
-            "status": conicity.status.value,
-            "equivalent_conicity": conicity.value,
-            "equivalent_conicity_std": conicity.std,
-            "disagrees": None if differs is None else differs.disagrees,
             "input_digest": record.input_digest,
             "code_version": record.code_version,
-            "recorded_ns": record.recorded_ns,
             "packed": pack_answer(record),
-            **reason_columns(conicity.reason),
         }
         upsert(self.connection, ANSWERS, values)
 
