@@ -298,8 +298,6 @@ sa.Table(
     sa.Column("start_ns", BIG, primary_key=True),
     required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
     required("content_digest", CODE),
-    required("odometer_km", REAL),
-    sa.Column("reason_code", CODE),
     required("packed", BLOB),
     sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
 )
@@ -308,17 +306,9 @@ sa.Table(
     TABLES,
     sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
     sa.Column("first_axle", INTEGER, primary_key=True),
-    required("from_ns", BIG),
-    required("to_ns", BIG),
-    required("windows", BIG),
-    sa.Column("share", REAL),
-    sa.Column("weak", FLAG),
-    sa.Column("reason_code", CODE),
     required("code_version", TEXT),
     required("packed", BLOB),
-    required("recorded_ns", BIG),
     sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
-    sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
 )
 feed_branches = sa.Table(
     "feed_branches",
