@@ -74,14 +74,10 @@ sa.Table(
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
     sa.Column("start_ns", BIG, primary_key=True),
-    required("vehicle", CODE, sa.ForeignKey("vehicles.code")),
     sa.Column("track_section", CODE, sa.ForeignKey("track_sections.code")),
     required("content_digest", CODE),
-    required("status", sa.String(16)),
-    sa.Column("reason_code", CODE),
     required("with_sums", FLAG),
     required("packed", BLOB),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
     sa.Index(None, "track_section", "start_ns"),
 )
 sa.Table(
@@ -90,10 +86,8 @@ sa.Table(
     sa.Column("track_section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
     sa.Column("to_ns", BIG, primary_key=True),
     required("from_ns", BIG),
-    required("windows", BIG),
     required("code_version", TEXT),
     required("packed", BLOB),
-    required("recorded_ns", BIG),
     sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
 )
 sa.Table(
