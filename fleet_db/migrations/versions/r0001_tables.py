@@ -844,13 +844,8 @@ sa.Table(
     TABLES,
     sa.Column("code", CODE, primary_key=True),
     sa.Column("version", INTEGER, primary_key=True),
-    required("name", TEXT),
-    required("source", TEXT),
-    required("arrangement", sa.String(32)),
     required("document", JSON),
-    required("digest", CODE),
     required("recorded_ns", BIG),
-    one_of("arrangement", ("single_wheelset", "bogie")),
     sa.CheckConstraint("version > 0", name="version_counted"),
 )
 sa.Table(
