@@ -28,4 +28,4 @@ class TrendRow(Base):
     code_version: Mapped[Name]
     recorded_ns: Mapped[Nanoseconds]
     packed: Mapped[Packed]
-    parameters: Mapped[Json | None]
+    parameters: Mapped[Json]

@@ -298,11 +298,6 @@ def geometry_columns(record: GeometryRecord) -> dict[str, Any]:
     }
 
 
-def _versions(stored: int | list[int]) -> tuple[int, ...]:
-    """Return the versions of a section; older geometries store only the newest."""
-    return (stored,) if isinstance(stored, int) else tuple(stored)
-
-
 def _record(row: Row[Any]) -> GeometryRecord:
     return GeometryRecord(
         wheelset=row.wheelset,
@@ -313,7 +308,7 @@ def _record(row: Row[Any]) -> GeometryRecord:
         to_ns=row.to_ns,
         geometry=unpack_geometry(row.packed, where=f"geometry estimate {row.geometry_id}"),
         input_digest=row.input_digest,
-        track_versions={section: _versions(stored) for section, stored in row.track_versions.items()},
+        track_versions={section: tuple(versions) for section, versions in row.track_versions.items()},
         parameters=row.parameters,
         code_version=row.code_version,
         recorded_ns=row.recorded_ns,

@@ -7,14 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import stored_values as make
-from sqlalchemy import update
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.geometry import COMBINATIONS, BinStatus, GeometryRecord
 from estimation.values.runs import JobOutcome, JobTrigger
-from fleet_db.models import GeometryRow
 from fleet_db.receipts import ChunkState
-from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.trends import _latest
 
@@ -127,20 +124,6 @@ def test_a_clock_that_is_behind_the_vehicles_rewrites_no_history(
         assert unit.recorded_times.correct(10 * DAY - behind) == corrected
     put_all(fleet, 2, 10 * DAY - behind)
     assert recorded(fleet) == [10 * DAY - behind if corrected else 11 * DAY] * 3
-
-
-def test_a_geometry_that_names_only_the_newest_version_is_read_as_before(fleet: SqlStorage) -> None:
-    put(fleet, make.geometry_record(1, 100), make.geometry_record(2, 200, interval=4, track_versions={}))
-    rows = table_of(GeometryRow)
-    with fleet.write() as unit:
-        now = unit.geometries.current("WS-1")
-        unit.connection.execute(update(rows).where(rows.c.recorded_ns == 100).values(track_versions={"S-7": 3}))
-    with fleet.read() as unit:
-        before = unit.geometries.current("WS-1")
-        (empty,) = unit.geometries.intervals("WS-1", 0)
-    assert now is not None
-    assert before is not None
-    assert (now.track_versions, before.track_versions, empty.track_versions) == ({"S-7": (3, 5)}, {"S-7": (3,)}, {})
 
 
 def test_current_bins_are_plain_rows(fleet: SqlStorage) -> None:

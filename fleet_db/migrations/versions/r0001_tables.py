@@ -832,7 +832,7 @@ sa.Table(
     required("code_version", TEXT),
     required("recorded_ns", BIG),
     required("packed", BLOB),
-    sa.Column("parameters", JSON),
+    required("parameters", JSON),
     sa.CheckConstraint("baseline >= 0", name="baseline_counted"),
     sa.Index(None, "recorded_ns"),
     sa.Index(None, "wheelset", "recorded_ns", "trend_id"),
