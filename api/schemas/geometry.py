@@ -100,14 +100,12 @@ class Geometry(Representation):
     n_windows: int
     equivalent_conicity_1: Uncertain
     equivalent_conicity_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude covered.")
-    centre: ConicityCentre | None = Field(
-        description="The point the conicity is about; null without a conicity, and in older estimates."
-    )
+    centre: ConicityCentre | None = Field(description="The point the conicity is about; null without a conicity.")
     equivalent_conicity_at_3_mm_1: Uncertain = Field(
         description="What limits are compared with; where the motion does not cover 3 mm extrapolated, see `reason`."
     )
     windows_left_out: dict[str, int] | None = Field(
-        description="Windows since the last reprofiling that are not believed, by reason; null in older estimates."
+        description="Windows since the last reprofiling that are not believed, by reason; null without a geometry."
     )
     conicity_by_amplitude: list[ConicityAtAmplitude]
     nonlinearity_parameter_per_mm: Uncertain
