@@ -503,16 +503,12 @@ sa.Table(
     sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
     required("input_digest", CODE),
     required("code_version", TEXT),
-    required("recorded_ns", BIG),
     required("document", JSON),
 )
 sa.Table(
     "wheelset_rails",
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("recorded_ns", BIG),
     required("document", JSON),
 )
 sa.Table(
