@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index
+from sqlalchemy import CheckConstraint, ForeignKey
 from sqlalchemy.orm import Mapped, mapped_column
 
-from fleet_db.models.base import Base, Code, Count, Digest, Name, Nanoseconds, Packed, ReasonCodeColumn
+from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Packed, ReasonCodeColumn
 
 
 class WearSignatureRow(Base):
     """The signatures of one window, packed, or why it has none. ``speed_band_m_s`` is the lower end of 5 m/s."""
 
     __tablename__ = "wear_signatures"
-    __table_args__ = (
-        CheckConstraint("places >= 0", name="places_counted"),
-        Index(None, "section", "vehicle_class", "speed_band_m_s"),
-    )
+    __table_args__ = (CheckConstraint("places >= 0", name="places_counted"),)
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
     vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"))
     section: Mapped[str | None] = mapped_column(ForeignKey("track_sections.code"))
-    vehicle_class: Mapped[Code | None]
     speed_band_m_s: Mapped[int | None]
     window_digest: Mapped[Digest]
     assumed: Mapped[Digest]

@@ -76,7 +76,6 @@ class SignatureStore:
                 "start_ns": one.start_ns,
                 "vehicle": one.vehicle,
                 "section": None if place is None else place.section,
-                "vehicle_class": None if first is None else first.vehicle_class,
                 "speed_band_m_s": None if first is None else SPEED_BAND * int(first.speed // SPEED_BAND),
                 "window_digest": one.window_digest,
                 "assumed": one.assumed,

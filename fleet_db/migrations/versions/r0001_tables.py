@@ -636,7 +636,6 @@ sa.Table(
     sa.Column("start_ns", BIG, primary_key=True),
     required("vehicle", CODE, sa.ForeignKey("vehicles.code")),
     sa.Column("section", CODE, sa.ForeignKey("track_sections.code")),
-    sa.Column("vehicle_class", CODE),
     sa.Column("speed_band_m_s", INTEGER),
     required("window_digest", CODE),
     required("assumed", CODE),
@@ -645,7 +644,6 @@ sa.Table(
     sa.Column("reason_code", CODE),
     required("packed", BLOB),
     sa.CheckConstraint("places >= 0", name="places_counted"),
-    sa.Index(None, "section", "vehicle_class", "speed_band_m_s"),
 )
 sa.Table(
     "signature_answers",
