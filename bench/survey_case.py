@@ -10,7 +10,7 @@ import numpy as np
 from bench.survey_fleets import AMPLITUDES, Fleet, drawn_track
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.uncertainty import ParameterUncertainty, alignment_std
+from estimation.geometry.uncertainty import USUAL_CUTOFF, ParameterUncertainty, alignment_std
 from estimation.motion.track_lookup import alignment_at
 from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
 from estimation.track.journeys import PositionParameters, journeys
@@ -22,7 +22,6 @@ from estimation.values.geometry import BinTable
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
-from estimation.vehicle.sensor_noise import USUAL_CUTOFF
 from ingest.simulator.track import TrackTruth
 
 CHORD = 4.0  # m: errors of a survey are white, smoothed over it by a Hann window

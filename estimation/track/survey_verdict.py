@@ -106,8 +106,8 @@ def survey_verdict(
             f"the curves explain {fit.followed:.0%} of the passes: they do not follow the equations of their vehicles"
             " on this survey; which of parameters, survey and positions is wrong is open"
         )
-        open_reason = Reason(ReasonCode.MODEL_CONTRADICTED, text)
-        return SurveyVerdict(refused=False, reason=open_reason, contradicted=True, elsewhere=True)
+        contradiction = Reason(ReasonCode.MODEL_CONTRADICTED, text)
+        return SurveyVerdict(refused=False, reason=contradiction, contradicted=True, elsewhere=True)
     other = _of_another(fit, filed_std, p)
     if other is not None:
         return SurveyVerdict(refused=True, reason=other, elsewhere=other is not MIRRORED)
@@ -120,7 +120,11 @@ def survey_verdict(
 
 
 def is_mirrored(
-    verdict: SurveyVerdict, fit: SurveyFit | None, image: SurveyVerdict, image_fit: SurveyFit | None
+    verdict: SurveyVerdict,
+    fit: SurveyFit | None,
+    image: SurveyVerdict,
+    image_fit: SurveyFit | None,
+    limits: VerdictLimits | None = None,
 ) -> bool:
     """Return whether a survey that does not fit where it is said to be is the mirror image of its section.
 
@@ -132,10 +136,14 @@ def is_mirrored(
         On the survey as it is.
     image, image_fit
         On its mirror image.
+    limits
+        When a survey is right.
     """
+    p = limits or VerdictLimits()
     if fit is None or image_fit is None or image.refused or image.contradicted or image.elsewhere:
         return False
-    return verdict.elsewhere and image_fit.explained > fit.explained
+    related = image_fit.factor > p.related * image_fit.factor_std
+    return verdict.elsewhere and related and image_fit.explained > fit.explained
 
 
 def _judged(fit: SurveyFit, witnesses: Witnesses, filed_std: float, p: VerdictLimits) -> SurveyVerdict:

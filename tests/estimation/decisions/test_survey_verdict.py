@@ -210,6 +210,8 @@ def test_a_survey_is_a_mirror_image_where_that_fits_better_and_at_its_place() ->
     for wrong in (scaled(1.5), replace(image, followed=0.4)):
         assert not is_mirrored(displaced, half_a_wave, judged(wrong), image)
     assert not is_mirrored(displaced, half_a_wave, at_its_place, None)
+    for std, known in ((0.166, True), (0.167, False)):
+        assert is_mirrored(displaced, half_a_wave, at_its_place, replace(image, factor_std=std)) is known
 
 
 def test_the_mirror_image_is_tried_wherever_another_place_or_section_fits_better() -> None:
