@@ -26,7 +26,7 @@ from estimation.errors import ParameterError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
-from estimation.jobs.settings import EstimationSettings, JobSettings
+from estimation.jobs.settings import JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Clock
@@ -147,7 +147,7 @@ def job_context(
         The rules file is wrong; names the file and the field.
     """
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
-    chosen = JobSettings(estimation=estimation_settings(settings), rules=rules, rails=rails_settings(settings))
+    chosen = JobSettings(rules=rules, rails=rails_settings(settings))
     return JobContext(
         storage,
         SystemClock(),
@@ -157,20 +157,6 @@ def job_context(
         holder=process_name(),
         lease_s=settings.lease_s,
     )
-
-
-def estimation_settings(settings: Settings) -> EstimationSettings:
-    """Return the settings of estimation that this deployment asks for.
-
-    Raises
-    ------
-    ParameterError
-        The catalogue has no estimator of that name; names the environment variable and lists the estimators.
-    """
-    try:
-        return EstimationSettings(estimator=settings.estimator)
-    except ParameterError as error:
-        raise ParameterError(error.reason, field=f"{PREFIX}ESTIMATOR") from None
 
 
 def rails_settings(settings: Settings) -> RailsSettings:

@@ -95,8 +95,6 @@ class Settings(BaseSettings):
         commas between; all others are compared with them.
     rails_limit
         On what rails add to the conicity of the wheel as designed, over those on file.
-    estimator
-        Which estimator of ``estimation.estimators.catalogue`` turns windows into geometries.
     spool_mb, spool_memory_mb
         How many megabytes of a live bus may wait for their receipt on the disk, and in memory while the disk takes
         nothing; of each vehicle.
@@ -171,7 +169,6 @@ class Settings(BaseSettings):
     jobs_every_s: float | None = Field(default=None, gt=0.0)
     compiled_dir: Path | None = None
     compiled_cpu: Literal["host", "portable"] = "host"
-    estimator: str = "bins"
     rails_known_sections: str | None = None
     rails_limit: float = Field(default=RailsParameters().limit, gt=0.0, lt=1.0)
     workers: int | Literal["auto"] = 1

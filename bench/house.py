@@ -83,7 +83,6 @@ INFRASTRUCTURE = re.compile(
     | fleet_db/(changes|locks|migrate|reachability|revisions|session|storage|rows|packing|fields|atomic_files)\.py
     | fleet_db/stores/jobs\.py
     | ingest/input_file\.py
-    | estimation/estimators/catalogue\.py
     | estimation/(errors|settings|jobs/job|jobs/settings|jobs/scheduler|jobs/catalogue|rules/loading)\.py
     )""",
     re.VERBOSE,

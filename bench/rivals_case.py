@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from api.comparison.current_geometry import parameters_of
+from api.comparison.replay import replayed
 from api.comparison.study import TrackInformation, on_file
 from api.comparison.trial import ESTIMATION, deploy, opened, receive, record, run_jobs
 from api.comparison.truth import TrueWheelset, read_truth
@@ -16,12 +18,9 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import estimators
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import nothing
-from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
-from estimation.jobs.steps.membership import membership
-from estimation.jobs.steps.replay import TabulatedWindow, replayed
-from estimation.jobs.steps.rolling import members, rolled
-from estimation.jobs.steps.vehicle_classes import ClassLookup
+from estimation.jobs.refresh_geometry import geometries_of
+from estimation.jobs.steps.rolling import members
 from estimation.motion.cross_level import standard_displacement
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
@@ -117,23 +116,13 @@ def motions_of(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[Esti
     context
         Settings of the estimation.
     """
-    settings = context.settings.estimation
-    rules = membership(unit, serial, ClassLookup(unit, settings))
+    found = geometries_of(unit, serial, context)
     motions: list[Motion] = []
     parameters = EstimatorParameters(band_limited=True)
-    for part in rolled(unit, rules).parts:
-        assumed = rules.assumed(part.roll_up)
-        if assumed is None:
-            continue
-        found = members(unit, rules, part)
-        windows = [TabulatedWindow(one.window.record, one.window.track_version) for one in found]
-        motions += [motion for _, motion in replayed(unit, windows, assumed.windows)]
-        sections = {one.record.track_section for one in windows}
-        alignments = [unit.tracks.alignment(code) for code in sections if code is not None]
-        known = [one for one in alignments if one is not None]
-        unknown = ParameterUncertainty.of(assumed.on_file.vehicle_class).on(known, serial)
-        vehicle, curve, source = assumed.windows.vehicle, settings.geometry.curve, settings.signals.source
-        parameters = EstimatorParameters(vehicle, unknown, curve, source, band_limited=True)
+    for part in found.current_parts():
+        used = found.estimated_with([part])
+        parameters = parameters_of(used)
+        motions += [motion for _, motion in replayed(unit, members(unit, found.rules, part), used.assumed.windows)]
     return parameters, motions
 
 

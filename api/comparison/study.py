@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from api.comparison.current_geometry import geometry_by
 from api.comparison.trial import (
     ESTIMATION,
     Progress,
@@ -28,7 +29,6 @@ from api.comparison.truth import TrueWheelset, conicity_errors, read_truth
 from api.settings import Settings
 from estimation.estimators.catalogue import estimators
 from estimation.jobs.job import JobContext
-from estimation.jobs.refresh_geometry import refreshed
 from estimation.storage import Storage
 from estimation.values.geometry import WheelsetGeometry
 from ingest.simulator.scenario import Scenario, SurveyPlan
@@ -171,25 +171,6 @@ def on_file(scenario: Scenario, track: TrackInformation) -> Scenario:
             surveyed, recipe=straight, survey_alignment_std=0.0, survey_gauge_std=0.0, survey=SurveyPlan()
         )
     return replace(scenario, section=surveyed)
-
-
-def geometry_by(storage: Storage, context: JobContext, serial: str, estimator: str) -> WheelsetGeometry | None:
-    """Return the current geometry of a wheelset as the job makes it with ``estimator``; nothing is stored.
-
-    Parameters
-    ----------
-    storage, context
-        Store and settings of the deployment.
-    serial
-        Of the wheelset.
-    estimator
-        Name in the catalogue.
-    """
-    settings = replace(context.settings, estimation=replace(context.settings.estimation, estimator=estimator))
-    with storage.read() as unit:
-        records = refreshed(unit, serial, replace(context, settings=settings))
-    current = [record.geometry for record in records if record.interval is None]
-    return current[-1] if current else None
 
 
 def _received(scenario: Scenario, recorded: Recorded, folder: Path, progress: Progress) -> Settings:

@@ -86,7 +86,7 @@ WORDS: Mapping[str, str] = {
     "p10": "The 10 % quantile; null where it is beyond the horizon or unknown.",
     "p50": "The median; null where it is beyond the horizon or unknown.",
     "p90": "The 90 % quantile; null where it is beyond the horizon or unknown.",
-    "parameter_key": "Digest of the parameters of the estimator.",
+    "parameter_key": "Digest of the parameters of its bin tables.",
     "parameters": "Settings that shaped it, each under its name.",
     "passes": "Number of passes.",
     "position": "Where it is under its vehicle; null where nothing is known of that.",

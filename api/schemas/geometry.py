@@ -92,9 +92,6 @@ class Geometry(Representation):
     unestimated_because: UnestimatedBecause | None = Field(
         description="Why nothing is estimated now, by its windows; null where something is, and with `as_of`."
     )
-    estimator: str | None = Field(
-        description="Name of the estimator that found it; null without a geometry.", examples=["bins"]
-    )
     baseline: int = Field(description="Number of reprofilings before it.")
     mileage_km: float | None = Field(description="Weighted mean mileage of its windows since the wheelset was new.")
     measured_from: Timestamp | None = Field(description="Begin of its data; null without a geometry.")
@@ -103,14 +100,12 @@ class Geometry(Representation):
     n_windows: int
     equivalent_conicity_1: Uncertain
     equivalent_conicity_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude covered.")
-    centre: ConicityCentre | None = Field(
-        description="The point the conicity is about; null without a conicity, and in older estimates."
-    )
+    centre: ConicityCentre | None = Field(description="The point the conicity is about; null without a conicity.")
     equivalent_conicity_at_3_mm_1: Uncertain = Field(
         description="What limits are compared with; where the motion does not cover 3 mm extrapolated, see `reason`."
     )
     windows_left_out: dict[str, int] | None = Field(
-        description="Windows since the last reprofiling that are not believed, by reason; null in older estimates."
+        description="Windows since the last reprofiling that are not believed, by reason; null without a geometry."
     )
     conicity_by_amplitude: list[ConicityAtAmplitude]
     nonlinearity_parameter_per_mm: Uncertain
@@ -156,7 +151,6 @@ def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> 
         reason=text_of(reason),
         reason_code=code_of(reason),
         unestimated_because=None if without is None else unestimated_because(without),
-        estimator=record.estimator,
         baseline=record.baseline,
         mileage_km=finite(record.mileage_km),
         measured_from=to_rfc3339(record.from_ns),
@@ -219,7 +213,6 @@ def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEsti
         reason=reason.text,
         reason_code=reason.code,
         unestimated_because=None if without is None else unestimated_because(without),
-        estimator=None,
         baseline=baseline,
         mileage_km=None,
         measured_from=None,

@@ -112,7 +112,7 @@ def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]
     pooled = _Pooled(found, passes, fleets)
     with context.storage.write() as unit:
         before = _certain_stretches(unit, section, passes)
-        if not unit.adhesion.put_section(found, context.code_version, context.clock.now_ns()):
+        if not unit.adhesion.put_section(found, context.code_version):
             return {}
         after = _certain_stretches(unit, section, passes)
         again = [one for one in passes if touched(one, before[one.start_ns]) != touched(one, after[one.start_ns])]

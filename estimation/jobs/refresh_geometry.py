@@ -1,8 +1,6 @@
 """Job: bin tables of a wheelset become its geometry, per mileage interval and current.
 
-A table is added once to the roll-up of its interval, so that a new window costs itself, however much came before. The
-estimator of the settings decides how a geometry is made: ``bins`` from the sums of a roll-up, any other from the motion
-of the same windows.
+A table is added once to the roll-up of its interval, so that a new window costs itself, however much came before.
 """
 
 from __future__ import annotations
@@ -13,7 +11,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from estimation.errors import ConflictError, TreadwatchError
-from estimation.estimators.catalogue import SHIPPED
 from estimation.jobs.hand_out import hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone, inputs_of
 from estimation.jobs.job import Job, JobContext, Stage
@@ -36,8 +33,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     counts: Counter[str] = Counter(wheelsets=0, geometries=0)
     isolation = Isolation(context, "refresh_geometry")
     with context.storage.read() as unit:
-        named = context.settings.estimation.estimator
-        stale = unit.geometries.stale(_STALE_AT_ONCE, "" if named == SHIPPED else named)
+        stale = unit.geometries.stale(_STALE_AT_ONCE)
     due = [one for one in stale if not isolation.waits(SubjectKind.WHEELSET, one, inputs_of(context, one))]
     counts["quarantined"] = isolation.quarantined
     size = unit_size(context, len(due), _MOST_TOGETHER)
@@ -116,8 +112,8 @@ STORED_TOGETHER = 4  # wheelsets in a transaction, of each some sums of 3 MB
 _MOST_TOGETHER = 16  # wheelsets that are claimed together
 
 
-def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[GeometryRecord]:
-    """Return the geometries of one wheelset whose inputs differ from what is stored; the current one comes last.
+def geometries_of(unit: UnitOfWork, serial: str, context: JobContext) -> RolledGeometries:
+    """Return the geometries of one wheelset, as they can be made from its roll-ups.
 
     Parameters
     ----------
@@ -128,10 +124,6 @@ def refreshed(unit: UnitOfWork, serial: str, context: JobContext) -> list[Geomet
     context
         Settings of the estimation and version of the numerics.
     """
-    return _seen(unit, serial, context).records()
-
-
-def _seen(unit: UnitOfWork, serial: str, context: JobContext) -> RolledGeometries:
     rules = membership(unit, serial, ClassLookup(unit, context.settings.estimation))
     return RolledGeometries(unit, rules, rolled(unit, rules), context)
 
@@ -159,7 +151,7 @@ class _Made:
 def _made(context: JobContext, serial: str) -> _Made:
     """Return what is to be stored of a wheelset; nothing but the roll-ups where many of these are to be made again."""
     with context.storage.read() as unit:
-        change, seen = unit.geometries.change(serial), _seen(unit, serial, context)
+        change, seen = unit.geometries.change(serial), geometries_of(unit, serial, context)
         changed = [part for part in seen.rolled.parts if _changed(part)] if seen.rolled.due else []
         if seen.rolled.again and len(changed) > SUMS_IN_MEMORY:
             return _Made(change, seen, [], [], apart=True)

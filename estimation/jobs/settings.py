@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 from estimation.alerts.rules.book import RuleBook
-from estimation.estimators.catalogue import SHIPPED, estimator_named
 from estimation.geometry.estimate import GeometryParameters
 from estimation.jobs.rails_settings import RailsSettings
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
@@ -21,24 +20,14 @@ _MOTION = ("signals", "gates", "interval_km")  # settings of the motion that ali
 
 @dataclass(frozen=True, slots=True)
 class EstimationSettings:
-    """Settings of the jobs that estimate windows and geometries.
+    """Settings of the jobs that estimate windows and geometries."""
 
-    Raises
-    ------
-    ParameterError
-        The catalogue has no estimator of that name.
-    """
-
-    estimator: str = SHIPPED  # of estimation.estimators.catalogue: what turns windows into geometries
     signals: SignalParameters = field(default_factory=SignalParameters)
     geometry: GeometryParameters = field(default_factory=GeometryParameters)
     gates: Gates = field(default_factory=Gates)
     interval_km: float = 1_000.0  # a geometry for the trend per this distance
     half_life_km: float = 2_000.0  # forgetting of the current geometry
     batch: int = 64  # windows committed together
-
-    def __post_init__(self) -> None:
-        estimator_named(self.estimator)
 
     def windows(self, vehicle_class: VehicleClass, nominal_radius: float | None) -> WindowParameters:
         """Return what turns the windows of a wheelset into motion.
@@ -51,16 +40,6 @@ class EstimationSettings:
             Of its wheels, m; None is that of the class.
         """
         return WindowParameters.of(vehicle_class, nominal_radius, self.signals, self.gates)
-
-    def geometry_key(self, table_key: str) -> str:
-        """Return the key of a geometry: that of its bin tables, and the name of an estimator that does without them.
-
-        Parameters
-        ----------
-        table_key
-            Digest of the parameters of the motion.
-        """
-        return table_key if self.estimator == SHIPPED else f"{table_key} {self.estimator}"
 
     def as_json(self) -> Mapping[str, JsonValue]:
         """Return every setting, for the provenance of an estimate."""

@@ -206,7 +206,7 @@ class WheelsetGeometry:
     parameter_key: str
     status: Status
     reason: Reason | None = None
-    centre: Centre | None = None  # of equivalent_conicity; None without one, or of an estimator that does not say it
+    centre: Centre | None = None  # of equivalent_conicity; None without one, or of a rival that does not say it
 
     def __post_init__(self) -> None:
         b = len(self.samples)
@@ -304,11 +304,6 @@ class GeometryRecord:
     parameters: Mapping[str, JsonValue]
     code_version: str
     recorded_ns: int
-
-    @property
-    def estimator(self) -> str:
-        """Name of the estimator; ``bins`` where none is named."""
-        return str(self.parameters.get("estimator", "bins"))
 
 
 @dataclass(frozen=True, slots=True)

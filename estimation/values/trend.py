@@ -70,4 +70,4 @@ class TrendRecord:
     input_digest: str
     code_version: str
     recorded_ns: int
-    parameters: Mapping[str, JsonValue] = field(default_factory=dict)  # that shaped it; empty of releases without them
+    parameters: Mapping[str, JsonValue] = field(default_factory=dict)  # that shaped it

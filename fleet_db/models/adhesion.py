@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, String
+from sqlalchemy import CheckConstraint, ForeignKey, Index
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.values.quantities import Status
-from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Packed, ReasonCodeColumn, one_of
+from fleet_db.models.base import Base, Digest, Name, Nanoseconds, Packed
 
 
 class WindowAdhesionRow(Base):
     """The creep of one window; ``packed`` holds forces and sums of friction by place."""
 
     __tablename__ = "window_adhesion"
-    __table_args__ = (one_of("status", Status), Index(None, "track_section", "start_ns"))
+    __table_args__ = (Index(None, "track_section", "start_ns"),)
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
-    vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"))
     track_section: Mapped[str | None] = mapped_column(ForeignKey("track_sections.code"))
     content_digest: Mapped[Digest]
-    status: Mapped[str] = mapped_column(String(16))
-    reason_code: Mapped[ReasonCodeColumn | None]
     with_sums: Mapped[bool]
     packed: Mapped[Packed]
 
@@ -35,7 +31,5 @@ class SectionAdhesionRow(Base):
     track_section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
     to_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
     from_ns: Mapped[Nanoseconds]
-    windows: Mapped[Count]
     code_version: Mapped[Name]
     packed: Mapped[Packed]
-    recorded_ns: Mapped[Nanoseconds]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import CheckConstraint, ForeignKey
 from sqlalchemy.orm import Mapped, mapped_column
 
-from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Packed, Real, ReasonCodeColumn
+from fleet_db.models.base import Base, Digest, Name, Nanoseconds, Packed
 
 
 class WindowDamperRow(Base):
@@ -19,28 +19,16 @@ class WindowDamperRow(Base):
     start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
     content_digest: Mapped[Digest]
-    odometer_km: Mapped[Real]
-    reason_code: Mapped[ReasonCodeColumn | None]
     packed: Mapped[Packed]
 
 
 class GearDamperRow(Base):
-    """The damper of a running gear from its newest windows; the columns beside ``packed`` are for SQL."""
+    """The damper of a running gear from its newest windows; ``packed`` holds all of it."""
 
     __tablename__ = "gear_dampers"
-    __table_args__ = (
-        CheckConstraint("first_axle > 0", name="first_axle_positive"),
-        CheckConstraint("from_ns <= to_ns", name="from_before_to"),
-    )
+    __table_args__ = (CheckConstraint("first_axle > 0", name="first_axle_positive"),)
 
     vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"), primary_key=True)
     first_axle: Mapped[int] = mapped_column(primary_key=True)
-    from_ns: Mapped[Nanoseconds]
-    to_ns: Mapped[Nanoseconds]
-    windows: Mapped[Count]
-    share: Mapped[Real | None]
-    weak: Mapped[bool | None]
-    reason_code: Mapped[ReasonCodeColumn | None]
     code_version: Mapped[Name]
     packed: Mapped[Packed]
-    recorded_ns: Mapped[Nanoseconds]

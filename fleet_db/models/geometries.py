@@ -24,7 +24,7 @@ CURRENT = text("baseline_interval IS NULL")
 
 
 class GeometryRow(Base):
-    """One estimate; never changed. ``packed`` holds the whole value, bit for bit; the columns beside it are for SQL.
+    """One estimate; never changed. ``packed`` holds the whole value, bit for bit; the columns beside it are queried.
 
     ``baseline_interval`` is null for the current geometry of a baseline.
     """
@@ -61,15 +61,5 @@ class GeometryRow(Base):
     reason: Mapped[Name]
     reason_code: Mapped[ReasonCodeColumn | None]
     windows: Mapped[Count]
-    parameter_key: Mapped[str] = mapped_column(String(128))
-    headline_amplitude_m: Mapped[Real | None]
-    equivalent_conicity: Mapped[Real | None]
-    equivalent_conicity_std: Mapped[Real | None]
-    equivalent_conicity_low: Mapped[Real | None]
-    equivalent_conicity_high: Mapped[Real | None]
-    nonlinearity_per_mm: Mapped[Real | None]
-    nonlinearity_std_per_mm: Mapped[Real | None]
-    zero_crossing_m: Mapped[Real | None]
-    zero_crossing_std_m: Mapped[Real | None]
     conicities: Mapped[str | None] = mapped_column(Text)
     packed: Mapped[Packed]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from sqlalchemy import CheckConstraint, ForeignKey, Integer, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from fleet_db.models.base import Base, Digest, Json, Name, Nanoseconds
+from fleet_db.models.base import Base, Digest, Json, Name
 
 
 class RailCellRow(Base):
@@ -37,7 +37,6 @@ class SectionRailsRow(Base):
     section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
     input_digest: Mapped[Digest]
     code_version: Mapped[Name]
-    recorded_ns: Mapped[Nanoseconds]
     document: Mapped[Json]
 
 
@@ -47,7 +46,4 @@ class WheelsetRailsRow(Base):
     __tablename__ = "wheelset_rails"
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    input_digest: Mapped[Digest]
-    code_version: Mapped[Name]
-    recorded_ns: Mapped[Nanoseconds]
     document: Mapped[Json]

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, String
+from sqlalchemy import CheckConstraint, ForeignKey
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.values.quantities import Status
-from fleet_db.models.base import Base, Code, Count, Digest, Name, Nanoseconds, Packed, Real, ReasonCodeColumn, one_of
+from fleet_db.models.base import Base, Count, Digest, Name, Nanoseconds, Packed, ReasonCodeColumn
 
 
 class WearSignatureRow(Base):
     """The signatures of one window, packed, or why it has none. ``speed_band_m_s`` is the lower end of 5 m/s."""
 
     __tablename__ = "wear_signatures"
-    __table_args__ = (
-        CheckConstraint("places >= 0", name="places_counted"),
-        Index(None, "section", "vehicle_class", "speed_band_m_s"),
-    )
+    __table_args__ = (CheckConstraint("places >= 0", name="places_counted"),)
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
     vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"))
     section: Mapped[str | None] = mapped_column(ForeignKey("track_sections.code"))
-    vehicle_class: Mapped[Code | None]
     speed_band_m_s: Mapped[int | None]
     window_digest: Mapped[Digest]
     assumed: Mapped[Digest]
@@ -33,20 +28,11 @@ class WearSignatureRow(Base):
 
 
 class SignatureAnswerRow(Base):
-    """The newest answer about a wheelset; ``packed`` holds all of it, the columns beside it are for SQL."""
+    """The newest answer about a wheelset; ``packed`` holds all of it."""
 
     __tablename__ = "signature_answers"
-    __table_args__ = (one_of("status", Status), CheckConstraint("baseline >= 0", name="baseline_counted"))
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    baseline: Mapped[int]
-    status: Mapped[str] = mapped_column(String(16))
-    reason: Mapped[Name]
-    reason_code: Mapped[ReasonCodeColumn | None]
-    equivalent_conicity: Mapped[Real | None]
-    equivalent_conicity_std: Mapped[Real | None]
-    disagrees: Mapped[bool | None]
     input_digest: Mapped[Digest]
     code_version: Mapped[Name]
-    recorded_ns: Mapped[Nanoseconds]
     packed: Mapped[Packed]

@@ -69,11 +69,8 @@ class AdhesionStore:
         values = {
             "wheelset": found.wheelset,
             "start_ns": found.start_ns,
-            "vehicle": found.vehicle,
             "track_section": found.track_section,
             "content_digest": found.content_digest,
-            "status": found.status.value,
-            "reason_code": None if found.reason is None else found.reason.code.value,
             "with_sums": found.sums is not None,
             "packed": pack_window_adhesion(found),
         }
@@ -136,7 +133,7 @@ class AdhesionStore:
             self.put(replace(one, sums=None))
         return len(found)
 
-    def put_section(self, found: SectionAdhesion, code_version: str, recorded_ns: int) -> bool:
+    def put_section(self, found: SectionAdhesion, code_version: str) -> bool:
         """Store the friction of a section; return whether anything changed.
 
         Of the hours that end within these, those that reach back furthest are kept: so every time stays in some.
@@ -145,7 +142,6 @@ class AdhesionStore:
             "track_section": found.track_section,
             "to_ns": found.to_ns,
             "from_ns": found.from_ns,
-            "windows": found.windows,
             "code_version": code_version,
             "packed": pack_section_adhesion(found),
         }
@@ -160,7 +156,7 @@ class AdhesionStore:
         )
         first = select(func.min(OF_SECTIONS.c.to_ns)).where(*within).scalar_subquery()
         self.connection.execute(delete(OF_SECTIONS).where(*within, OF_SECTIONS.c.to_ns > first))
-        return upsert(self.connection, OF_SECTIONS, values | {"recorded_ns": recorded_ns})
+        return upsert(self.connection, OF_SECTIONS, values)
 
     def section(self, section: str, at_ns: int | None = None) -> SectionAdhesion | None:
         """Return the newest friction of a section; None where there is none.

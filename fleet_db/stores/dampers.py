@@ -37,8 +37,6 @@ class DamperStore:
             "start_ns": found.start_ns,
             "wheelset": found.wheelset,
             "content_digest": found.content_digest,
-            "odometer_km": found.odometer_km,
-            "reason_code": None if found.reason is None else found.reason.code.value,
             "packed": pack_window_damper(found),
         }
         upsert(self.connection, OF_WINDOWS, values)
@@ -73,7 +71,7 @@ class DamperStore:
         own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
         return self.connection.execute(delete(OF_WINDOWS).where(*own, OF_WINDOWS.c.start_ns < before_ns)).rowcount
 
-    def put_gear(self, found: GearDamper, wheelset: str, code_version: str, recorded_ns: int) -> bool:
+    def put_gear(self, found: GearDamper, wheelset: str, code_version: str) -> bool:
         """Store the damper of a running gear in place of what was known; return whether anything changed.
 
         Jobs look again at the wheelset then: its alerts rest on it.
@@ -86,18 +84,10 @@ class DamperStore:
             Serial, of the first axle.
         code_version
             Of the job.
-        recorded_ns
-            Now.
         """
         values = {
             "vehicle": found.vehicle,
             "first_axle": found.first_axle,
-            "from_ns": found.from_ns,
-            "to_ns": found.to_ns,
-            "windows": found.windows,
-            "share": found.share.value,
-            "weak": found.weak,
-            "reason_code": None if found.share.reason is None else found.share.reason.code.value,
             "code_version": code_version,
             "packed": pack_gear_damper(found),
         }
@@ -106,7 +96,7 @@ class DamperStore:
         if before is not None and all(before[name] == value for name, value in values.items()):
             return False
         self.changes.touch(wheelset)
-        return upsert(self.connection, OF_GEARS, values | {"recorded_ns": recorded_ns})
+        return upsert(self.connection, OF_GEARS, values)
 
     def gear(self, vehicle: str, first_axle: int) -> GearDamper | None:
         """Return the damper of a running gear; None where it was not looked at, or none begins at that axle.

@@ -28,7 +28,7 @@ from sqlalchemy import (
 from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
 from estimation.values.interval_conicities import IntervalConicities
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import GeometryRow, WheelsetBinRow, WheelsetRow, WindowBinTableRow
@@ -191,7 +191,7 @@ class GeometryStore:
         rows = self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS}).all()
         return [conicities_of(row) for row in rows]
 
-    def stale(self, limit: int, estimator: str | None = None) -> Sequence[str]:
+    def stale(self, limit: int) -> Sequence[str]:
         """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
 
         A changed class of a vehicle, or a changed radius of a wheelset, counts as a change of the windows.
@@ -202,16 +202,10 @@ class GeometryStore:
         ----------
         limit
             Largest number of serials.
-        estimator
-            Its name as ``geometry_estimates.parameter_key`` ends in it, empty where it does not; a current geometry of
-            another estimator is stale too. None: the estimator does not matter.
         """
         self.changes.flush()
-        outdated = CHANGES.c.change > CHANGES.c.geometry_change
-        if estimator is not None:
-            outdated = or_(outdated, _made_otherwise(estimator))
         statement = select(CHANGES.c.wheelset).where(
-            outdated,
+            CHANGES.c.change > CHANGES.c.geometry_change,
             or_(
                 exists().where(TABLES.c.wheelset == CHANGES.c.wheelset),
                 exists().where(GEOMETRIES.c.wheelset == CHANGES.c.wheelset),
@@ -272,21 +266,6 @@ def _current() -> Select[Any]:
     return statement.order_by(with_windows_first, GEOMETRIES.c.baseline.desc()).limit(1)
 
 
-def _made_otherwise(estimator: str) -> ColumnElement[bool]:
-    """Return whether the geometry whose bins are a wheelset's current ones is of another estimator.
-
-    One that was kept, as the samples for another were gone, is not; with its own estimator chosen again it is.
-    """
-    key, estimated = GEOMETRIES.c.parameter_key, GEOMETRIES.c.status == Status.ESTIMATED.value
-    same = key.endswith(f" {estimator}", autoescape=True) if estimator else ~key.contains(" ")
-    kept = and_(estimated, func.coalesce(GEOMETRIES.c.reason_code, "") == ReasonCode.SAMPLES_PURGED.value)
-    return (
-        exists()
-        .where(BINS.c.wheelset == CHANGES.c.wheelset, BINS.c.bin == 0)
-        .where(GEOMETRIES.c.geometry_id == BINS.c.geometry_id, same == kept)
-    )
-
-
 def _key(record: GeometryRecord) -> ColumnElement[bool]:
     interval = GEOMETRIES.c.baseline_interval
     return and_(
@@ -314,24 +293,9 @@ def geometry_columns(record: GeometryRecord) -> dict[str, Any]:
         "status": str(geometry.status),
         **reason_columns(geometry.reason),
         "windows": geometry.windows,
-        "parameter_key": geometry.parameter_key,
-        "headline_amplitude_m": null_if_nan(geometry.reported_amplitude),
-        "equivalent_conicity": null_if_nan(geometry.equivalent_conicity.value),
-        "equivalent_conicity_std": null_if_nan(geometry.equivalent_conicity.std),
-        "equivalent_conicity_low": null_if_nan(geometry.equivalent_conicity.low),
-        "equivalent_conicity_high": null_if_nan(geometry.equivalent_conicity.high),
-        "nonlinearity_per_mm": null_if_nan(geometry.nonlinearity.value),
-        "nonlinearity_std_per_mm": null_if_nan(geometry.nonlinearity.std),
-        "zero_crossing_m": null_if_nan(geometry.zero_crossing.value),
-        "zero_crossing_std_m": null_if_nan(geometry.zero_crossing.std),
         "conicities": None if record.interval is None else conicities_text(geometry),
         "packed": pack_geometry(geometry),
     }
-
-
-def _versions(stored: int | list[int]) -> tuple[int, ...]:
-    """Return the versions of a section; older geometries store only the newest."""
-    return (stored,) if isinstance(stored, int) else tuple(stored)
 
 
 def _record(row: Row[Any]) -> GeometryRecord:
@@ -344,7 +308,7 @@ def _record(row: Row[Any]) -> GeometryRecord:
         to_ns=row.to_ns,
         geometry=unpack_geometry(row.packed, where=f"geometry estimate {row.geometry_id}"),
         input_digest=row.input_digest,
-        track_versions={section: _versions(stored) for section, stored in row.track_versions.items()},
+        track_versions={section: tuple(versions) for section, versions in row.track_versions.items()},
         parameters=row.parameters,
         code_version=row.code_version,
         recorded_ns=row.recorded_ns,

@@ -67,8 +67,8 @@ class RailsStore:
         serialise(self.connection, Subject.GEOMETRIES)
         for table in (OF_SECTIONS, OF_WHEELSETS):
             self.connection.execute(delete(table))
-        self._insert(OF_SECTIONS, [{"section": one.section, **_provenance(one)} for one in sections])
-        self._insert(OF_WHEELSETS, [{"wheelset": one.wheelset, **_provenance(one)} for one in wheelsets])
+        self._insert(OF_SECTIONS, [_section_values(one) for one in sections])
+        self._insert(OF_WHEELSETS, [{"wheelset": one.wheelset, "document": to_json(one)} for one in wheelsets])
 
     def of_section(self, section: str) -> SectionRailsRecord | None:
         """Return what was found last of the rails of a section."""
@@ -128,11 +128,11 @@ def _conicities(document: Mapping[str, Any], wheel: WheelKey, rail: RailKey) -> 
     return value_of(SectionConicity, document["scalars"], arrays, wheel=wheel, rail=rail)
 
 
-def _provenance(record: SectionRailsRecord | WheelsetRailsRecord) -> dict[str, Any]:
+def _section_values(record: SectionRailsRecord) -> dict[str, Any]:
     return {
+        "section": record.section,
         "input_digest": record.input_digest,
         "code_version": record.code_version,
-        "recorded_ns": record.recorded_ns,
         "document": to_json(record),
     }
 

@@ -76,7 +76,6 @@ class SignatureStore:
                 "start_ns": one.start_ns,
                 "vehicle": one.vehicle,
                 "section": None if place is None else place.section,
-                "vehicle_class": None if first is None else first.vehicle_class,
                 "speed_band_m_s": None if first is None else SPEED_BAND * int(first.speed // SPEED_BAND),
                 "window_digest": one.window_digest,
                 "assumed": one.assumed,
@@ -176,19 +175,11 @@ class SignatureStore:
         record
             With its provenance.
         """
-        conicity, differs = record.answer.conicity, record.disagreement
         values = {
             "wheelset": record.wheelset,
-            "baseline": record.baseline,
-            "status": conicity.status.value,
-            "equivalent_conicity": conicity.value,
-            "equivalent_conicity_std": conicity.std,
-            "disagrees": None if differs is None else differs.disagrees,
             "input_digest": record.input_digest,
             "code_version": record.code_version,
-            "recorded_ns": record.recorded_ns,
             "packed": pack_answer(record),
-            **reason_columns(conicity.reason),
         }
         upsert(self.connection, ANSWERS, values)
 

@@ -13,7 +13,7 @@ from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.models import GeometryRow, TrendRow
 from fleet_db.packed_values import pack_trend, unpack_trend
-from fleet_db.rows import null_if_nan, reason_columns, table_of
+from fleet_db.rows import table_of
 
 TRENDS, GEOMETRIES = table_of(TrendRow), table_of(GeometryRow)
 NEWEST_FIRST = (TRENDS.c.trend_id.desc(),)  # in the order of commit; clocks go back
@@ -102,26 +102,13 @@ def _latest() -> Select[Any]:
 
 
 def _values(record: TrendRecord) -> dict[str, Any]:
-    trend = record.trend
-    date = null_if_nan(trend.date_of_limit_ns.p50)
     return {
         "wheelset": record.wheelset,
         "baseline": record.baseline,
-        "quantity": trend.quantity,
+        "quantity": record.trend.quantity,
         "input_digest": record.input_digest,
         "code_version": record.code_version,
         "recorded_ns": record.recorded_ns,
-        "status": str(trend.status),
-        **reason_columns(trend.reason),
-        "points": len(trend.value),
-        "current": null_if_nan(trend.fitted.value),
-        "current_std": null_if_nan(trend.fitted.std),
-        "limit_value": null_if_nan(trend.limit),
-        "slope_per_1000_km": null_if_nan(trend.slope_per_1000_km.value),
-        "slope_std_per_1000_km": null_if_nan(trend.slope_per_1000_km.std),
-        "distance_to_limit_p50_km": null_if_nan(trend.distance_to_limit_km.p50),
-        "date_of_limit_p50_ns": int(date) if date is not None and abs(date) < 2**63 else None,
-        "probability_over_limit": null_if_nan(trend.probability_over_limit),
-        "packed": pack_trend(trend),
+        "packed": pack_trend(record.trend),
         "parameters": dict(record.parameters),
     }

@@ -86,18 +86,13 @@ def store_class(connection: Connection, vehicle_class: VehicleClass, recorded_ns
         Our time, ns UTC.
     """
     newest = find_class(connection, vehicle_class.code, None)
-    digest = class_digest(vehicle_class)
-    if newest is not None and newest.digest == digest:
+    if newest is not None and newest.digest == class_digest(vehicle_class):
         return newest
     stored = ClassOnFile(vehicle_class, 1 if newest is None else newest.version + 1, recorded_ns)
     values = {
         "code": vehicle_class.code,
         "version": stored.version,
-        "name": vehicle_class.name,
-        "source": vehicle_class.source,
-        "arrangement": vehicle_class.arrangement.value,
         "document": class_document(vehicle_class),
-        "digest": digest,
         "recorded_ns": recorded_ns,
     }
     connection.execute(insert(CLASSES).values(**values))

@@ -353,7 +353,7 @@ def gear_dampers() -> list[GearDamper]:
 
 def _put_dampers(unit: UnitOfWork) -> None:
     for damper in gear_dampers():
-        unit.dampers.put_gear(damper, WHEELSETS[0], "1", damper.to_ns)
+        unit.dampers.put_gear(damper, WHEELSETS[0], "1")
 
 
 def suspension_findings() -> list[SuspensionFinding]:

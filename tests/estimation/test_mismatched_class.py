@@ -14,6 +14,7 @@ from alignment_job import LENGTH, surveyed
 from bogie_run import SOFT, WHEELBASE, of_bogie, windows
 from smooth_wheelset import SmoothTable
 
+from api.comparison.current_geometry import geometry_by
 from api.factory import create_app
 from api.settings import Settings
 from bench.standing_clock import StandingClock
@@ -23,12 +24,11 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import EstimationSettings, JobSettings
-from estimation.jobs.steps.kept_geometry import former
-from estimation.jobs.steps.rolling_radius import RadiusOnFile, remembered, stated
+from estimation.jobs.steps.rolling_radius import RadiusOnFile, former, remembered, stated
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import Storage
 from estimation.values.geometry import Contradiction
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobTrigger
 from estimation.values.track import TrackSectionRecord
@@ -54,10 +54,13 @@ def register(storage: SqlStorage, yaw_stiffness: float, radius: float = 0.45) ->
                 unit.windows.put(replace(window, track_section="S1"), 10.0, 1)
 
 
-def run_jobs(storage: Storage, estimator: str) -> None:
-    settings = JobSettings(estimation=EstimationSettings(estimator=estimator), rules=LOW_LIMIT)
+def context_of(storage: Storage) -> JobContext:
+    return JobContext(storage, StandingClock(SOON_NS), "test", JobSettings(rules=LOW_LIMIT))
+
+
+def run_jobs(storage: Storage) -> None:
     for name in ("estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts"):
-        done = run_job(job_named(name), JobContext(storage, StandingClock(SOON_NS), "test", settings), JobTrigger.CLI)
+        done = run_job(job_named(name), context_of(storage), JobTrigger.CLI)
         assert done.outcome == "succeeded", done.error
 
 
@@ -91,10 +94,9 @@ def kinds_of_alerts(storage: SqlStorage) -> set[tuple[str, str]]:
     return {(one["wheelset"], one["kind"]) for one in served(storage, "/v1/alerts")["items"]}
 
 
-@pytest.mark.parametrize("estimator", ["bins", "cubic"])
-def test_a_class_twice_as_stiff_gives_no_number_and_no_alert(sqlite_storage: SqlStorage, estimator: str) -> None:
+def test_a_class_twice_as_stiff_gives_no_number_and_no_alert(sqlite_storage: SqlStorage) -> None:
     register(sqlite_storage, 2 * SOFT)
-    run_jobs(sqlite_storage, estimator)
+    run_jobs(sqlite_storage)
     for serial in ("W1", "W2"):
         geometry = served(sqlite_storage, f"/v1/wheelsets/{serial}/geometry")
         assert (geometry["status"], geometry["reason_code"]) == ("model_mismatch", "yaw_spring_differs")
@@ -106,17 +108,24 @@ def test_a_class_twice_as_stiff_gives_no_number_and_no_alert(sqlite_storage: Sql
         found = [*numbers(geometry), *numbers(trend)]
         assert len(found) > 100
         assert set(found) == {None}
+        rival = geometry_by(sqlite_storage, context_of(sqlite_storage), serial, "cubic")
+        assert rival is not None
+        assert code_of(rival.reason) is ReasonCode.YAW_SPRING_DIFFERS
+        assert rival.equivalent_conicity.value is None
     assert kinds_of_alerts(sqlite_storage) == set()
 
 
 def test_a_radius_on_file_of_another_wheel_gives_no_number_and_names_both(sqlite_storage: SqlStorage) -> None:
     register(sqlite_storage, SOFT, radius=0.5)
-    run_jobs(sqlite_storage, "bins")
+    run_jobs(sqlite_storage)
     for serial in ("W1", "W2"):
         geometry = served(sqlite_storage, f"/v1/wheelsets/{serial}/geometry")
         assert (geometry["status"], geometry["reason_code"]) == ("model_mismatch", "rolling_radius_differs")
         assert "on file are 500 mm" in geometry["reason"]
         assert set(numbers(geometry)) == {None}
+        rival = geometry_by(sqlite_storage, context_of(sqlite_storage), serial, "cubic")
+        assert rival is not None
+        assert code_of(rival.reason) is ReasonCode.ROLLING_RADIUS_DIFFERS
     assert kinds_of_alerts(sqlite_storage) == set()
 
 
@@ -139,7 +148,7 @@ def test_windows_that_cannot_speak_of_the_radius_do_not_contradict_it(sqlite_sto
 
 def test_a_doubt_on_the_radius_lives_with_the_geometry(sqlite_storage: SqlStorage) -> None:
     register(sqlite_storage, SOFT)
-    run_jobs(sqlite_storage, "bins")
+    run_jobs(sqlite_storage)
     with sqlite_storage.read() as unit:
         stored = unit.geometries.current("W1")
     assert stored is not None
@@ -161,25 +170,27 @@ def test_a_doubt_on_the_radius_lives_with_the_geometry(sqlite_storage: SqlStorag
     assert remembered(stored) is None
 
 
-@pytest.mark.parametrize("estimator", ["bins", "cubic"])
-def test_of_the_right_class_the_same_windows_exceed_the_limit(sqlite_storage: SqlStorage, estimator: str) -> None:
+def test_of_the_right_class_the_same_windows_exceed_the_limit(sqlite_storage: SqlStorage) -> None:
     register(sqlite_storage, SOFT)
-    run_jobs(sqlite_storage, estimator)
+    run_jobs(sqlite_storage)
     for serial, cone in (("W1", 0.1), ("W2", 0.14)):
         geometry = served(sqlite_storage, f"/v1/wheelsets/{serial}/geometry")
-        assert (geometry["status"], geometry["estimator"]) == ("estimated", estimator)
+        assert geometry["status"] == "estimated"
         table = SmoothTable(cone)
         x = table.lateral_displacement
         (true,) = equivalent_conicity(table.standard_displacement, table.left(x) - table.right(x), np.array([3e-3]))
         assert sum(one is not None for one in numbers(geometry)) > 50
         assert geometry["equivalent_conicity_at_3_mm_1"]["value"] == pytest.approx(true, abs=0.01)
+        rival = geometry_by(sqlite_storage, context_of(sqlite_storage), serial, "cubic")
+        assert rival is not None
+        assert rival.equivalent_conicity.value == pytest.approx(true, abs=0.01)
     assert kinds_of_alerts(sqlite_storage) == {("W1", "conicity_limit"), ("W2", "conicity_limit")}
 
 
 def test_where_most_windows_contradict_the_registry_what_is_left_is_held_back_too(sqlite_storage: SqlStorage) -> None:
     """What was published before they were refused is taken back."""
     register(sqlite_storage, SOFT)
-    run_jobs(sqlite_storage, "bins")
+    run_jobs(sqlite_storage)
     assert served(sqlite_storage, "/v1/wheelsets/W1/geometry")["status"] == "estimated"
     reason = Reason(ReasonCode.AXLE_DISTANCE, "the axles are elsewhere")
     with sqlite_storage.write() as unit:
@@ -188,7 +199,7 @@ def test_where_most_windows_contradict_the_registry_what_is_left_is_held_back_to
                 later = replace(window, track_section="S1", start_ns=window.start_ns + hour * 3600 * 10**9)
                 unit.windows.put(later, 10.0, 1)
                 unit.windows.mark("W1", later.start_ns, WindowState.REFUSED, reason)
-    run_jobs(sqlite_storage, "bins")
+    run_jobs(sqlite_storage)
     geometry = served(sqlite_storage, "/v1/wheelsets/W1/geometry")
     assert (geometry["status"], geometry["reason_code"]) == ("model_mismatch", "axle_distance")
     assert set(numbers(geometry)) == {None}

@@ -7,9 +7,7 @@ from smooth_wheelset import ideal, run
 import estimation
 from estimation.estimators.catalogue import estimator_named
 from estimation.estimators.interface import EstimatorParameters
-from estimation.jobs.settings import EstimationSettings
 
-assert EstimationSettings(estimator="parabola").estimator == "parabola"
 estimator = estimator_named("parabola")
 state = estimator.init(EstimatorParameters())
 found = estimator.result(estimator.update(state, ideal(run(300, cone=0.1))))

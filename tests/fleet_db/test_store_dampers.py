@@ -78,10 +78,10 @@ def test_the_damper_of_a_running_gear_is_replaced_and_comes_back(fleet: SqlStora
     unknown = gear(Estimate.unknown(Reason(ReasonCode.TOO_FEW_WINDOWS, "few"), 2.0))
     known = gear(with_interval(0.3, 0.02, 0.01, 7, 7.0))
     with fleet.write() as unit:
-        assert unit.dampers.put_gear(unknown, "WS-1", "1", 10)
-        assert not unit.dampers.put_gear(unknown, "WS-1", "1", 11)
+        assert unit.dampers.put_gear(unknown, "WS-1", "1")
+        assert not unit.dampers.put_gear(unknown, "WS-1", "1")
         assert unit.dampers.of_vehicle("V-1") == [unknown]
-        assert unit.dampers.put_gear(known, "WS-1", "1", 12)
+        assert unit.dampers.put_gear(known, "WS-1", "1")
         assert unit.dampers.of_vehicle("V-1") == [known]
         assert unit.dampers.of_vehicle("V-2") == []
         assert unit.dampers.gear("V-1", 1) == known
@@ -92,12 +92,12 @@ def test_a_damper_that_is_another_is_news_of_its_wheelset(fleet: SqlStorage) -> 
     known, touched = gear(with_interval(0.3, 0.02, 0.01, 7, 7.0)), []
     for _ in range(2):
         with fleet.write() as unit:
-            unit.dampers.put_gear(known, "WS-1", "1", 12)
+            unit.dampers.put_gear(known, "WS-1", "1")
         with fleet.read() as unit:
             touched.append(unit.looks.touched()["WS-1"])
     assert touched[0] == touched[1]
     with fleet.write() as unit:
-        unit.dampers.put_gear(replace(known, windows=8), "WS-1", "1", 13)
+        unit.dampers.put_gear(replace(known, windows=8), "WS-1", "1")
     with fleet.read() as unit:
         assert unit.looks.touched()["WS-1"] == touched[1] + 1
 

@@ -7,14 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import stored_values as make
-from sqlalchemy import update
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.geometry import COMBINATIONS, BinStatus, GeometryRecord
 from estimation.values.runs import JobOutcome, JobTrigger
-from fleet_db.models import GeometryRow
 from fleet_db.receipts import ChunkState
-from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.trends import _latest
 
@@ -129,20 +126,6 @@ def test_a_clock_that_is_behind_the_vehicles_rewrites_no_history(
     assert recorded(fleet) == [10 * DAY - behind if corrected else 11 * DAY] * 3
 
 
-def test_a_geometry_that_names_only_the_newest_version_is_read_as_before(fleet: SqlStorage) -> None:
-    put(fleet, make.geometry_record(1, 100), make.geometry_record(2, 200, interval=4, track_versions={}))
-    rows = table_of(GeometryRow)
-    with fleet.write() as unit:
-        now = unit.geometries.current("WS-1")
-        unit.connection.execute(update(rows).where(rows.c.recorded_ns == 100).values(track_versions={"S-7": 3}))
-    with fleet.read() as unit:
-        before = unit.geometries.current("WS-1")
-        (empty,) = unit.geometries.intervals("WS-1", 0)
-    assert now is not None
-    assert before is not None
-    assert (now.track_versions, before.track_versions, empty.track_versions) == ({"S-7": (3, 5)}, {"S-7": (3,)}, {})
-
-
 def test_current_bins_are_plain_rows(fleet: SqlStorage) -> None:
     put(fleet, make.geometry_record(1, 100), make.geometry_record(2, 200, baseline=1))
     put(fleet, make.geometry_record(3, 300), make.geometry_record(4, 300, interval=4))  # neither is the current one
@@ -159,16 +142,6 @@ def test_current_bins_are_plain_rows(fleet: SqlStorage) -> None:
             assert row[f"{name}_{unit}"] == (value if known else None)
             assert row[f"{name}_std_{unit}"] == (std if known else None)
     np.testing.assert_array_equal([row["lateral_displacement_high_m"] for row in rows], geometry.bin_edges[1:])
-
-
-def test_the_headline_is_in_columns(fleet: SqlStorage) -> None:
-    record = make.geometry_record(6)
-    put(fleet, record)
-    query = "SELECT equivalent_conicity, equivalent_conicity_std, zero_crossing_m FROM geometry_estimates"
-    with fleet.engine.connect() as connection:
-        row = connection.exec_driver_sql(query).one()
-    conicity = record.geometry.equivalent_conicity
-    assert tuple(row) == (conicity.value, conicity.std, None)
 
 
 def test_nan_in_the_parameters_is_refused(fleet: SqlStorage) -> None:

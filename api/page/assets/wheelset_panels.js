@@ -100,7 +100,7 @@ export function fitPanel({ geometry, trend }) {
     el("dl", { class: "facts" },
       fact("Status", el("span", { class: `badge ${geometry.status === "estimated" ? "good" : "warning"}` }, words(geometry.status)), geometry.reason ? ` ${geometry.reason}` : ""),
       fact("Tests of fit", `${passed}: equation of yaw with the spring of the class; rolling radius against that on file`),
-      fact("Estimator", geometry.estimator), fact("Windows", number(geometry.n_windows)),
+      fact("Windows", number(geometry.n_windows)),
       fact("Left out", out.length ? out.map(([code, count]) => `${count} ${words(code)}`).join(", ") : "none"),
       fact("Nonlinearity NP", estimate(geometry.nonlinearity_parameter_per_mm, 3, " /mm"), why(geometry.nonlinearity_parameter_per_mm)),
       fact("Conicity about", geometry.centre ? centre(geometry.centre) : "not said"),

@@ -5,27 +5,24 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
-from estimation.jobs.steps.estimated_geometry import EstimatedWith, estimated_geometry, no_geometry
-from estimation.jobs.steps.kept_geometry import former, kept, purged
+from estimation.jobs.steps.estimated_geometry import EstimatedWith, no_geometry
 from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.passed_over import CONTRADICTED, PassedOverWindows
-from estimation.jobs.steps.replay import TabulatedWindow, replayed
-from estimation.jobs.steps.rolling import Part, Rolled, members, sums
-from estimation.jobs.steps.rolling_radius import RadiusOnFile, remembered, stated
+from estimation.jobs.steps.rolling import Part, Rolled, sums
+from estimation.jobs.steps.rolling_radius import RadiusOnFile, former, remembered, stated
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
 from estimation.tables.weighted_tables import weighted_sum
 from estimation.values.exact_table import ExactTable
-from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, Contradiction, GeometryRecord, WheelsetGeometry
+from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, Contradiction, GeometryRecord
 from estimation.values.json_value import JsonValue
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import MILLIMETRES, MOST_CHOSEN, RollUp, RollUpKey, Side
@@ -97,7 +94,7 @@ class RolledGeometries:
         what it rests on was corrected it holds no number any more.
         """
         filled = [part for part in self.rolled.parts if part.roll_up.windows]
-        usable = [part for part in filled if self.rules.assumed(part.roll_up) is not None]
+        usable = self._usable(filled)
         places = {_place(part) for part in usable}
         others = [part for part in filled if _place(part) not in places]
         left = {_place(part) for part in others if self.rules.of_its_baseline(part.roll_up)}
@@ -106,7 +103,17 @@ class RolledGeometries:
         if left and (newest is None or newest < max(left)[0]):
             return found
         found += self._ended(newest)
-        return found if newest is None else [*found, self._current(newest, usable)]
+        return found if newest is None else [*found, self._current(self._remembered(newest, usable))]
+
+    def current_parts(self) -> list[Part]:
+        """Return the roll-ups that the current geometry is made of, by interval; none where there are no windows."""
+        usable = self._usable([part for part in self.rolled.parts if part.roll_up.windows])
+        newest = max((part.roll_up.key.baseline for part in usable), default=None)
+        return [] if newest is None else self._remembered(newest, usable)
+
+    def _usable(self, filled: Sequence[Part]) -> list[Part]:
+        """Return the roll-ups whose class is still the same."""
+        return [part for part in filled if self.rules.assumed(part.roll_up) is not None]
 
     def _intervals(self, usable: Sequence[Part], left: set[Place]) -> list[GeometryRecord]:
         """Return the geometries per mileage interval that are not stored like that."""
@@ -117,10 +124,9 @@ class RolledGeometries:
         records = []
         for place in sorted(parts):
             part = _most_windows(parts[place])
-            assumed, against = self._assumed(part), self._against([part.roll_up])
-            digest = self._digest([part.roll_up], assumed, against)
+            digest = self._digest([part.roll_up], self._assumed(part), self._against([part.roll_up]))
             if place not in stored or stored[place].input_digest != digest:
-                records.append(self._record([part], place, assumed, against, digest))
+                records.append(self._record([part], place, digest))
         gone = [p for p in stored if p not in parts and p not in left and stored[p].windows]
         return records + self._emptied_intervals(gone)
 
@@ -168,21 +174,20 @@ class RolledGeometries:
         gone = [one for one in records if one.geometry.windows and (newest is None or one.baseline > newest)]
         return [self._emptied(one) for one in gone]
 
-    def _current(self, baseline: int, usable: Sequence[Part]) -> GeometryRecord:
-        of_baseline = [part for part in usable if part.roll_up.key.baseline == baseline]
-        right = [part for part in of_baseline if not self._passed_over.contradicted(part.roll_up)]
-        used = self._remembered(right or of_baseline)
-        assumed, roll_ups = self._assumed(used[-1]), [part.roll_up for part in used]
-        against = self._against(roll_ups)
-        record = self._record(used, (baseline, None), assumed, against, self._digest(roll_ups, assumed, against))
+    def _current(self, used: Sequence[Part]) -> GeometryRecord:
+        roll_ups = [part.roll_up for part in used]
+        baseline = roll_ups[0].key.baseline
+        digest = self._digest(roll_ups, self._assumed(used[-1]), self._against(roll_ups))
+        record = self._record(used, (baseline, None), digest)
         left_out = self.unit.plausibility.left_out(self.rules.wheelset, self.rules.baselines[baseline].from_ns)
         counted: dict[str, JsonValue] = {code.value: count for code, count in left_out.items()}
         return replace(record, parameters={**record.parameters, LEFT_OUT: counted})
 
-    def _remembered(self, parts: Sequence[Part]) -> list[Part]:
+    def _remembered(self, baseline: int, usable: Sequence[Part]) -> list[Part]:
         """Return what the current geometry is made of, by interval: of the newest side and class, with a weight."""
-        after = [part for part in parts if part.roll_up.key.side is Side.AFTER]
-        near = after or list(parts)
+        of_baseline = [part for part in usable if part.roll_up.key.baseline == baseline]
+        right = [part for part in of_baseline if not self._passed_over.contradicted(part.roll_up)] or of_baseline
+        near = [part for part in right if part.roll_up.key.side is Side.AFTER] or right
         last = max(near, key=lambda part: part.roll_up.last_ns).roll_up
         longest = REMEMBERED_HALF_LIVES * self.rules.half_life_km
         same = (last.key.table_key, last.key.vehicle_class)
@@ -218,60 +223,64 @@ class RolledGeometries:
         of_class += "" if against is None else f" {against.code}"
         counts = self._passed_over.counts(roll_ups)
         of_class += f" {json.dumps(counts)}" if counts else ""
-        estimator = self.context.settings.estimation.estimator
-        text = hashlib.sha256(f"{self.context.code_version} {estimator}{of_class}\n".encode())
+        text = hashlib.sha256(f"{self.context.code_version}{of_class}\n".encode())
         for one in roll_ups:
             text.update(f"{one.key.interval} {int(one.key.side)} {one.windows} {one.content_digest}\n".encode())
         return text.hexdigest()
 
-    def _record(
-        self,
-        parts: Sequence[Part],
-        place: tuple[int, int | None],
-        assumed: Assumed,
-        against: Reason | None,
-        digest: str,
-    ) -> GeometryRecord:
-        settings, roll_ups = self.context.settings.estimation, [part.roll_up for part in parts]
-        versions = _versions(roll_ups)
-        newest = [self.unit.tracks.alignment(code, used[-1]) for code, used in versions.items()]
-        of_class = ParameterUncertainty.of(assumed.on_file.vehicle_class)
-        tracks = [track for track in newest if track is not None]
-        used = EstimatedWith(settings, assumed, of_class.on(tracks, self.rules.wheelset))
+    def _record(self, parts: Sequence[Part], place: tuple[int, int | None], digest: str) -> GeometryRecord:
+        roll_ups, used = [part.roll_up for part in parts], self.estimated_with(parts)
         current, last = place[1] is None, max(roll_ups, key=lambda one: one.last_ns)
-        table = self._forgetting(parts, last.last_km) if current else self.sums(parts[0])[0].table()
-        forgotten_from = last.last_km if current else None
-        geometry = estimated_geometry(table, used, lambda: self._motions(parts, assumed, forgotten_from))
-        of_radius = None
+        table = self.forgetting(parts) if current else self.sums(parts[0])[0].table()
+        geometry, contradiction = used.estimated(table), None
         if geometry.status is not Status.MODEL_MISMATCH:
-            if any(self._passed_over.contradicted(one) for one in roll_ups):
-                against = CONTRADICTED
-            if against is None:
-                of_radius = self.radius.contradicted(
-                    _chosen(roll_ups), assumed, partial(self._remembered_of_radius, place)
-                )
-            geometry = geometry.against(of_radius) if against is None else geometry.mismatched(against)
-        made = GeometryRecord(
+            contradiction = self.contradiction(parts, place)
+        return GeometryRecord(
             wheelset=self.rules.wheelset,
             baseline=place[0],
             interval=place[1],
             mileage_km=self._mean_km(roll_ups) if current else roll_ups[0].mean_km,
             from_ns=min(one.first_ns for one in roll_ups),
             to_ns=last.end_ns,
-            geometry=geometry,
+            geometry=geometry.against(contradiction),
             input_digest=digest,
-            track_versions=versions,
-            parameters={**used.as_json(), **self._stated(roll_ups), **stated(of_radius)},
+            track_versions=_versions(roll_ups),
+            parameters={**used.as_json(), **self._stated(roll_ups), **stated(contradiction)},
             code_version=self.context.code_version,
             recorded_ns=self.context.clock.now_ns(),
         )
-        return kept(self.unit, made) if self._without_samples(geometry, parts) else made
 
-    def _without_samples(self, geometry: WheelsetGeometry, parts: Sequence[Part]) -> bool:
-        """Whether an estimator that works on samples has got none of any window, for they are purged."""
-        if geometry.windows or geometry.status is Status.MODEL_MISMATCH:
-            return False
-        return purged(member for part in parts for member in members(self.unit, self.rules, part))
+    def estimated_with(self, parts: Sequence[Part]) -> EstimatedWith:
+        """Return what a geometry is estimated with.
+
+        Parameters
+        ----------
+        parts
+            The roll-ups that it is made of; the class is that of the last one.
+        """
+        assumed, versions = self._assumed(parts[-1]), _versions([part.roll_up for part in parts])
+        newest = [self.unit.tracks.alignment(code, used[-1]) for code, used in versions.items()]
+        of_class = ParameterUncertainty.of(assumed.on_file.vehicle_class)
+        tracks = [track for track in newest if track is not None]
+        return EstimatedWith(self.context.settings.estimation, assumed, of_class.on(tracks, self.rules.wheelset))
+
+    def contradiction(self, parts: Sequence[Part], place: tuple[int, int | None]) -> Contradiction | None:
+        """Return what speaks against a geometry beside its own samples; None where nothing does.
+
+        Parameters
+        ----------
+        parts
+            The roll-ups that it is made of.
+        place
+            Baseline and interval; None is the current geometry.
+        """
+        roll_ups = [part.roll_up for part in parts]
+        corrected = any(self._passed_over.contradicted(one) for one in roll_ups)
+        against = CONTRADICTED if corrected else self._against(roll_ups)
+        if against is not None:
+            return Contradiction(against, certain=True, relative=0.0)
+        of_radius = partial(self._remembered_of_radius, place)
+        return self.radius.contradicted(_chosen(roll_ups), self._assumed(parts[-1]), of_radius)
 
     def _stated(self, roll_ups: Sequence[RollUp]) -> Mapping[str, JsonValue]:
         """Return what is stated of windows that would be others today."""
@@ -282,8 +291,15 @@ class RolledGeometries:
         """Return what the geometry that is stored has against the radius on file; None where nothing."""
         return remembered(former(self.unit, self.rules.wheelset, *place))
 
-    def _forgetting(self, parts: Sequence[Part], newest_km: float) -> BinTable:
-        """Return the sum of all with forgetting; the newest window has weight 1."""
+    def forgetting(self, parts: Sequence[Part]) -> BinTable:
+        """Return the sum of roll-ups with forgetting; the newest window has weight 1.
+
+        Parameters
+        ----------
+        parts
+            In the order of their intervals.
+        """
+        newest_km = max((part.roll_up for part in parts), key=lambda one: one.last_ns).last_km
         *before, last = parts
         tables = [(self._weight(last.roll_up, newest_km), self.sums(last)[1].table())]
         if before:
@@ -310,19 +326,6 @@ class RolledGeometries:
         weights = [self._weight(one, newest_km) for one in roll_ups]
         total = sum(weight * one.weighted_mileage for weight, one in zip(weights, roll_ups, strict=True))
         return total / sum(w * one.weight for w, one in zip(weights, roll_ups, strict=True)) / MILLIMETRES
-
-    def _motions(
-        self, parts: Sequence[Part], assumed: Assumed, forgotten_from: float | None
-    ) -> Iterator[tuple[float, Motion]]:
-        """Yield weight and motion of the windows that have samples, oldest first; the newest has weight 1."""
-        found = [member for part in parts for member in members(self.unit, self.rules, part)]
-        mileages = {member.start_ns: member.mileage_km for member in found}
-        ordered = sorted((member.window for member in found), key=lambda window: window.record.start_ns)
-        windows = [TabulatedWindow(window.record, window.track_version) for window in ordered]
-        half_life_km = self.rules.half_life_km
-        for record, moved in replayed(self.unit, windows, assumed.windows):
-            behind_km = 0.0 if forgotten_from is None else forgotten_from - mileages[record.start_ns]
-            yield 0.5 ** (behind_km / half_life_km), moved
 
     def _emptied(self, record: GeometryRecord) -> GeometryRecord:
         """Return what follows ``record`` when none of its windows is left."""

@@ -116,6 +116,24 @@ def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:
     return {RADIUS_DOUBTED: {**doubt, "relative": found.relative}}
 
 
+def former(unit: UnitOfWork, wheelset: str, baseline: int, interval: int | None) -> GeometryRecord | None:
+    """Return the geometry that is stored of an interval, or the current one; None where there is none.
+
+    Parameters
+    ----------
+    unit
+        Geometries are read.
+    wheelset
+        Serial.
+    baseline, interval
+        Its key; None is the current geometry.
+    """
+    if interval is None:
+        return next((one for one in unit.geometries.baselines(wheelset) if one.baseline == baseline), None)
+    found = unit.geometries.intervals(wheelset, baseline, first=interval, last=interval)
+    return next(iter(found), None)
+
+
 def remembered(record: GeometryRecord | None) -> Contradiction | None:
     """Return what a stored geometry has against the radius on file; None where nothing.
 

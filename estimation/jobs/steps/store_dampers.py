@@ -22,7 +22,7 @@ def store_dampers(unit: UnitOfWork, found: Sequence[WindowDamper], context: JobC
     found
         Of windows that were read.
     context
-        Code version and clock.
+        Code version.
     """
     for one in found:
         unit.dampers.put(one)
@@ -33,4 +33,4 @@ def store_dampers(unit: UnitOfWork, found: Sequence[WindowDamper], context: JobC
         if len(newest) == MOST_WINDOWS:
             unit.dampers.forget(vehicle, first_axle, newest[-1].start_ns)
         damper = gear_damper(newest, DamperParameters())
-        unit.dampers.put_gear(damper, newest[0].wheelset, context.code_version, context.clock.now_ns())
+        unit.dampers.put_gear(damper, newest[0].wheelset, context.code_version)

@@ -200,7 +200,7 @@ def test_every_time_stays_in_some_hours_and_few_are_kept(deployed: Deployed) -> 
     with deployed.storage.write() as unit:
         for minute in range(1, 40):
             later = replace(found, from_ns=found.to_ns + (minute - 10) * 60, to_ns=found.to_ns + minute * 60)
-            unit.adhesion.put_section(later, "test", minute)
+            unit.adhesion.put_section(later, "test")
         first, last = found.from_ns, found.to_ns + 39 * 60
         for at_ns in range(found.to_ns, last, 30):
             one = unit.adhesion.section(found.track_section, at_ns)

@@ -41,7 +41,7 @@ def evaluated(storage: Storage, found: GearDamper | None, day: float, rule: Weak
     """Store a damper and evaluate the rules a minute later; return the events of its alerts so far."""
     if found is not None:
         with storage.write() as unit:
-            unit.dampers.put_gear(found, "W1", "test", found.to_ns)
+            unit.dampers.put_gear(found, "W1", "test")
     settings = JobSettings(rules=RuleBook().with_rules(NoDataRule(enabled=False), rule))
     context = JobContext(storage, SetClock(START_NS + round(day * DAY_NS) + 60 * 10**9), "test", settings)
     assert run_job(evaluate_alerts.JOB, context, JobTrigger.CLI).error is None

@@ -1,9 +1,8 @@
-"""The motion of windows that have been tabulated, once more: what an estimator without stored sums works on."""
+"""The motion of windows that have been tabulated, once more: what a rival, which has no stored sums, works on."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 from estimation.errors import PurgedError
@@ -13,31 +12,24 @@ from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
 from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
+from estimation.values.roll_up import Member
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import WindowPosition, WindowRecord
 
 
-@dataclass(frozen=True, slots=True)
-class TabulatedWindow:
-    """A window that has a bin table, and the version of its section's alignment that the table was made with."""
-
-    record: WindowRecord
-    track_version: int | None
-
-
 def replayed(
-    unit: UnitOfWork, windows: Sequence[TabulatedWindow], parameters: WindowParameters
-) -> Iterator[tuple[WindowRecord, Motion]]:
+    unit: UnitOfWork, members: Sequence[Member], parameters: WindowParameters
+) -> Iterator[tuple[Member, Motion]]:
     """Yield each window with its motion, as ``estimate_windows`` tabulated it.
 
-    A window whose position or content has changed since, so that it is refused today, is left out: the next run of
-    ``estimate_windows`` marks it, and this wheelset is refreshed again. So is one whose samples have been purged.
+    A window is left out whose position or content has changed since, so that it is refused today, and one whose
+    samples have been purged.
 
     Parameters
     ----------
     unit
         The transaction to read from.
-    windows
+    members
         Windows of one wheelset.
     parameters
         Class of the vehicle, filters and gates; the same for all windows.
@@ -56,8 +48,8 @@ def replayed(
     def layout(section: str) -> TrackLayout | None:
         return unit.tracks.layout(section)
 
-    for item in windows:
-        record, section = item.record, item.record.track_section
+    for member in members:
+        record, section = member.window.record, member.window.record.track_section
         position = _position(unit, record)
         mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
         try:
@@ -68,7 +60,7 @@ def replayed(
             continue
         moved = window_motion(
             window,
-            alignment(section, item.track_version) if section is not None else None,
+            alignment(section, member.window.track_version) if section is not None else None,
             parameters,
             Correction(position.offset_m, position.scale, position.middle_m) if position is not None else None,
             position.reason if position is not None else None,
@@ -76,7 +68,7 @@ def replayed(
             layout=layout(section) if section is not None else None,
         )
         if not isinstance(moved, Reason):
-            yield record, moved
+            yield member, moved
 
 
 def _position(unit: UnitOfWork, record: WindowRecord) -> WindowPosition | None:
