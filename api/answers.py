@@ -69,18 +69,8 @@ def answer_bytes(
 ) -> Response:
     """Return ``payload`` with its ETag, or 304 where the client holds it already.
 
-    Parameters
-    ----------
-    request
-        The request; ``If-None-Match`` is read from it.
-    payload
-        The representation.
-    media_type
-        Of the payload.
-    status
-        HTTP status.
-    headers
-        Further headers.
+    Args:
+        request: The request; ``If-None-Match`` is read from it.
     """
     tag = entity_tag(payload)
     all_headers = {"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept", **headers}
@@ -92,16 +82,8 @@ def answer_bytes(
 def answer(request: Request, body: BaseModel, *, status: int = 200, headers: Mapping[str, str] = {}) -> Response:
     """Return a representation with its ETag: as JSON, or a list as the table that the client asked for.
 
-    Parameters
-    ----------
-    request
-        The request; ``If-None-Match`` is read from it.
-    body
-        The representation.
-    status
-        HTTP status.
-    headers
-        Further headers.
+    Args:
+        request: The request; ``If-None-Match`` is read from it.
     """
     item = item_of(request.scope["route"].response_model) if wants_table(request) else None
     if item is not None:
@@ -141,47 +123,21 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
 
 
 def table_payload(body: BaseModel, media_type: str, rows: tuple[Sequence[str], Iterable[Sequence[object]]]) -> bytes:
-    """Return a representation as JSON, or its table as CSV.
-
-    Parameters
-    ----------
-    body
-        The representation as JSON.
-    media_type
-        What the client asked for.
-    rows
-        Header and rows of the representation as CSV.
-    """
+    """Return a representation as JSON, or its table as CSV."""
     return csv_text(*rows) if media_type == CSV else payload_of(body)
 
 
 def answer_payload(request: Request, payload: bytes, media_type: str) -> Response:
     """Return what :func:`table_payload` gave.
 
-    Parameters
-    ----------
-    request
-        The request; ``If-None-Match`` is read from it.
-    payload
-        The representation.
-    media_type
-        What the client asked for.
+    Args:
+        request: The request; ``If-None-Match`` is read from it.
     """
     return answer_bytes(request, payload, media_type=_CSV_TYPE if media_type == CSV else media_type)
 
 
 def next_path(request: Request, name: str, cursor: str) -> str:
-    """Return the path of the next page: this request with another cursor.
-
-    Parameters
-    ----------
-    request
-        The request of this page.
-    name
-        Query parameter of the cursor.
-    cursor
-        Of the next page.
-    """
+    """Return the path of the next page: this request with another cursor."""
     kept = [(key, value) for key, value in request.query_params.multi_items() if key != name]
     return f"{quote(request.scope['path'])}?{urlencode([*kept, (name, cursor)])}"
 
@@ -196,20 +152,11 @@ def answer_page(
 ) -> Response:
     """Return one page of a list, as JSON or as a table.
 
-    Parameters
-    ----------
-    request
-        The request; the operation and the path of the next page come from it.
-    filters
-        Filters of the list, each under its name; the cursor is bound to them.
-    limit
-        How many items at most.
-    rows
-        Up to ``limit + 1`` records behind the cursor; one more than shown means that there is a next page.
-    key
-        What orders the list, of a record.
-    represent
-        Representation of a record.
+    Args:
+        request: The request; the operation and the path of the next page come from it.
+        filters: Filters of the list, each under its name; the cursor is bound to them.
+        limit: How many items at most.
+        rows: Up to ``limit + 1`` records behind the cursor; one more than shown means that there is a next page.
     """
     shown, cursor, path = _shown(request, filters, limit, rows, key)
     return answer(
@@ -230,12 +177,8 @@ def answer_payloads(
 ) -> Response:
     """Return one page of a list whose items are kept as JSON: :func:`answer_page` for long lists that are read often.
 
-    Parameters
-    ----------
-    request, filters, limit, rows, key, represent
-        As there.
-    payload
-        JSON text of the representation of a record.
+    Args:
+        payload: JSON text of the representation of a record.
     """
     if wants_table(request):
         return answer_page(request, filters, limit, rows, key, represent)
@@ -272,10 +215,8 @@ def operation(request: Request) -> str:
 def require_match(header: str | None, current: BaseModel) -> None:
     """Refuse a change to something that the client has not seen as it is now.
 
-    Raises
-    ------
-    ProblemError
-        428 without ``If-Match``; 412 where it names another state.
+    Raises:
+        ProblemError: 428 without ``If-Match``; 412 where it names another state.
     """
     if header is None:
         raise ProblemError(428, "precondition-required", "send the ETag of the resource as If-Match")

@@ -166,17 +166,11 @@ def build_app(
 ) -> FastAPI:
     """Return the app that answers with these services, within these limits or the usual ones.
 
-    Parameters
-    ----------
-    services
-        None while the database is waited for: all but ``/healthz`` and ``/metrics`` is refused until ``state.services``
-        is set.
-    limits
-        Of time and size.
-    access
-        Who may ask; by default whoever has a key.
-    sender
-        To webhooks; by default to public addresses alone.
+    Args:
+        services: None while the database is waited for: all but ``/healthz`` and ``/metrics`` is refused until
+            ``state.services`` is set.
+        access: Who may ask; by default whoever has a key.
+        sender: To webhooks; by default to public addresses alone.
     """
     app = describe()
     registry = CollectorRegistry(auto_describe=False)

@@ -15,13 +15,7 @@ SILENT_AFTER_NS = 86_400 * 1_000_000_000
 
 
 def backlog_measures(services: Services) -> list[Metric]:
-    """Return what waits, since when, and how many vehicles of each fleet are silent.
-
-    Parameters
-    ----------
-    services
-        Of the process.
-    """
+    """Return what waits, since when, and how many vehicles of each fleet are silent."""
     with services.storage.read() as unit:
         found = backlog_of(unit.connection)
     return [_recordings(found), _oldest(found), *_vehicles(found, services.clock.now_ns())]

@@ -18,12 +18,9 @@ CPU_FACTS = Path("/proc/cpuinfo")
 def choose_compiled_code(environment: MutableMapping[str, str], dot_env: Path = Path(".env")) -> None:
     """Say to numba, and to every process that this one starts, where compiled code is and for which CPU.
 
-    Parameters
-    ----------
-    environment
-        Of this process; what it already says to numba stays.
-    dot_env
-        File of settings beside the environment.
+    Args:
+        environment: Of this process; what it already says to numba stays.
+        dot_env: File of settings beside the environment.
     """
     settings = _of_file(dot_env) | dict(environment)
     if settings.get(DIRECTORY):
@@ -35,12 +32,8 @@ def choose_compiled_code(environment: MutableMapping[str, str], dot_env: Path = 
 def portable_cpu(machine: str | None = None, facts: Path = CPU_FACTS) -> tuple[str, str]:
     """Return name and features of the CPU to compile for, so that other machines load the same code.
 
-    Parameters
-    ----------
-    machine
-        As ``platform.machine`` names it; None: this one.
-    facts
-        What Linux says of its CPU.
+    Args:
+        machine: As ``platform.machine`` names it; None: this one.
     """
     try:
         lines = facts.read_text(encoding="utf-8", errors="replace").splitlines()

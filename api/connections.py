@@ -38,14 +38,10 @@ class Cut(StrEnum):
 class Connections:
     """The open connections of one server.
 
-    Attributes
-    ----------
-    limit
-        How many may be open.
-    header_timeout_s
-        How long one may wait for the headers of a request.
-    cut
-        How many were closed, and why.
+    Attributes:
+        limit: How many may be open.
+        header_timeout_s: How long one may wait for the headers of a request.
+        cut: How many were closed, and why.
     """
 
     limit: int

@@ -31,13 +31,7 @@ class Column:
 
 
 def item_of(model: Any) -> type[BaseModel] | None:  # noqa: ANN401 - whatever a route answers with
-    """Return what the items of a list are; None where the model is no list.
-
-    Parameters
-    ----------
-    model
-        Of an answer.
-    """
+    """Return what the items of a list are; None where the model is no list."""
     if not (isinstance(model, type) and issubclass(model, BaseModel)) or ITEMS not in model.model_fields:
         return None
     (item,) = get_args(model.model_fields[ITEMS].annotation) or (None,)
@@ -46,26 +40,12 @@ def item_of(model: Any) -> type[BaseModel] | None:  # noqa: ANN401 - whatever a 
 
 @cache
 def columns_of(model: type[BaseModel]) -> tuple[Column, ...]:
-    """Return the columns of a representation, in the order of its fields.
-
-    Parameters
-    ----------
-    model
-        Of the items.
-    """
+    """Return the columns of a representation, in the order of its fields."""
     return tuple(_columns(model, (), lambda value: value))
 
 
 def table(model: type[BaseModel], items: Sequence[BaseModel]) -> tuple[Sequence[str], Iterator[Sequence[object]]]:
-    """Return header and rows of a list.
-
-    Parameters
-    ----------
-    model
-        Of the items.
-    items
-        Representations.
-    """
+    """Return header and rows of a list."""
     columns = columns_of(model)
     return [column.name for column in columns], ([column.read(item) for column in columns] for item in items)
 

@@ -85,10 +85,8 @@ def code_version() -> str:
 def process_name(number: int | None = None) -> str:
     """Return what others read of a process of this machine where it holds something.
 
-    Parameters
-    ----------
-    number
-        Of the process; None for this one.
+    Args:
+        number: Of the process; None for this one.
     """
     return f"{socket.gethostname()}, process {os.getpid() if number is None else number}"
 
@@ -96,14 +94,10 @@ def process_name(number: int | None = None) -> str:
 def open_store(settings: Settings) -> SqlStorage:
     """Return the store of this deployment.
 
-    Raises
-    ------
-    MigrationError
-        The database is at another migration; the message gives the command to run.
-    ParameterError
-        The database URL names none that can be used, or windows of another length are stored.
-    StorageError
-        The database cannot be reached.
+    Raises:
+        MigrationError: The database is at another migration; the message gives the command to run.
+        ParameterError: The database URL names none that can be used, or windows of another length are stored.
+        StorageError: The database cannot be reached.
     """
     limits = ServerLimits(
         settings.database_connect_timeout_s, settings.database_silence_s, settings.database_statement_timeout_s
@@ -132,19 +126,11 @@ def job_context(
 ) -> JobContext:
     """Return what the jobs of this deployment may touch.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment; names the rules file.
-    storage
-        Where the jobs read and write.
-    progress
-        Called with (done, total) by jobs that count.
+    Args:
+        progress: Called with (done, total) by jobs that count.
 
-    Raises
-    ------
-    InputError
-        The rules file is wrong; names the file and the field.
+    Raises:
+        InputError: The rules file is wrong; names the file and the field.
     """
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
     chosen = JobSettings(rules=rules, rails=rails_settings(settings))
@@ -169,10 +155,8 @@ def rails_settings(settings: Settings) -> RailsSettings:
 def retention_of(settings: Settings) -> Retention:
     """Return how long this deployment keeps what.
 
-    Raises
-    ------
-    InputError
-        The retention file is wrong; names the file and the field.
+    Raises:
+        InputError: The retention file is wrong; names the file and the field.
     """
     return Retention() if settings.retention_file is None else load_retention(settings.retention_file)
 
@@ -188,10 +172,8 @@ def scheduled_jobs(settings: Settings) -> tuple[Job, ...]:
 def upkeep_jobs(settings: Settings) -> tuple[Job, ...]:
     """Return the jobs of the schedule that estimate nothing.
 
-    Raises
-    ------
-    InputError
-        The retention file is wrong; names the file and the field.
+    Raises:
+        InputError: The retention file is wrong; names the file and the field.
     """
     return (traced(purge_job(retention_of(settings), raw_store(settings), _sql_storage)),)
 
@@ -207,25 +189,12 @@ def receiver(
 ) -> Receiver:
     """Return what takes recordings in and makes their windows.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-    storage
-        Where receipts and windows go.
-    clock
-        Ours.
-    catalogues
-        Mapping files of buses of one's own; by default those of the settings.
-    deleted_taken_by
-        Who wants recordings that were deleted to be taken in again; None where they are refused.
-    announce
-        Called with each receipt once it is committed.
+    Args:
+        catalogues: Mapping files of buses of one's own; by default those of the settings.
+        deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
 
-    Raises
-    ------
-    InputError
-        A mapping file cannot be used.
+    Raises:
+        InputError: A mapping file cannot be used.
     """
     buses = [load_own_bus(path) for path in catalogues or settings.catalogue_files]
     chosen = claim(storage, bus_choice(default_catalogue(), buses), _length_ns(settings), clock.now_ns())
@@ -321,18 +290,12 @@ def create_server(settings: Settings) -> uvicorn.Server:
 def serve(settings: Settings, stopping: Event) -> None:
     """Serve the REST application until a signal; it listens while the server of its database is away.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-    stopping
-        Set by the handlers of signals that come while nothing is served.
+    Args:
+        stopping: Set by the handlers of signals that come while nothing is served.
 
-    Raises
-    ------
-    InputError, MigrationError, StorageError
-        As :func:`open_services`, where no wait helps; also later, once the database answers. Access is open beyond
-        loopback, and nothing says that this is meant.
+    Raises:
+        InputError, MigrationError, StorageError: As :func:`open_services`, where no wait helps; also later, once the
+            database answers. Access is open beyond loopback, and nothing says that this is meant.
     """
     from api.access.plan import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same

@@ -38,12 +38,8 @@ def fault_of(error: BaseException) -> Fault:
 def short_trace(error: BaseException, clean: Callable[[str], str] = str) -> str:
     """Return a trace without local variables, bounded in depth and characters, the error itself first.
 
-    Parameters
-    ----------
-    error
-        What was raised.
-    clean
-        Takes out of a message what must not be written, before the message is cut.
+    Args:
+        clean: Takes out of a message what must not be written, before the message is cut.
     """
     parts, one, seen = [], error, set[int]()
     for _ in range(CAUSES):
@@ -85,12 +81,8 @@ class FaultLedger:
     def admits(self, fault: Fault, now_s: float) -> bool:
         """Return whether this occurrence is to be written in full; otherwise it is counted.
 
-        Parameters
-        ----------
-        fault
-            From :func:`fault_of`.
-        now_s
-            Of a clock that never goes back.
+        Args:
+            now_s: Of a clock that never goes back.
         """
         known = self._seen.get(fault)
         if known is not None and now_s - known.full_at_s < FULL_AGAIN_S:

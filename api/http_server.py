@@ -41,15 +41,8 @@ class HttpServer(uvicorn.Server):
 def check_address(settings: Settings) -> None:
     """Refuse an address on which nobody can listen, before anything is opened for it.
 
-    Parameters
-    ----------
-    settings
-        Where to listen.
-
-    Raises
-    ------
-    ParameterError
-        The port is taken, or the address is not of this machine.
+    Raises:
+        ParameterError: The port is taken, or the address is not of this machine.
     """
     try:
         found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
@@ -67,12 +60,9 @@ def check_address(settings: Settings) -> None:
 def http_server(app: FastAPI, settings: Settings) -> HttpServer:
     """Return the server of an app, which answers running requests before it ends on a signal.
 
-    Parameters
-    ----------
-    app
-        Its ``state.registry`` gets the measures of the connections.
-    settings
-        Where to listen, what a client may take, how long to wait at the end.
+    Args:
+        app: Its ``state.registry`` gets the measures of the connections.
+        settings: Where to listen, what a client may take, how long to wait at the end.
     """
     connections = Connections(open_connections(settings.max_connections), settings.header_timeout_s)
     app.state.registry.register(ConnectionMeasures(connections))

@@ -26,10 +26,8 @@ class IdempotentPost:
     def earlier(self, request: Request, unit: SqlUnitOfWork) -> Response | None:
         """Return the answer that was already given under this key.
 
-        Raises
-        ------
-        ProblemError
-            422: the key was used for another request.
+        Raises:
+            ProblemError: 422: the key was used for another request.
         """
         known = None if self.key is None else unit.idempotency.get(self.key)
         if known is None:
@@ -52,14 +50,8 @@ class IdempotentPost:
 def idempotent_post(request: Request, key: str | None, body: BaseModel | None = None) -> IdempotentPost:
     """Return this POST's identity: its key, and a digest of what it asks for.
 
-    Parameters
-    ----------
-    request
-        The POST.
-    key
-        Its ``Idempotency-Key``.
-    body
-        Its validated body.
+    Args:
+        key: Its ``Idempotency-Key``.
     """
     request_parts = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
     identity = None if (caller := known_caller(request.scope)) is None else caller.identity

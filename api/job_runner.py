@@ -16,14 +16,9 @@ from fleet_db.storage import SqlStorage
 class JobRunner:
     """Runs one job at a time, in a thread of its own; built by the factory, closed with the app.
 
-    Parameters
-    ----------
-    context
-        What the jobs may touch.
-    storage
-        Its storage.
-    holder
-        Name of this process, as owner of the runs.
+    Args:
+        context: What the jobs may touch.
+        holder: Name of this process, as owner of the runs.
     """
 
     def __init__(self, context: JobContext, storage: SqlStorage, holder: str) -> None:
@@ -38,12 +33,9 @@ class JobRunner:
     def start(self, job: Job) -> JobRun:
         """Start a run of ``job`` and return its record as soon as it is committed.
 
-        Raises
-        ------
-        ConflictError
-            A run of this job is under way, here or elsewhere, or another job runs here.
-        StorageError
-            The run could not be recorded.
+        Raises:
+            ConflictError: A run of this job is under way, here or elsewhere, or another job runs here.
+            StorageError: The run could not be recorded.
         """
         with self._starting:
             self._refuse_second(job)

@@ -17,19 +17,12 @@ def require_known(
 ) -> None:
     """Refuse filters that name nothing; to be asked where a page is empty, for one with rows shows that they do.
 
-    Parameters
-    ----------
-    unit
-        Where the list is read.
-    fleet, vehicle, wheelset, vehicle_class
-        Codes and serial to filter by; None is no filter.
-    fleet_alert
-        Number of the fleet alert whose members are asked for.
+    Args:
+        fleet, vehicle, wheelset, vehicle_class: Codes and serial to filter by; None is no filter.
+        fleet_alert: Number of the fleet alert whose members are asked for.
 
-    Raises
-    ------
-    NotFoundError
-        There is no such fleet, vehicle, wheelset, class or fleet alert.
+    Raises:
+        NotFoundError: There is no such fleet, vehicle, wheelset, class or fleet alert.
     """
     if fleet is not None and all(one.code != fleet for one in unit.registry.fleets()):
         raise NotFoundError("fleet", fleet)

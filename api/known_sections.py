@@ -10,15 +10,11 @@ SECOND_NS = 1_000_000_000
 def known_sections(text: str) -> list[tuple[str, int]]:
     """Return codes of sections, each with the begin of its day, ns UTC.
 
-    Parameters
-    ----------
-    text
-        ``S1@2026-03-01,S2@2026-05-17``; a section may come several times.
+    Args:
+        text: ``S1@2026-03-01,S2@2026-05-17``; a section may come several times.
 
-    Raises
-    ------
-    ValueError
-        An entry has no code, or no day.
+    Raises:
+        ValueError: An entry has no code, or no day.
     """
     found = []
     for entry in filter(None, (one.strip() for one in text.split(","))):

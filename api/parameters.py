@@ -29,17 +29,11 @@ MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured be
 def require_order(from_ns: int | None, to_ns: int | None, begin: str = "from", end: str = "to") -> None:
     """Refuse a range that ends before it begins; an empty one, `[t, t)`, is allowed.
 
-    Parameters
-    ----------
-    from_ns, to_ns
-        The range; None is open.
-    begin, end
-        Names of the parameters.
+    Args:
+        from_ns, to_ns: The range; None is open.
 
-    Raises
-    ------
-    ProblemError
-        422.
+    Raises:
+        ProblemError: 422.
     """
     if from_ns is not None and to_ns is not None and from_ns > to_ns:
         item = ProblemItem(part="query", pointer=f"#/{begin}", detail=f"is after `{end}`")
@@ -49,10 +43,8 @@ def require_order(from_ns: int | None, to_ns: int | None, begin: str = "from", e
 def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
     """Refuse a time in the future.
 
-    Raises
-    ------
-    ProblemError
-        422.
+    Raises:
+        ProblemError: 422.
     """
     if as_of_ns is not None and as_of_ns > now_ns:
         item = ProblemItem(part="query", pointer="#/as_of", detail="is in the future")
@@ -62,10 +54,8 @@ def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
 def not_purged(as_of_ns: int | None, purged_before_ns: int | None) -> None:
     """Refuse a time from which replaced results are not kept any more: what was known then is not known now.
 
-    Raises
-    ------
-    ProblemError
-        410; names the time from which on they are kept.
+    Raises:
+        ProblemError: 410; names the time from which on they are kept.
     """
     if as_of_ns is not None and purged_before_ns is not None and as_of_ns < purged_before_ns:
         kept = to_rfc3339(purged_before_ns)

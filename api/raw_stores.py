@@ -27,19 +27,9 @@ BY_ROLE = (
 def open_raw_store(settings: Settings, environment: Mapping[str, str] = os.environ) -> RawStore:
     """Return the store that the settings name; a bucket is not asked yet.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-    environment
-        Holds the credentials of a bucket.
-
-    Raises
-    ------
-    ParameterError
-        Settings contradict each other, or credentials are missing; names the variable.
-    PassingFaultError
-        The client library of buckets is not installed.
+    Raises:
+        ParameterError: Settings contradict each other, or credentials are missing; names the variable.
+        PassingFaultError: The client library of buckets is not installed.
     """
     if settings.raw_store is None:
         return FileRawStore(settings.data_dir / "raw")

@@ -29,10 +29,8 @@ def password_in(url: str) -> str | None:
 class Redactor:
     """Replaces passwords in a text.
 
-    Attributes
-    ----------
-    secrets
-        Passwords of this deployment; each is found as it is, decoded, percent-encoded and escaped in JSON.
+    Attributes:
+        secrets: Passwords of this deployment; each is found as it is, decoded, percent-encoded and escaped in JSON.
     """
 
     secrets: tuple[str, ...] = ()

@@ -13,10 +13,8 @@ from ingest.topic.publishing import Publisher, Sent
 class ReferenceMeasures(Collector):
     """Measures of a publisher.
 
-    Parameters
-    ----------
-    publisher
-        Returns it; None where no topic is set.
+    Args:
+        publisher: Returns it; None where no topic is set.
     """
 
     def __init__(self, publisher: Callable[[], Publisher | None]) -> None:

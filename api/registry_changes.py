@@ -30,24 +30,15 @@ UNNAMED = "unnamed client"
 class BodySource:
     """Names the field of a request's body for a field of a registry file.
 
-    Attributes
-    ----------
-    names
-        By field of the file; by array and index before it (``mountings[1].from``) where several records are entered.
+    Attributes:
+        names: By field of the file; by array and index before it (``mountings[1].from``) where several records are
+            entered.
     """
 
     names: Mapping[str, str] = field(default_factory=dict)
 
     def error(self, reason: str, location: Location = ()) -> InputError:
-        """Return the error that names the field of the body.
-
-        Parameters
-        ----------
-        reason
-            What is wrong.
-        location
-            Array, index and field of a registry file.
-        """
+        """Return the error that names the field of the body."""
         last = next((str(part) for part in location[2:3]), "")
         return InputError(reason, field=self.names.get(dotted(location)) or self.names.get(last, last) or None)
 
@@ -56,14 +47,10 @@ class BodySource:
 class RegistryRequest:
     """A request that changes the registry.
 
-    Attributes
-    ----------
-    request, services, caller, body
-        Of the route.
-    if_match
-        Its ``If-Match``; None in requests that create something.
-    key
-        Its ``Idempotency-Key``.
+    Attributes:
+        request, services, caller, body: Of the route.
+        if_match: Its ``If-Match``; None in requests that create something.
+        key: Its ``Idempotency-Key``.
     """
 
     request: Request
@@ -74,22 +61,14 @@ class RegistryRequest:
     key: str | None = None
 
     def decision(self, now_ns: int) -> Decision:
-        """Return who decides, why, and when.
-
-        Parameters
-        ----------
-        now_ns
-            Our time.
-        """
+        """Return who decides, why, and when."""
         return Decision(self.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns)
 
     def visible(self, find: Callable[[SqlUnitOfWork], object]) -> None:
         """Refuse what the body names and the caller does not see, as if it did not exist.
 
-        Parameters
-        ----------
-        find
-            Raises where there is no such thing in a transaction that shows the caller's fleets only.
+        Args:
+            find: Raises where there is no such thing in a transaction that shows the caller's fleets only.
         """
         with self.services.storage.read() as unit:
             find(unit)
@@ -102,14 +81,9 @@ class RegistryRequest:
     ) -> Response:
         """Change something in one transaction; the same request again changes nothing and gets the same answer.
 
-        Parameters
-        ----------
-        current
-            Representation of the asset that is changed, for ``If-Match``; None where there is none yet.
-        apply
-            Changes it; returns what is answered.
-        status
-            Of the answer.
+        Args:
+            current: Representation of the asset that is changed, for ``If-Match``; None where there is none yet.
+            apply: Changes it; returns what is answered.
         """
         post: IdempotentPost = idempotent_post(self.request, self.key, self.body)
         now_ns = self.services.clock.now_ns()
@@ -126,21 +100,8 @@ class RegistryRequest:
     def enter(self, unit: SqlUnitOfWork, decision: Decision, contents: RegistryContents, source: BodySource) -> None:
         """Enter records as a registry file does.
 
-        Parameters
-        ----------
-        unit
-            A writing transaction.
-        decision
-            Who, why and when.
-        contents
-            The records.
-        source
-            Names fields of the body.
-
-        Raises
-        ------
-        RegistryRefusedError
-            They are impossible or contradict what is on file.
+        Raises:
+            RegistryRefusedError: They are impossible or contradict what is on file.
         """
         confirmed = frozenset(map(Rule, self.body.confirm))
         enter(contents, unit, source, Entry(decision, decision.recorded_ns, confirmed))

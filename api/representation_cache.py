@@ -19,10 +19,8 @@ CACHED_BYTES = 64 << 20
 class RepresentationCache:
     """The least recently used representation is displaced first; safe for threads.
 
-    Attributes
-    ----------
-    limit_bytes
-        Size of all representations together.
+    Attributes:
+        limit_bytes: Size of all representations together.
     """
 
     limit_bytes: int = CACHED_BYTES
@@ -33,12 +31,8 @@ class RepresentationCache:
     def get_or_make(self, key: Hashable, make: Callable[[], bytes]) -> bytes:
         """Return what is kept under a key, or make it and keep it.
 
-        Parameters
-        ----------
-        key
-            With the version of all that the representation shows.
-        make
-            Makes the representation.
+        Args:
+            key: With the version of all that the representation shows.
         """
         with self._lock:
             known = self._held.get(key)
@@ -55,12 +49,8 @@ class RepresentationCache:
     ) -> Mapping[int, bytes]:
         """Return what is kept of several under one name each, and make and keep what is missing, all at once.
 
-        Parameters
-        ----------
-        keys
-            By number; each with the version of all that its representation shows.
-        make
-            Makes the representations of these numbers.
+        Args:
+            keys: By number; each with the version of all that its representation shows.
         """
         with self._lock:
             found = {number: self._held[key] for number, key in keys.items() if key in self._held}

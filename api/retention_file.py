@@ -48,16 +48,9 @@ class RetentionTable(InputTable):
 def load_retention(path: Path) -> Retention:
     """Return the retention of a TOML file.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or is no TOML; an unknown key; a value that is no number of days. Names the file, the
-        line and the field.
+    Raises:
+        InputError: The file cannot be read or is no TOML; an unknown key; a value that is no number of days. Names the
+            file, the line and the field.
     """
     file = read_toml(path)
     given = file.parse(RetentionTable).days

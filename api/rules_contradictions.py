@@ -13,13 +13,7 @@ _RELATIONS = {"<=": (operator.le, "is above"), ">=": (operator.ge, "is below")}
 
 
 def contradiction(rule: AlertRule) -> tuple[Location, str] | None:
-    """Return the field that contradicts another, and why; None where none does.
-
-    Parameters
-    ----------
-    rule
-        With everything that is set of it.
-    """
+    """Return the field that contradicts another, and why; None where none does."""
     for name, relation, other in rule.relations:
         holds, contrary = _RELATIONS[relation]
         value, limit = getattr(rule, name), getattr(rule, other)

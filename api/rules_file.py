@@ -67,19 +67,13 @@ class _Layer:
 def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     """Return the rule book of a TOML file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    book
-        What it changes; the shipped rules by default.
+    Args:
+        book: What it changes; the shipped rules by default.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read or is no TOML; an unknown table or key; a value of the
-        wrong type or outside its range; values that contradict each other, such as a clear limit on the wrong side of
-        its raise limit; one scope twice. Names the file, the line and the field.
+    Raises:
+        InputError: The file cannot be read or is no TOML; an unknown table or key; a value of the wrong type or outside
+            its range; values that contradict each other, such as a clear limit on the wrong side of its raise limit;
+            one scope twice. Names the file, the line and the field.
     """
     book = book if book is not None else RuleBook()
     file = read_toml(path)
@@ -124,10 +118,8 @@ def _schema(book: RuleBook) -> type[InputTable]:
 def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - of the schema made above
     """Yield what the file says of classes, of fleets, and of classes in fleets: the later go before the earlier.
 
-    Raises
-    ------
-    InputError
-        One scope twice, or the alarm flood of a class.
+    Raises:
+        InputError: One scope twice, or the alarm flood of a class.
     """
     classes = [_Layer(None, one.code, one, ("class", i)) for i, one in enumerate(given.classes)]
     fleets = [_Layer(one.fleet, one.code, one, ("fleet", i)) for i, one in enumerate(given.fleets)]
@@ -152,10 +144,8 @@ def _scopes(layers: Sequence[_Layer]) -> list[tuple[str | None, str | None]]:
 def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
     """Return a book with what a layer changes.
 
-    Raises
-    ------
-    InputError
-        What comes out contradicts itself.
+    Raises:
+        InputError: What comes out contradicts itself.
     """
     rules = []
     for rule in book.rules:
@@ -182,13 +172,7 @@ def _of(layer: _Layer) -> str:
 
 
 def resolved(book: RuleBook) -> Mapping[str, RuleBook]:
-    """Return the book of every scope that a file names, by the name of the scope.
-
-    Parameters
-    ----------
-    book
-        Of a file.
-    """
+    """Return the book of every scope that a file names, by the name of the scope."""
     found = {"all fleets and classes": book}
     for (fleet, vehicle_class), one in book.scoped.items():
         names = [f"{what} {code}" for what, code in (("fleet", fleet), ("class", vehicle_class)) if code is not None]

@@ -22,15 +22,7 @@ _EITHER = (("on_evaluations", "on_delay_km"), ("off_evaluations", "off_delay_km"
 
 
 def table_of(value_type: type[Any], without: frozenset[str] = frozenset()) -> type[InputTable]:
-    """Return the schema of a table that sets fields of a dataclass; fields with a default may be left out.
-
-    Parameters
-    ----------
-    value_type
-        The dataclass.
-    without
-        Fields that the table cannot set.
-    """
+    """Return the schema of a table that sets fields of a dataclass; fields with a default may be left out."""
     hints = get_type_hints(value_type, include_extras=True)
     keys: dict[str, Any] = {
         item.name: _key_of(item, hints[item.name]) for item in fields(value_type) if item.name not in without
@@ -57,12 +49,8 @@ def changed(value: _Value, given: BaseModel | None) -> _Value:
 
     A delay that the table sets takes the place of the same delay in the other unit.
 
-    Parameters
-    ----------
-    value
-        The dataclass.
-    given
-        The table; None changes nothing.
+    Args:
+        given: The table; None changes nothing.
     """
     if given is None:
         return value
@@ -77,10 +65,8 @@ def changed(value: _Value, given: BaseModel | None) -> _Value:
 def both_units(given: BaseModel | None) -> str | None:
     """Return the key of a delay in kilometres that a table of delays sets beside the same one in evaluations.
 
-    Parameters
-    ----------
-    given
-        A table of delays; None sets nothing.
+    Args:
+        given: A table of delays; None sets nothing.
     """
     if given is None:
         return None

@@ -46,10 +46,8 @@ class Services:
     def job(self, name: str) -> Job:
         """Return the job of this name.
 
-        Raises
-        ------
-        NotFoundError
-            There is none.
+        Raises:
+            NotFoundError: There is none.
         """
         try:
             return self.jobs[name]
@@ -69,10 +67,8 @@ ServicesDep = Annotated[Services, Depends(services_of)]
 async def writer_slot(services: ServicesDep) -> AsyncIterator[None]:
     """Hold a place among the requests that write; for the routes that do.
 
-    Raises
-    ------
-    BusyError
-        None became free in time.
+    Raises:
+        BusyError: None became free in time.
     """
     async with services.writers.slot():
         yield

@@ -23,105 +23,74 @@ LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 class Settings(BaseSettings):
     """Everything that differs between deployments; the defaults are the embedded one.
 
-    Parameters
-    ----------
-    data_dir
-        Directory of everything that is kept beside the database: raw recordings, samples of windows. The embedded
-        database is here too.
-    raw_store
-        Where raw recordings are kept: ``file:///absolute/path`` or ``s3://bucket/prefix``; left out, ``raw`` in
-        ``data_dir``.
-    s3_endpoint, s3_region
-        Of the S3-compatible store; left out, those of AWS.
-    s3_allow_http
-        Whether an endpoint beyond this machine may be ``http://``.
-    s3_timeout_s
-        How long one request to the store may take, in seconds.
-    database_url
-        ``sqlite:///...`` or ``postgresql://...``; left out, the server at ``database_host``, or without one a SQLite
-        file in ``data_dir``.
-    database_host, database_port, database_name, database_user, database_password
-        A PostgreSQL server in parts; the password may contain any character.
-    rules_file
-        TOML file of alert rules; left out, the rules shipped with the package.
-    retention_file
-        TOML file of how long what is kept; left out, the shipped numbers of days.
-    host, port
-        Where the REST API listens.
-    access
-        ``keys``: who asks needs a key or a token. ``open``: nobody does; on loopback alone, unless it says
-        ``open to everyone who reaches this address``.
-    hosts, origins
-        Names under which the REST API is reached, and origins of pages that may change something, beside its own; with
-        commas between them.
-    trusted_proxies
-        Addresses of proxies whose ``X-Forwarded-For`` is believed, with commas between them.
-    https
-        Whether a proxy serves the REST API by HTTPS alone: browsers then ask for nothing else.
-    metrics, docs
-        Whether ``/metrics``, and ``/docs`` with ``/openapi.json``, need a ``key``, are ``open``, or ``off``.
-    requests_per_s, requests_burst, failed_keys_per_minute, streams_per_key, max_body_kb
-        What one key may ask on average and at once, how often one address may err, how many streams one key may hold
-        open, and how large a body may be.
-    oidc_issuer, oidc_audience, oidc_keys
-        Which tokens of an OpenID Connect provider are taken: issuer, audience, URL or file of its public keys.
-    oidc_owner_claim, oidc_scopes_claim, oidc_fleets_claim, oidc_leeway_s
-        Which claims say what, and how far clocks may differ, in seconds.
-    log_level, log_format
-        How much is logged, and whether as JSON lines or as text for a terminal.
-    window_length_s
-        Length of a window of running time, in seconds. Windows are cut at multiples of it, so it must not be changed
-        after data are stored.
-    jobs_every_s
-        Interval of all scheduled jobs, in seconds; left out, each job has its own.
-    workers
-        How many processes of this machine estimate; ``auto`` is one for each processor, 1 does without processes.
-    worker_memory_mb
-        How many megabytes a worker process may have after a unit of work before it is replaced.
-    lease_s
-        How long what a process works on is kept from others once that process is gone or stands still, in seconds.
-    dask_scheduler
-        URL of a Dask scheduler whose workers estimate in place of processes of this machine.
-    catalogues
-        Mapping files of buses of one's own, with ``:`` between them (``;`` on Windows); left out, all vehicles have
-        the shipped bus.
-    compiled_dir
-        Directory of compiled code; left out, the user's own for caches (XDG_CACHE_HOME). Only who may run the services
-        may write there.
-    compiled_cpu
-        ``host``: code for the CPU of this machine. ``portable``: code that other machines of its kind load too.
-    rails_known_sections
-        Track sections whose rails are as on file, each with the day for which that is known: ``S1@2026-03-01``, with
-        commas between; all others are compared with them.
-    rails_limit
-        On what rails add to the conicity of the wheel as designed, over those on file.
-    spool_mb, spool_memory_mb
-        How many megabytes of a live bus may wait for their receipt on the disk, and in memory while the disk takes
-        nothing; of each vehicle.
-    database_connect_timeout_s, database_silence_s, database_statement_timeout_s
-        How long a database server may take to accept a connection, to say anything before it is asked whether it is
-        there, and for one statement, in seconds.
-    max_chunk_mb, max_uploads, upload_timeout_s
-        How large a chunk may be that is sent over HTTP or through a drop folder, how many one process receives at the
-        same time, and how long one may take, in seconds.
-    backlog_chunks, backlog_mb, free_disk_mb
-        How many chunks, and megabytes of them, may wait to be decoded, and how many megabytes of the disk stay free;
-        beyond, no chunk is taken.
-    kafka_servers, kafka_topic, kafka_properties
-        Brokers of the topic of references to chunks, ``host:port`` with commas between them; left out, there is none.
-        Its name. A file of properties of librdkafka, such as those of TLS and SASL.
-    shutdown_timeout_s
-        How long running requests and jobs may take to finish after SIGTERM, in seconds.
-    max_connections
-        How many connections the REST API holds at the same time; fewer where the process may open fewer files.
-    max_streams
-        How many clients of one process may wait for news of the feed, with a stream or a long poll.
-    webhook_networks
-        Private networks that webhooks may lead to, as CIDRs with commas between them.
-    webhook_timeout_s
-        How long one attempt to hand an event to a webhook may take in all, in seconds.
-    header_timeout_s, body_timeout_s, request_timeout_s
-        How long the REST API waits for the headers of a request, for its body and for its own answer, in seconds.
+    Args:
+        data_dir: Directory of everything that is kept beside the database: raw recordings, samples of windows. The
+            embedded database is here too.
+        raw_store: Where raw recordings are kept: ``file:///absolute/path`` or ``s3://bucket/prefix``; left out, ``raw``
+            in ``data_dir``.
+        s3_endpoint, s3_region: Of the S3-compatible store; left out, those of AWS.
+        s3_allow_http: Whether an endpoint beyond this machine may be ``http://``.
+        s3_timeout_s: How long one request to the store may take, in seconds.
+        database_url: ``sqlite:///...`` or ``postgresql://...``; left out, the server at ``database_host``, or without
+            one a SQLite file in ``data_dir``.
+        database_host, database_port, database_name, database_user, database_password: A PostgreSQL server in parts; the
+            password may contain any character.
+        rules_file: TOML file of alert rules; left out, the rules shipped with the package.
+        retention_file: TOML file of how long what is kept; left out, the shipped numbers of days.
+        access: ``keys``: who asks needs a key or a token. ``open``: nobody does; on loopback alone, unless it says
+            ``open to everyone who reaches this address``.
+        hosts, origins: Names under which the REST API is reached, and origins of pages that may change something,
+            beside its own; with commas between them.
+        trusted_proxies: Addresses of proxies whose ``X-Forwarded-For`` is believed, with commas between them.
+        https: Whether a proxy serves the REST API by HTTPS alone: browsers then ask for nothing else.
+        metrics, docs: Whether ``/metrics``, and ``/docs`` with ``/openapi.json``, need a ``key``, are ``open``, or
+            ``off``.
+        requests_per_s, requests_burst, failed_keys_per_minute, streams_per_key, max_body_kb: What one key may ask on
+            average and at once, how often one address may err, how many streams one key may hold open, and how large a
+            body may be.
+        oidc_issuer, oidc_audience, oidc_keys: Which tokens of an OpenID Connect provider are taken: issuer, audience,
+            URL or file of its public keys.
+        oidc_owner_claim, oidc_scopes_claim, oidc_fleets_claim, oidc_leeway_s: Which claims say what, and how far clocks
+            may differ, in seconds.
+        log_level, log_format: How much is logged, and whether as JSON lines or as text for a terminal.
+        window_length_s: Length of a window of running time, in seconds. Windows are cut at multiples of it, so it must
+            not be changed after data are stored.
+        jobs_every_s: Interval of all scheduled jobs, in seconds; left out, each job has its own.
+        workers: How many processes of this machine estimate; ``auto`` is one for each processor, 1 does without
+            processes.
+        worker_memory_mb: How many megabytes a worker process may have after a unit of work before it is replaced.
+        lease_s: How long what a process works on is kept from others once that process is gone or stands still, in
+            seconds.
+        dask_scheduler: URL of a Dask scheduler whose workers estimate in place of processes of this machine.
+        catalogues: Mapping files of buses of one's own, with ``:`` between them (``;`` on Windows); left out, all
+            vehicles have the shipped bus.
+        compiled_dir: Directory of compiled code; left out, the user's own for caches (XDG_CACHE_HOME). Only who may run
+            the services may write there.
+        compiled_cpu: ``host``: code for the CPU of this machine. ``portable``: code that other machines of its kind
+            load too.
+        rails_known_sections: Track sections whose rails are as on file, each with the day for which that is known:
+            ``S1@2026-03-01``, with commas between; all others are compared with them.
+        rails_limit: On what rails add to the conicity of the wheel as designed, over those on file.
+        spool_mb, spool_memory_mb: How many megabytes of a live bus may wait for their receipt on the disk, and in
+            memory while the disk takes nothing; of each vehicle.
+        database_connect_timeout_s, database_silence_s, database_statement_timeout_s: How long a database server may
+            take to accept a connection, to say anything before it is asked whether it is there, and for one statement,
+            in seconds.
+        max_chunk_mb, max_uploads, upload_timeout_s: How large a chunk may be that is sent over HTTP or through a drop
+            folder, how many one process receives at the same time, and how long one may take, in seconds.
+        backlog_chunks, backlog_mb, free_disk_mb: How many chunks, and megabytes of them, may wait to be decoded, and
+            how many megabytes of the disk stay free; beyond, no chunk is taken.
+        kafka_servers, kafka_topic, kafka_properties: Brokers of the topic of references to chunks, ``host:port`` with
+            commas between them; left out, there is none. Its name. A file of properties of librdkafka, such as those of
+            TLS and SASL.
+        shutdown_timeout_s: How long running requests and jobs may take to finish after SIGTERM, in seconds.
+        max_connections: How many connections the REST API holds at the same time; fewer where the process may open
+            fewer files.
+        max_streams: How many clients of one process may wait for news of the feed, with a stream or a long poll.
+        webhook_networks: Private networks that webhooks may lead to, as CIDRs with commas between them.
+        webhook_timeout_s: How long one attempt to hand an event to a webhook may take in all, in seconds.
+        header_timeout_s, body_timeout_s, request_timeout_s: How long the REST API waits for the headers of a request,
+            for its body and for its own answer, in seconds.
     """
 
     model_config = SettingsConfigDict(
@@ -299,10 +268,9 @@ class Settings(BaseSettings):
 def load_settings(**overrides: object) -> Settings:
     """Read the environment; ``overrides`` that are not None win.
 
-    Raises
-    ------
-    ParameterError
-        Naming the environment variable that is wrong. The value itself is not repeated: it may be a secret.
+    Raises:
+        ParameterError: Naming the environment variable that is wrong. The value itself is not repeated: it may be a
+            secret.
     """
     given = {name: value for name, value in overrides.items() if value is not None}
     try:

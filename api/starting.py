@@ -22,21 +22,13 @@ _log = logging.getLogger(__name__)
 def once_the_database_answers(make: Callable[[], Service], settings: Settings, stopping: Event) -> Service | None:
     """Return what needs the database as soon as a server answers; None when a stop is asked for before.
 
-    Parameters
-    ----------
-    make
-        Makes it; opens the database.
-    settings
-        Of the deployment. A file of SQLite that cannot be opened is not waited for: nobody brings it back.
-    stopping
-        Set by whoever ends the service.
+    Args:
+        settings: Of the deployment. A file of SQLite that cannot be opened is not waited for: nobody brings it back.
+        stopping: Set by whoever ends the service.
 
-    Raises
-    ------
-    MigrationError
-        The database is at another migration.
-    StorageError
-        The file of SQLite cannot be used.
+    Raises:
+        MigrationError: The database is at another migration.
+        StorageError: The file of SQLite cannot be used.
     """
     delays, waited = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S), False
     while not stopping.is_set():

@@ -6,13 +6,7 @@ from urllib.parse import urlsplit
 
 
 def names_store(url: str) -> bool:
-    """Return whether a URL is ``file:///absolute/path`` or ``s3://bucket/prefix``.
-
-    Parameters
-    ----------
-    url
-        Of the store.
-    """
+    """Return whether a URL is ``file:///absolute/path`` or ``s3://bucket/prefix``."""
     parts = urlsplit(url)
     if parts.query or parts.fragment or "@" in parts.netloc:
         return False
@@ -24,10 +18,8 @@ def names_store(url: str) -> bool:
 def names_endpoint(url: str) -> bool:
     """Return whether a URL is ``https://host:port`` or ``http://host:port``.
 
-    Parameters
-    ----------
-    url
-        Of an S3-compatible store.
+    Args:
+        url: Of an S3-compatible store.
     """
     parts = urlsplit(url)
     plain = "@" not in parts.netloc and not parts.path.strip("/") and not parts.query and not parts.fragment

@@ -28,10 +28,8 @@ def to_rfc3339(t_ns: int) -> str:
 def times_to_rfc3339(times_ns: IntArray) -> list[str]:
     """Return each of many times (n,) as :func:`to_rfc3339` does, in a tenth of its time.
 
-    Parameters
-    ----------
-    times_ns
-        Nanoseconds since the epoch, above -2^63, which is no time in numpy.
+    Args:
+        times_ns: Nanoseconds since the epoch, above -2^63, which is no time in numpy.
     """
     texts = np.datetime_as_string(np.asarray(times_ns, np.int64).view("datetime64[ns]"), unit="ns").tolist()
     return [f"{text.rstrip('0').rstrip('.')}Z" for text in texts]
@@ -40,10 +38,8 @@ def times_to_rfc3339(times_ns: IntArray) -> list[str]:
 def from_rfc3339(text: object) -> int:
     """Return nanoseconds since the epoch.
 
-    Raises
-    ------
-    ValueError
-        Not RFC 3339, without an offset, or outside of what 64 bits of nanoseconds can hold (1677 to 2262).
+    Raises:
+        ValueError: Not RFC 3339, without an offset, or outside of what 64 bits of nanoseconds can hold (1677 to 2262).
     """
     match = _SHAPE.fullmatch(text) if isinstance(text, str) else None
     if match is None:

@@ -19,15 +19,8 @@ Client = TypeVar("Client")
 def topic_of(settings: Settings) -> Topic | None:
     """Return the topic; None where no brokers are set.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-
-    Raises
-    ------
-    InputError
-        The properties file cannot be used; names the line, never a value.
+    Raises:
+        InputError: The properties file cannot be used; names the line, never a value.
     """
     if settings.kafka_servers is None:
         return None
@@ -38,19 +31,12 @@ def topic_of(settings: Settings) -> Topic | None:
 def publisher(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -> Publisher | None:
     """Return what publishes references to received chunks; None where no brokers are set.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-    storage_of
-        Returns the database, where the fleets of vehicles are; None while it is waited for.
+    Args:
+        storage_of: Returns the database, where the fleets of vehicles are; None while it is waited for.
 
-    Raises
-    ------
-    InputError
-        The properties cannot be used.
-    PassingFaultError
-        The client is not installed.
+    Raises:
+        InputError: The properties cannot be used.
+        PassingFaultError: The client is not installed.
     """
 
     def fleet_of(vehicle: str) -> str:
@@ -68,15 +54,8 @@ def publisher(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -
 def publishing(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -> Iterator[Announce]:
     """Yield what announces receipts on the topic, to nobody where none is set; what waits at the end is published.
 
-    Parameters
-    ----------
-    settings, storage_of
-        As of :func:`publisher`.
-
-    Raises
-    ------
-    InputError, PassingFaultError
-        As :func:`publisher`.
+    Raises:
+        InputError, PassingFaultError: As :func:`publisher`.
     """
     references = publisher(settings, storage_of)
     if references is None:
@@ -89,17 +68,9 @@ def publishing(settings: Settings, storage_of: Callable[[], SqlStorage | None]) 
 def with_named_setting(make: Callable[[], Client]) -> Client:
     """Return a client; a refusal of its configuration names the setting.
 
-    Parameters
-    ----------
-    make
-        Makes it.
-
-    Raises
-    ------
-    ParameterError
-        Its configuration cannot be used.
-    PassingFaultError
-        The library is not installed.
+    Raises:
+        ParameterError: Its configuration cannot be used.
+        PassingFaultError: The library is not installed.
     """
     try:
         return make()

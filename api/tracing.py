@@ -27,10 +27,8 @@ _log = logging.getLogger(__name__)
 def start_tracing() -> bool:
     """Send traces from now on, where the environment names a collector; return whether it does.
 
-    Raises
-    ------
-    ParameterError
-        It names one, and the extra is not installed.
+    Raises:
+        ParameterError: It names one, and the extra is not installed.
     """
     variable = _asked_by(os.environ)
     if variable is None:
@@ -65,13 +63,7 @@ def _asked_by(environment: Mapping[str, str]) -> str | None:
 
 
 def traced(job: Job) -> Job:
-    """Return a job whose runs are spans, with what they did as attributes.
-
-    Parameters
-    ----------
-    job
-        Of the schedule.
-    """
+    """Return a job whose runs are spans, with what they did as attributes."""
 
     def run(context: JobContext) -> Mapping[str, int]:
         with trace.get_tracer(SERVICE).start_as_current_span(f"job {job.name}") as span:
@@ -83,13 +75,7 @@ def traced(job: Job) -> Job:
 
 
 def with_trace(_logger: object, _name: str, event: EventDict) -> EventDict:
-    """Add the trace that an event belongs to, so that logs and traces are found by each other.
-
-    Parameters
-    ----------
-    event
-        Of the log.
-    """
+    """Add the trace that an event belongs to, so that logs and traces are found by each other."""
     context = trace.get_current_span().get_span_context()
     if not context.is_valid:
         return event

@@ -19,10 +19,8 @@ _log = logging.getLogger(__name__)
 class UploadMeasures(Collector):
     """Measures of this process's uploads, and of the backlog of all.
 
-    Parameters
-    ----------
-    services
-        Returns those of the process; None while the database is waited for.
+    Args:
+        services: Returns those of the process; None while the database is waited for.
     """
 
     def __init__(self, services: Callable[[], Services | None]) -> None:

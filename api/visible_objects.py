@@ -61,12 +61,9 @@ FINDERS: Mapping[str, Find] = {
 async def visible(request: Request, services: ServicesDep, caller: CallerDep) -> None:
     """Refuse a change to something that its caller does not see, as if it did not exist.
 
-    Raises
-    ------
-    NotFoundError
-        The caller is bound to fleets, and it belongs to none of them.
-    LookupError
-        Nothing says how what the path names is found.
+    Raises:
+        NotFoundError: The caller is bound to fleets, and it belongs to none of them.
+        LookupError: Nothing says how what the path names is found.
     """
     route: APIRoute = request.scope["route"]
     if caller.fleets is None or request.method in _READING or not request.path_params:
@@ -84,15 +81,8 @@ async def visible(request: Request, services: ServicesDep, caller: CallerDep) ->
 def finder_of(path: str) -> tuple[str, Find]:
     """Return the template of the first object in a path, and how it is found.
 
-    Parameters
-    ----------
-    path
-        Template of an operation with a parameter.
-
-    Raises
-    ------
-    LookupError
-        Nothing says it.
+    Raises:
+        LookupError: Nothing says it.
     """
     template = path[: path.index("}") + 1]
     if template not in FINDERS:

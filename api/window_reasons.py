@@ -37,13 +37,7 @@ SHOWN = 3
 
 @dataclass(slots=True)
 class WindowReasons:
-    """Reads in one transaction what windows wait for or were refused for; what several share is read once.
-
-    Parameters
-    ----------
-    unit
-        The transaction.
-    """
+    """Reads in one transaction what windows wait for or were refused for; what several share is read once."""
 
     unit: SqlUnitOfWork
     _sections: dict[str, SectionFacts] = field(default_factory=dict)
@@ -53,10 +47,8 @@ class WindowReasons:
     def of_records(self, records: Iterable[WindowRecord]) -> dict[WindowKey, Reason | None]:
         """Return why each window waits or was refused; None where it is estimated.
 
-        Parameters
-        ----------
-        records
-            Some thousands at most.
+        Args:
+            records: Some thousands at most.
         """
         records = list(records)
         waiting = [record.key for record in records if record.state is WindowState.PENDING]
@@ -73,19 +65,12 @@ class WindowReasons:
     def without_estimate(self, serial: str, of_geometry: Reason | None = None, most: int = COUNTED) -> WithoutEstimate:
         """Return why nothing is estimated of a wheelset.
 
-        Parameters
-        ----------
-        serial
-            Of the wheelset.
-        of_geometry
-            Why its geometry holds no number; None where it has none.
-        most
-            How many of its windows since its last reprofiling are counted at most, the newest.
+        Args:
+            of_geometry: Why its geometry holds no number; None where it has none.
+            most: How many of its windows since its last reprofiling are counted at most, the newest.
 
-        Raises
-        ------
-        NotFoundError
-            There is no such wheelset.
+        Raises:
+            NotFoundError: There is no such wheelset.
         """
         record = self.unit.registry.wheelset(serial)
         counted = self._counted(record, most)
@@ -103,15 +88,7 @@ class WindowReasons:
         )
 
     def waiting(self, *, vehicles: Sequence[str] | None = None, wheelset: str | None = None) -> list[WindowsOfReason]:
-        """Return the windows that wait, by what they wait for, the most frequent first.
-
-        Parameters
-        ----------
-        vehicles
-            Only of these vehicles.
-        wheelset
-            Only of this one.
-        """
+        """Return the windows that wait, by what they wait for, the most frequent first."""
         counted = pending_by_place(self.unit.connection, vehicles=vehicles, wheelset=wheelset)
         return self._merged(wheelset or "", counted, None)
 
@@ -232,13 +209,7 @@ class WindowReasons:
 
 
 def same_reason(state: WindowState, reason: Reason | None) -> object:
-    """Return what windows share that are counted together: state and code, and which section they wait for.
-
-    Parameters
-    ----------
-    state, reason
-        Of a window.
-    """
+    """Return what windows share that are counted together: state and code, and which section they wait for."""
     if reason is None:
         return state, None, None
     return state, reason.code, reason.text if reason.code in OF_SECTION else None

@@ -22,12 +22,9 @@ PATIENCE_S = 3.0
 class WriterSlots:
     """Places for requests that write.
 
-    Parameters
-    ----------
-    at_once
-        How many write at the same time.
-    patience_s
-        How long the others wait, s.
+    Args:
+        at_once: How many write at the same time.
+        patience_s: How long the others wait, s.
     """
 
     def __init__(self, at_once: int, patience_s: float) -> None:
@@ -40,10 +37,8 @@ class WriterSlots:
     async def slot(self) -> AsyncIterator[None]:
         """Hold a place.
 
-        Raises
-        ------
-        BusyError
-            None became free in time, or too many wait already.
+        Raises:
+            BusyError: None became free in time, or too many wait already.
         """
         if self._present >= self._most:
             raise BusyError(f"{self._present} requests write or wait for it already")

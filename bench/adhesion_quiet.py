@@ -74,12 +74,8 @@ QUIET = {
 def quiet_scenario(folder: Path, row: QuietRow) -> Scenario:
     """Return the scenario of a row.
 
-    Parameters
-    ----------
-    folder
-        With the file of the scenario that rows change.
-    row
-        What it changes.
+    Args:
+        folder: With the file of the scenario that rows change.
     """
     path = folder / f"{OF}.toml"
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -88,15 +84,7 @@ def quiet_scenario(folder: Path, row: QuietRow) -> Scenario:
 
 
 def as_seen(fleet: Fleet, row: QuietRow) -> Fleet:
-    """Return a fleet as one sees it whose file is that of a row; the truth of its windows stays.
-
-    Parameters
-    ----------
-    fleet
-        As simulated.
-    row
-        What is wrong on file.
-    """
+    """Return a fleet as one sees it whose file is that of a row; the truth of its windows stays."""
     seen = as_on_file(fleet, row.wrong)
     if row.gravity_on_file:
         return seen

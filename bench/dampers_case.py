@@ -91,14 +91,8 @@ class DamperScore:
 def scores(row: str, seed: int, share: float) -> Iterator[DamperScore]:
     """Yield the scores of the running gears of one vehicle.
 
-    Parameters
-    ----------
-    row
-        Of ``ROWS``.
-    seed
-        Of everything that is drawn.
-    share
-        Of the damping on file that is left.
+    Args:
+        row: Of ``ROWS``.
     """
     on_file = _scenario(row, seed, share)
     vehicle_class = class_of(on_file)

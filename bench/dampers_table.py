@@ -18,13 +18,7 @@ Score = Mapping[str, Any]
 
 
 def bench_rows(found: Sequence[Score]) -> Iterator[BenchRow]:
-    """Yield what was to be reached.
-
-    Parameters
-    ----------
-    found
-        All scores.
-    """
+    """Yield what was to be reached."""
     good = [one for one in found if not one["bad"]]
     published = [one for one in good if one["value"] is not None]
     covered = [one["low"] <= one["share"] <= one["high"] for one in published]
@@ -51,13 +45,7 @@ def _is_whole(share: float) -> bool:
 
 
 def table(found: Sequence[Score]) -> list[tuple[str, ...]]:
-    """Return the rows of good input, by vehicle and share.
-
-    Parameters
-    ----------
-    found
-        All scores.
-    """
+    """Return the rows of good input, by vehicle and share."""
     rows = []
     for row in ROWS:
         for share in SHARES:
@@ -79,13 +67,7 @@ def _cells(own: Sequence[Score]) -> tuple[str, ...]:
 
 
 def bad_table(found: Sequence[Score]) -> list[tuple[str, str, str, str]]:
-    """Return the rows of bad input.
-
-    Parameters
-    ----------
-    found
-        All scores.
-    """
+    """Return the rows of bad input."""
     rows = []
     for bad in (*BAD, OTHER_CLASS):
         own = [one for one in found if one["bad"] == bad]
@@ -96,13 +78,7 @@ def bad_table(found: Sequence[Score]) -> list[tuple[str, str, str, str]]:
 
 
 def page_body(found: Sequence[Score]) -> list[str]:
-    """Return the page of results.
-
-    Parameters
-    ----------
-    found
-        All scores.
-    """
+    """Return the page of results."""
     seeds = sorted({one["seed"] for one in found})
     refused = Counter(one["reason"] for one in found if not one["bad"] and one["reason"])
     reasons = ", ".join(f"`{code}` {count}" for code, count in refused.most_common()) or "none"

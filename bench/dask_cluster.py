@@ -69,14 +69,8 @@ class DaskCluster:
 def dask_cluster(settings: Settings, folder: Path, workers: int) -> Iterator[DaskCluster]:
     """Yield a running cluster for a deployment, and end it.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment; handed to the workers in their environment.
-    folder
-        Of the logs.
-    workers
-        How many.
+    Args:
+        settings: Of the deployment; handed to the workers in their environment.
     """
     folder.mkdir(parents=True, exist_ok=True)
     environment = {**environment_of(settings), "TMPDIR": str(folder)}

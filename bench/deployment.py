@@ -18,14 +18,8 @@ from ingest.simulator.scenario import Scenario
 def received(scenario: Scenario, recorded: Recorded, folder: Path) -> Iterator[tuple[Storage, JobContext]]:
     """Yield store and jobs of a new deployment that has received the recordings of a scenario.
 
-    Parameters
-    ----------
-    scenario
-        With its seed.
-    recorded
-        Its recordings.
-    folder
-        Where the deployment keeps its data; empty.
+    Args:
+        folder: Where the deployment keeps its data; empty.
     """
     settings = deploy(scenario, folder)
     receive(recorded, settings)
@@ -34,15 +28,7 @@ def received(scenario: Scenario, recorded: Recorded, folder: Path) -> Iterator[t
 
 
 def published(unit: UnitOfWork, truth_file: Path) -> Iterator[tuple[TrueWheelset, WheelsetGeometry]]:
-    """Yield every wheelset that has a geometry with samples, the truth first.
-
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    truth_file
-        Of the recordings.
-    """
+    """Yield every wheelset that has a geometry with samples, the truth first."""
     for truth in read_truth(truth_file):
         current = unit.geometries.current(truth.serial)
         if current is not None and current.geometry.samples.sum() > 0:

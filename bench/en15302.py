@@ -89,13 +89,7 @@ def rows() -> Iterator[BenchRow]:
 
 
 def biases(pair: Pair) -> tuple[FloatArray, Mapping[str, FloatArray]]:
-    """Return the true conicity (3,), and by form of the estimate its error and half width (2, 3), at 2, 2.5 and 3 mm.
-
-    Parameters
-    ----------
-    pair
-        Wheel and rail.
-    """
+    """Return the true conicity (3,), and by form of the estimate error and half width (2, 3), at 2, 2.5 and 3 mm."""
     vehicle = VehicleParameters()
     wheelset = WheelsetOnTrack.symmetric(
         pair.wheel, rail_profile(pair.rail), 1.0 / pair.inclination, 1.435, radius=vehicle.nominal_radius

@@ -19,13 +19,7 @@ from ingest.simulator.axle_motion import DerailmentError
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short.
-
-    Parameters
-    ----------
-    arguments
-        Of the command line.
-    """
+    """Run what was asked for; return 1 when a row falls short."""
     options = _options(arguments)
     console, found, seed = Console(width=None if Console().is_terminal else 200), list[Judged](), options.first_seed
     while len({one.window for one in found}) < options.wheelsets:

@@ -48,13 +48,7 @@ class Judged:
 
 
 def judged_windows(seed: int) -> Iterator[Judged]:
-    """Yield what is found of the wheelsets of one vehicle.
-
-    Parameters
-    ----------
-    seed
-        Of class, speed, vibration, track and wear.
-    """
+    """Yield what is found of the wheelsets of one vehicle."""
     rng = np.random.default_rng(seed)
     scenario = with_seed(load_scenario(SCENARIOS / f"{CLASSES[seed % len(CLASSES)]}.toml"), seed)
     low, high = SPEEDS[int(rng.integers(len(SPEEDS)))]
@@ -76,14 +70,9 @@ def judged_windows(seed: int) -> Iterator[Judged]:
 def judged(values: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlows:
     """Return the blows of a window as ingest finds them.
 
-    Parameters
-    ----------
-    values
-        (n, 4) in the order of ``ACCELERATIONS``.
-    speed
-        (n,) m/s.
-    interval_s
-        Between samples.
+    Args:
+        values: (n, 4) in the order of ``ACCELERATIONS``.
+        speed: (n,) m/s.
     """
     lateral, yaw, roll, _ = values.T
     return blows_unless_hunting(find_hunting(lateral, yaw, speed, interval_s), lateral, roll, speed, interval_s)

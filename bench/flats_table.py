@@ -30,10 +30,8 @@ EXPLANATION = (
 def table(found: Sequence[Judged]) -> list[tuple[str, ...]]:
     """Return a line for each size of flat.
 
-    Parameters
-    ----------
-    found
-        Of all windows.
+    Args:
+        found: Of all windows.
     """
     return [_line(size, [one for one in found if one.what == "flat" and one.size == size]) for size in SIZES]
 
@@ -52,10 +50,8 @@ def _line(size: float, flats: Sequence[Judged]) -> tuple[str, ...]:
 def bench_rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
     """Yield what has to be reached.
 
-    Parameters
-    ----------
-    found
-        Of all windows.
+    Args:
+        found: Of all windows.
     """
     smooth = [one for one in found if one.what == "flat" and one.size >= SIZES[2] and one.vibration < VIBRATIONS[3]]
     rough = [one for one in found if one.what == "flat" and one.size >= SIZES[3] and one.vibration == VIBRATIONS[3]]
@@ -90,10 +86,8 @@ def _share(windows: Sequence[Judged]) -> str:
 def page_body(found: Sequence[Judged]) -> list[str]:
     """Return the tables for a page of results.
 
-    Parameters
-    ----------
-    found
-        Of all windows.
+    Args:
+        found: Of all windows.
     """
     rows = [row.cells for row in bench_rows(found)]
     return [EXPLANATION, markdown_table(HEADER, table(found), range(1, 7)), markdown_table(COLUMNS, rows)]

@@ -52,14 +52,8 @@ class Spent:
 def rows(folder: Path, load: Workload, sizes: Sequence[int]) -> Iterator[BenchRow]:
     """Yield what a window costs in fleets of different sizes, and the exponents.
 
-    Parameters
-    ----------
-    folder
-        Empty.
-    load
-        A deployment of one vehicle, whose last recording is copied.
-    sizes
-        Vehicles of the fleets, the smallest first.
+    Args:
+        load: A deployment of one vehicle, whose last recording is copied.
     """
     found = []
     for vehicles in sizes:
@@ -139,13 +133,7 @@ def _code(number: int) -> str:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure and print; return 1 where a row falls short.
-
-    Parameters
-    ----------
-    arguments
-        Of the command line.
-    """
+    """Measure and print; return 1 where a row falls short."""
     parser = argparse.ArgumentParser(prog="python -m bench fleet_sizes", description=TITLE)
     parser.add_argument("--vehicles", type=int, nargs="+", default=list(VEHICLES), help="of four wheelsets, by fleet")
     parser.add_argument("--minutes", type=float, default=3.0, help="of a journey (3)")

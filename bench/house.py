@@ -20,9 +20,6 @@ files entered by one frame
     values (``estimation/values``, files of which only special methods run) and infrastructure (``INFRASTRUCTURE``: the
     command line, settings, transactions, records of job runs, logs, HTTP without content). Two rows: to the geometry,
     the answer that the frame's own data end in, and to trend and alerts besides.
-undocumented parameters
-    Public module-level functions of ``estimation`` with more than two parameters whose docstring's section
-    "Parameters" does not name each of them.
 start
     CPU seconds (user and system) of the command line, median of five.
 loose words
@@ -60,7 +57,6 @@ PACKAGES = ("api", "fleet_db", "ingest", "estimation")
 SCREEN = 50
 COMPLEXITY = 10
 LONG_FILE = 400
-FEW_PARAMETERS = 2
 STARTS = 5
 ALIGNMENT_JOB = "refresh_alignment"
 API_START = "start of the REST API"
@@ -138,14 +134,6 @@ def static_counts(root: Path) -> Iterator[Count]:
     yield Count(f"functions of complexity over {COMPLEXITY}", "0", str(len(found)), "0", found)
     files = tuple(long_files(root))
     yield Count(f"files over {LONG_FILE} lines", "2", str(len(files)), "0", files)
-    undocumented, public = undocumented_functions(root)
-    yield Count(
-        "public functions of estimation with undocumented parameters",
-        "67 of 120",
-        f"{len(undocumented)} of {public}",
-        "0",
-        undocumented,
-    )
     words = loose_words(root)
     yield Count(
         "loose words in code and docs",
@@ -263,33 +251,6 @@ def long_files(root: Path) -> Iterator[str]:
         lines = len(text.splitlines())
         if lines > LONG_FILE:
             yield f"{path}: {lines} lines"
-
-
-def undocumented_functions(root: Path, packages: Sequence[str] = ("estimation",)) -> tuple[tuple[str, ...], int]:
-    """Return the public functions whose docstring leaves out a parameter, and how many there are with parameters."""
-    found, public = [], 0
-    for path, text in _sources(root, packages):
-        for function in ast.parse(text).body:
-            if not isinstance(function, ast.FunctionDef) or function.name.startswith("_"):
-                continue
-            given = function.args
-            names = [item.arg for item in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
-            names = [name for name in names if not name.startswith("_")]
-            if len(names) <= FEW_PARAMETERS:
-                continue
-            public += 1
-            missing = [name for name in names if name not in documented_parameters(ast.get_docstring(function) or "")]
-            if missing:
-                found.append(f"{path}:{function.lineno} {function.name}: {', '.join(missing)}")
-    return tuple(found), public
-
-
-def documented_parameters(docstring: str) -> set[str]:
-    """Return the names in the section "Parameters" of a docstring in the numpy convention."""
-    section = re.search(r"^Parameters\n-+\n(.*?)(?=^\w[^\n]*\n-+\n|\Z)", docstring, re.MULTILINE | re.DOTALL)
-    lines = section.group(1).splitlines() if section else []
-    heads = [line.partition(":")[0] for line in lines if line and not line.startswith(" ")]
-    return {name.strip(" *`") for head in heads for name in head.split(",")}
 
 
 def loose_words(root: Path) -> Counter[str]:

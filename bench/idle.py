@@ -59,10 +59,8 @@ STATE = {"wheelsets", "sections", "unchanged", "without_limit", "quarantined"}
 def rows(size: FleetSize | None = None) -> Iterator[BenchRow]:
     """Yield processor time and statements of each job, on SQLite and on PostgreSQL.
 
-    Parameters
-    ----------
-    size
-        Of the fleet; by default that of the reach.
+    Args:
+        size: Of the fleet; by default that of the reach.
     """
     size = size or FleetSize()
     with tempfile.TemporaryDirectory() as folder:

@@ -89,15 +89,7 @@ class FleetSize:
 
 
 def fill(context: JobContext, storage: SqlStorage, settings: Settings, size: FleetSize) -> int:
-    """Fill an empty database; return our time at the end, ns UTC.
-
-    Parameters
-    ----------
-    context, storage, settings
-        Of a migrated deployment.
-    size
-        Of the fleet.
-    """
+    """Fill an empty database; return our time at the end, ns UTC."""
     end_ns = WheelsetYear(context, storage, recorded(context, storage, settings)).put(1, DAYS)
     for name in OPINIONS:
         run_job(job_named(name), replace(context, clock=At(end_ns)), JobTrigger.CLI)

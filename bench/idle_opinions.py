@@ -40,14 +40,8 @@ OF_SECTIONS = ((table_of(SectionAdhesionRow), "track_section"), (table_of(Sectio
 def opinions_copied(mounting: Mounting, model: Mounting, sections: Sequence[str]) -> Iterator[Insert]:
     """Yield statements that give a wheelset the second opinions of the model.
 
-    Parameters
-    ----------
-    mounting
-        Of the wheelset.
-    model
-        Of the one that has them.
-    sections
-        Codes of those that the wheelset runs on, one after the other by day.
+    Args:
+        sections: Codes of those that the wheelset runs on, one after the other by day.
     """
     wheelset, vehicle = literal(mounting.wheelset), literal(mounting.vehicle)
     for table, section in ((CREEP, "track_section"), (SIGNATURES, "section")):
@@ -65,15 +59,7 @@ def opinions_copied(mounting: Mounting, model: Mounting, sections: Sequence[str]
 
 
 def put_friction(connection: Connection, sections: Sequence[str]) -> None:
-    """Give sections the friction of the model's section, and what was found of its rails.
-
-    Parameters
-    ----------
-    connection
-        A transaction to write in.
-    sections
-        Codes.
-    """
+    """Give sections the friction of the model's section, and what was found of its rails."""
     for table, name in OF_SECTIONS:
         model = connection.scalar(select(func.min(table.c[name])))
         for code in sections:
@@ -83,12 +69,8 @@ def put_friction(connection: Connection, sections: Sequence[str]) -> None:
 def note_opinions(context: JobContext, storage: SqlStorage) -> None:
     """Note that the jobs of the second opinions have looked at everything, as they do it themselves.
 
-    Parameters
-    ----------
-    context
-        Of the jobs.
-    storage
-        With the second opinions of all wheelsets.
+    Args:
+        storage: With the second opinions of all wheelsets.
     """
     with storage.read() as unit:
         of_signatures = refresh_signatures.wheelset_looks(unit, context)

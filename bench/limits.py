@@ -38,13 +38,7 @@ BANDS = ((0.03, 0.1), (0.1, 0.2), (0.2, 1.0))
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short.
-
-    Parameters
-    ----------
-    arguments
-        Of the command line.
-    """
+    """Run what was asked for; return 1 when a row falls short."""
     parser = argparse.ArgumentParser(prog="python -m bench limits", description=__doc__)
     parser.add_argument("--shapes", type=int, default=SHAPES, help="drawn of each class")
     parser.add_argument("--wheelsets", type=int, default=WHEELSETS, help="of a seed that are judged, at most")
@@ -63,14 +57,9 @@ def main(arguments: Sequence[str]) -> int:
 def worn_wheelsets(shapes: int, most: int, seed: int) -> list[Worn]:
     """Return worn wheelsets that cover less than 3 mm, each on some track under a vehicle of some speed.
 
-    Parameters
-    ----------
-    shapes
-        How many are drawn of each class.
-    most
-        How many wheelsets are returned at most.
-    seed
-        Of all that is drawn.
+    Args:
+        most: How many wheelsets are returned at most.
+        seed: Of all that is drawn.
     """
     random = np.random.default_rng(seed)
     drawn = [(kind, curve_of(kind, random)) for _, kind in product(range(shapes), CLASSES)]
@@ -94,13 +83,7 @@ def worn_wheelsets(shapes: int, most: int, seed: int) -> list[Worn]:
 
 
 def rows(found: Sequence[Judged]) -> Iterator[BenchRow]:
-    """Yield the rows of the table.
-
-    Parameters
-    ----------
-    found
-        Wheelsets as they were judged.
-    """
+    """Yield the rows of the table."""
     asked = [one for one in found if ASKED[0] - 1e-9 <= one.worn.covered <= ASKED[1] + 1e-9]
     beyond = [one for one in asked if one.worn.above >= MARGIN]
     raised, over = _share(beyond, lambda one: one.over or one.measure), _share(beyond, lambda one: one.over)

@@ -85,13 +85,7 @@ def limit_at(speed: float) -> float:
 
 
 def judged(worn: Worn) -> Judged:
-    """Return what the rules raise of a wheelset.
-
-    Parameters
-    ----------
-    worn
-        Shape, motion and vehicle.
-    """
+    """Return what the rules raise of a wheelset."""
     records = _records(worn)
     conicities = [interval_conicities(one) for one in records]
     trend = trend_of(conicities, limit_at(worn.speed), TrendParameters())

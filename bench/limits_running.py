@@ -26,16 +26,10 @@ BEYOND = 0.0025  # of the running is beyond the amplitude that is covered, on ei
 def amplitude_reached(curves: FloatArray, irregularity: FloatArray, kappa: FloatArray, seed: int) -> FloatArray:
     """Return the amplitude (m,), m, that each wheelset covers.
 
-    Parameters
-    ----------
-    curves
-        (m, n) m, rolling radius difference at ``DISPLACEMENT``.
-    irregularity
-        (m,) m, standard deviation of the alignment.
-    kappa
-        (m,) 1/m.
-    seed
-        Of the track.
+    Args:
+        curves: (m, n) m, rolling radius difference at ``DISPLACEMENT``.
+        irregularity: (m,) m, standard deviation of the alignment.
+        kappa: (m,) 1/m.
     """
     slope = _alignment_slope(seed)
     x, yaw, travelled = np.zeros(len(curves)), np.zeros(len(curves)), []

@@ -38,12 +38,8 @@ _Draw = Callable[[np.random.Generator], tuple[Profile, Profile, int]]  # wheel, 
 def curve_of(kind: str, random: np.random.Generator) -> FloatArray | None:
     """Return the rolling radius difference (n,), m, at ``DISPLACEMENT`` of a worn wheelset; None where none runs.
 
-    Parameters
-    ----------
-    kind
-        One of ``CLASSES``.
-    random
-        What the shape is drawn from.
+    Args:
+        kind: One of ``CLASSES``.
     """
     try:
         wheel, rail, inclination = CLASSES[kind](random)

@@ -61,10 +61,8 @@ def rows() -> Iterator[BenchRow]:
 def measured(settings: Settings) -> dict[str, object]:
     """Return what each job cost after each of some windows that were put one at a time.
 
-    Parameters
-    ----------
-    settings
-        Of a deployment with a year of one wheelset.
+    Args:
+        settings: Of a deployment with a year of one wheelset.
     """
     with closing(open_store(settings)) as storage:
         context = job_context(settings, storage)

@@ -54,14 +54,9 @@ class Stages:
 def rows(folder: Path, vehicles: int, minutes: float, chunk_s: float) -> Iterator[BenchRow]:
     """Yield what each stage costs per wheelset-hour, frames per second, and the ratio to the rival.
 
-    Parameters
-    ----------
-    folder
-        Empty.
-    vehicles, minutes
-        Of the load: vehicles of four wheelsets, a journey of so many minutes.
-    chunk_s
-        Length of the chunks that are received, s.
+    Args:
+        vehicles, minutes: Of the load: vehicles of four wheelsets, a journey of so many minutes.
+        chunk_s: Length of the chunks that are received, s.
     """
     for surveyed in (False, True):
         track = "surveyed" if surveyed else "unsurveyed"

@@ -9,13 +9,7 @@ from bench.worker_kinds import TICKS
 
 
 def tree(root: int) -> list[int]:
-    """Return the number of a process and of all that descend from it and run.
-
-    Parameters
-    ----------
-    root
-        Number of the process.
-    """
+    """Return the number of a process and of all that descend from it and run."""
     found, left = [], [root]
     while left:
         pid = left.pop()

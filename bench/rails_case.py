@@ -53,16 +53,8 @@ Scored = dict[str, Any]
 def score(seed: int, cache: Path, *, surveyed: bool = True, drawn: bool = False) -> list[Scored]:
     """Return a score for each way to hold the level, as JSON values.
 
-    Parameters
-    ----------
-    seed
-        Of the fleet.
-    cache
-        Folder that keeps recordings and deployments.
-    surveyed
-        Whether the alignments are on file.
-    drawn
-        Whether vehicles and creep are off from what is on file.
+    Args:
+        drawn: Whether vehicles and creep are off from what is on file.
     """
     sections = sections_of(seed, surveyed=surveyed, drawn=drawn)
     found: list[Scored] = []
@@ -90,15 +82,7 @@ def _scored(seed: int, sections: Sequence[BenchSection], anchor: str, storage: S
 
 
 def received(sections: Sequence[BenchSection], cache: Path) -> Settings:
-    """Return a deployment in ``cache`` that has received and estimated the runs on all sections, made where missing.
-
-    Parameters
-    ----------
-    sections
-        Of one fleet.
-    cache
-        Folder that keeps recordings and deployments.
-    """
+    """Return a deployment in ``cache`` that has received and estimated the runs on all sections, made where missing."""
     keys = " ".join(recording_key(one.scenario) for one in sections)
     on_file = " ".join(repr((one.plan.surveyed, one.plan.tonnage)) for one in sections)
     folder = cache / "deployed" / hashlib.sha256(f"{keys} {on_file}".encode()).hexdigest()[:20]
@@ -122,12 +106,8 @@ def received(sections: Sequence[BenchSection], cache: Path) -> Settings:
 def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario:
     """Return the scenario of the first section with the vehicles of all, as the registry has them.
 
-    Parameters
-    ----------
-    sections
-        All of them.
-    measured
-        Of how many wheelsets the profiles are on file.
+    Args:
+        measured: Of how many wheelsets the profiles are on file.
     """
     vehicles: dict[str, VehiclePlan] = {vehicle.code: vehicle for one in sections for vehicle in one.scenario.vehicles}
     drawn = DrawnFleet((), 0, 0, wear_alike=False, profiles_measured=measured, vehicle_class="", max_speed=0.0)

@@ -47,14 +47,9 @@ class BenchSection:
 def sections_of(seed: int, *, surveyed: bool = True, drawn: bool = False) -> tuple[BenchSection, ...]:
     """Return the sections of a seed: rails as on file, worn heads, another gauge, rails as new that nobody knows.
 
-    Parameters
-    ----------
-    seed
-        Of the fleet, and of what its rails are.
-    surveyed
-        Whether the alignments are on file.
-    drawn
-        Whether springs and masses of the vehicles, and the creep on each section, are off from those on file.
+    Args:
+        seed: Of the fleet, and of what its rails are.
+        drawn: Whether springs and masses of the vehicles, and the creep on each section, are off from those on file.
     """
     fleet = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None)
     if drawn:
@@ -75,18 +70,9 @@ def on_section(
 ) -> Scenario:
     """Return a fleet as it runs on one of several sections.
 
-    Parameters
-    ----------
-    fleet
-        The fleet, on the section of the template.
-    place
-        Number of the section, from 0.
-    runs
-        Codes of the vehicles that run there.
-    wear, gauge
-        Of its rails; m.
-    surveyed
-        Whether its alignment is on file.
+    Args:
+        place: Number of the section, from 0.
+        wear, gauge: Of its rails; m.
     """
     recipe = fleet.section.recipe
     assert recipe is not None
@@ -117,12 +103,8 @@ def on_section(
 def reference_wheel(scenario: Scenario, amplitude: FloatArray) -> FloatArray:
     """Return the true conicity (k,) of the wheel as designed on the rails of a section, at its gauge.
 
-    Parameters
-    ----------
-    scenario
-        Of the section.
-    amplitude
-        (k,) m.
+    Args:
+        amplitude: (k,) m.
     """
     section = scenario.section
     assert section.recipe is not None

@@ -39,10 +39,8 @@ Scored = dict[str, Any]
 def worn_for_years(seed: int) -> tuple[BenchSection, BenchSection]:
     """Return two sections of a fleet, with campaigns over years.
 
-    Parameters
-    ----------
-    seed
-        Of the fleet, and of how fast wheels and rails wear.
+    Args:
+        seed: Of the fleet, and of how fast wheels and rails wear.
     """
     fleet, rng = replace(with_seed(load_scenario(TEMPLATE), seed), drawn=None), np.random.default_rng([seed, 15])
     sessions = replace(
@@ -66,15 +64,7 @@ def _wearing(vehicle: VehiclePlan, rng: np.random.Generator) -> VehiclePlan:
 
 
 def score_trend(seed: int, cache: Path) -> Scored:
-    """Return the trend of the section whose rails wear, beside the truth, as JSON values.
-
-    Parameters
-    ----------
-    seed
-        Of the fleet.
-    cache
-        Folder that keeps recordings and deployments.
-    """
+    """Return the trend of the section whose rails wear, beside the truth, as JSON values."""
     sections = worn_for_years(seed)
     with tempfile.TemporaryDirectory(prefix="treadwatch-rails-") as folder:
         settings = copied(received(sections, cache), Path(folder))

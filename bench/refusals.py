@@ -60,14 +60,9 @@ def stored(path: Path) -> list[dict[str, Any]]:
 def run_seed(seed: int, campaigns: int, wrong_every: int) -> list[dict[str, Any]]:
     """Return what is said of the wheelsets of a seed, right and wrong on file.
 
-    Parameters
-    ----------
-    seed
-        From 0.
-    campaigns
-        Runs of two minutes.
-    wrong_every
-        Seeds by one of which it is also judged wrong on file.
+    Args:
+        seed: From 0.
+        wrong_every: Seeds by one of which it is also judged wrong on file.
     """
     from bench.refusals_case import drawn_case, simulated  # noqa: PLC0415 - compiled code is loaded where it runs
     from bench.refusals_judged import IN_BOGIES, OnFile, judged  # noqa: PLC0415

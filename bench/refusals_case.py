@@ -66,16 +66,11 @@ _BASES = {"single": "paper_known", "bogie": "soft_known", "coach": "coach_known"
 class RefusalCase:
     """What a running gear measured, what is on file of it, and what is true.
 
-    Attributes
-    ----------
-    drawn
-        What was drawn of each of ``DIMENSIONS``.
-    windows
-        Of each axle, front first, in order of time: as the nodes measure, in the axes of the vehicle.
-    offsets
-        Of the axles, m behind the reference of the position.
-    conicity
-        True ones of each wheelset at ``AMPLITUDES``.
+    Attributes:
+        drawn: What was drawn of each of ``DIMENSIONS``.
+        windows: Of each axle, front first, in order of time: as the nodes measure, in the axes of the vehicle.
+        offsets: Of the axles, m behind the reference of the position.
+        conicity: True ones of each wheelset at ``AMPLITUDES``.
     """
 
     drawn: Mapping[str, str]
@@ -89,12 +84,9 @@ class RefusalCase:
 def drawn_case(seed: int, **fixed: str) -> dict[str, str]:
     """Return what the case of a seed is.
 
-    Parameters
-    ----------
-    seed
-        From 0.
-    **fixed
-        Dimensions that are not drawn.
+    Args:
+        seed: From 0.
+        **fixed: Dimensions that are not drawn.
     """
     rng = np.random.default_rng([35, seed])
     return {name: str(rng.choice(kinds)) for name, kinds in DIMENSIONS.items()} | fixed
@@ -103,14 +95,10 @@ def drawn_case(seed: int, **fixed: str) -> dict[str, str]:
 def simulated(seed: int, campaigns: int, **fixed: str) -> RefusalCase:
     """Return the case of a seed after two minutes of running in each campaign.
 
-    Parameters
-    ----------
-    seed
-        From 0.
-    campaigns
-        Runs; a push-pull train runs every second one backwards.
-    **fixed
-        Dimensions that are not drawn.
+    Args:
+        seed: From 0.
+        campaigns: Runs; a push-pull train runs every second one backwards.
+        **fixed: Dimensions that are not drawn.
     """
     drawn = drawn_case(seed, **fixed)
     scenario = _scenario(drawn, seed, campaigns)

@@ -75,15 +75,7 @@ class Judged:
 
 
 def judged(case: RefusalCase, on_file: OnFile) -> tuple[Judged, ...]:
-    """Return what is said of each wheelset of a case.
-
-    Parameters
-    ----------
-    case
-        What was measured.
-    on_file
-        What is wrong.
-    """
+    """Return what is said of each wheelset of a case."""
     vehicle_class = registered(case.vehicle_class, on_file)
     nodes = _measured(case.windows, on_file)
     offsets = _offsets(case, vehicle_class)

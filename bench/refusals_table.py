@@ -56,10 +56,8 @@ EXPLANATION = (
 def summary_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return a line for all right wheelsets, and one for each kind of each dimension.
 
-    Parameters
-    ----------
-    found
-        Of all seeds, as ``refusals`` stores them.
+    Args:
+        found: Of all seeds, as ``refusals`` stores them.
     """
     return [_summary(name, of_row, limit) for name, of_row, limit in _groups(found)]
 
@@ -67,10 +65,8 @@ def summary_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 def wrong_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return a line for each kind of mistake.
 
-    Parameters
-    ----------
-    found
-        As ``summary_rows`` takes them.
+    Args:
+        found: As ``summary_rows`` takes them.
     """
     kinds = dict.fromkeys(one["kind"] for one in found if one["kind"] not in (RIGHT, SKIPPED))
     right = {(one["seed"], one["axle"]): one["values"] for one in found if one["kind"] == RIGHT}
@@ -80,10 +76,8 @@ def wrong_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 def interval_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return how many conicities of right wheelsets are published and right, by sensors and speed.
 
-    Parameters
-    ----------
-    found
-        As ``summary_rows`` takes them.
+    Args:
+        found: As ``summary_rows`` takes them.
     """
     right = [wheelset for wheelset in found if wheelset["kind"] == RIGHT]
     return [_intervals(name, of_row) for name, of_row in _by_draw(right, "sensors", "speed")]
@@ -92,10 +86,8 @@ def interval_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 def radius_rows(found: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return what the motion shows of the radius of right wheelsets, by track and sensors.
 
-    Parameters
-    ----------
-    found
-        As ``summary_rows`` takes them.
+    Args:
+        found: As ``summary_rows`` takes them.
     """
     right = [wheelset for wheelset in found if wheelset["kind"] == RIGHT and wheelset["radius"] is not None]
     return [_radius(name, of_row) for name, of_row in _by_draw(right, "track", "sensors")]

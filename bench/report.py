@@ -28,13 +28,7 @@ class BenchRow:
 
 
 def printed(rows: Iterable[BenchRow]) -> list[BenchRow]:
-    """Print each row as soon as it is there, and return all of them.
-
-    Parameters
-    ----------
-    rows
-        As they are measured.
-    """
+    """Print each row as soon as it is there, and return all of them."""
     console, found = Console(), []
     for row in rows:
         console.print("  ".join(row.cells), highlight=False, soft_wrap=True)

@@ -17,18 +17,10 @@ LIBRARIES = ("numpy", "scipy")
 def write_page(name: str, title: str, command: str, body: Sequence[str], folder: Path = RESULTS) -> Path:
     """Write a page of results, and return its path.
 
-    Parameters
-    ----------
-    name
-        Of the file, without its suffix.
-    title
-        Heading of the page.
-    command
-        What wrote it, as it is typed.
-    body
-        Paragraphs and tables in Markdown; an empty line is put between them.
-    folder
-        Where the page goes; made if missing.
+    Args:
+        name: Of the file, without its suffix.
+        body: Paragraphs and tables in Markdown; an empty line is put between them.
+        folder: Where the page goes; made if missing.
     """
     folder.mkdir(parents=True, exist_ok=True)
     head = f"Written by `{command}`: {machine()}."
@@ -40,14 +32,10 @@ def write_page(name: str, title: str, command: str, body: Sequence[str], folder:
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
     """Return a table in Markdown.
 
-    Parameters
-    ----------
-    header
-        (n,) titles of the columns.
-    rows
-        (m,) rows of n cells each.
-    right
-        Numbers of the columns that are set flush right.
+    Args:
+        header: (n,) titles of the columns.
+        rows: (m,) rows of n cells each.
+        right: Numbers of the columns that are set flush right.
     """
     rule = ["---:" if column in right else "---" for column in range(len(header))]
     cells = [[cell.replace("|", "\\|") for cell in row] for row in (header, rule, *rows)]
@@ -57,14 +45,8 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]], right: 
 def ended(rows: Sequence[BenchRow], name: str, title: str, command: str | None) -> int:
     """Write the page of a bench where a command is given for it; return 1 where a row falls short.
 
-    Parameters
-    ----------
-    rows
-        All that was measured.
-    name, title
-        Of the page.
-    command
-        What writes it, as it is typed; None for no page.
+    Args:
+        command: What writes it, as it is typed; None for no page.
     """
     if command is not None:
         write_page(name, title, command, [markdown_table(COLUMNS, [row.cells for row in rows])])

@@ -25,13 +25,7 @@ from estimation.estimators.catalogue import estimators
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run what was asked for; return 1 when a row falls short.
-
-    Parameters
-    ----------
-    arguments
-        Of the command line.
-    """
+    """Run what was asked for; return 1 when a row falls short."""
     options = _options(arguments)
     console = Console(width=None if Console().is_terminal else 200)
     found: list[dict[str, Any]] = json.loads(options.out.read_text()) if options.resume and options.out.exists() else []

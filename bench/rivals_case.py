@@ -67,22 +67,8 @@ def scores(
 ) -> Iterator[RivalScore]:
     """Yield the score of every estimator on every wheelset.
 
-    Parameters
-    ----------
-    scenario
-        The fleet, with its seed.
-    family
-        Its name in the tables.
-    tracks
-        What is on file.
-    cache
-        Folder that keeps recordings.
-    folder
-        For the data of deployments; empty.
-    most
-        Wheelsets that are scored, spread over the fleet.
-    named
-        Estimators; the first of the catalogue always runs.
+    Args:
+        folder: For the data of deployments; empty.
     """
     recorded = record(scenario, cache, workers=1)
     truths = read_truth(recorded.truth)
@@ -105,17 +91,7 @@ def scores(
 
 
 def motions_of(unit: UnitOfWork, serial: str, context: JobContext) -> tuple[EstimatorParameters, list[Motion]]:
-    """Return what an estimator of the jobs gets of a wheelset: parameters, and the motion of its windows.
-
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    serial
-        Of the wheelset.
-    context
-        Settings of the estimation.
-    """
+    """Return what an estimator of the jobs gets of a wheelset: parameters, and the motion of its windows."""
     found = geometries_of(unit, serial, context)
     motions: list[Motion] = []
     parameters = EstimatorParameters(band_limited=True)

@@ -24,16 +24,8 @@ ON_TREAD = 8.0  # mm from the datum to either side, within which the tread is cu
 def fleet(family: str, seed: int, vehicles: int, wheels: Path) -> Scenario:
     """Return the fleet of the accuracy table, on known track, with the wheels of a family.
 
-    Parameters
-    ----------
-    family
-        One of ``FAMILIES``.
-    seed
-        Of everything that is drawn.
-    vehicles
-        Of four wheelsets.
-    wheels
-        Folder for wheel files.
+    Args:
+        family: One of ``FAMILIES``.
     """
     scenario = load_scenario("known")
     drawn = scenario.drawn

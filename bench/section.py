@@ -102,12 +102,8 @@ def _run_sizes(options: argparse.Namespace, results: dict[str, Any], console: Co
 def write_results(results: Mapping[str, Any], folder: Path = RESULTS) -> Path:
     """Write the tables as a page of results, and return its path.
 
-    Parameters
-    ----------
-    results
-        As ``--out`` holds them.
-    folder
-        Where the page goes.
+    Args:
+        results: As ``--out`` holds them.
     """
     body = [SUMMARY_TITLE + ".", markdown_table(SUMMARY_HEADER, summary_rows(results["cases"]), range(1, 7))]
     if results["scaling"]:

@@ -39,15 +39,7 @@ class AlignmentScore:
 
 
 def alignment_score(scenario: Scenario, found: TrackAlignment) -> AlignmentScore:
-    """Return the error of an alignment, its offset and scale along the track fitted: no data determine these.
-
-    Parameters
-    ----------
-    scenario
-        The fleet that has found it.
-    found
-        On a grid of the section.
-    """
+    """Return the error of an alignment, its offset and scale along the track fitted: no data determine these."""
     true_track = scenario_track(scenario)
     grid, step = found.s, float(found.s[1] - found.s[0])
     inner = (grid > ENDS) & (grid < grid[-1] - ENDS) & np.isfinite(found.alignment)

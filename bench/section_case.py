@@ -51,14 +51,8 @@ class CaseScore:
 def score(scenario: Scenario, cache: Path, folder: Path) -> CaseScore:
     """Run a scenario through the product and compare what is stored with the truth.
 
-    Parameters
-    ----------
-    scenario
-        The row, with its seed.
-    cache
-        Folder that keeps recordings.
-    folder
-        Where the deployment keeps its data; empty.
+    Args:
+        folder: Where the deployment keeps its data; empty.
     """
     recorded = record(scenario, cache, workers=1)
     began = time.perf_counter()

@@ -50,12 +50,8 @@ class Run:
 def runs(folder: Path, vehicles: int, campaigns: int, minutes: float) -> Iterator[Run]:
     """Yield what each journey costs when all jobs follow it.
 
-    Parameters
-    ----------
-    folder
-        Empty.
-    vehicles, campaigns, minutes
-        Vehicles of four wheelsets, journeys of each, and how long one takes.
+    Args:
+        vehicles, campaigns, minutes: Vehicles of four wheelsets, journeys of each, and how long one takes.
     """
     file = folder / "scenario.toml"
     file.write_text(fleet(vehicles, minutes, campaigns=campaigns, surveyed=False), encoding="utf-8")
@@ -92,15 +88,7 @@ def _run_jobs(settings: Settings, cpu_s: dict[str, float], quiet_s: float) -> in
 
 
 def rows(folder: Path, vehicles: int, campaigns: int, minutes: float) -> Iterator[BenchRow]:
-    """Yield estimations per window, and how the cost of a window grows with the runs.
-
-    Parameters
-    ----------
-    folder
-        Empty.
-    vehicles, campaigns, minutes
-        As in :func:`runs`.
-    """
+    """Yield estimations per window, and how the cost of a window grows with the runs."""
     found = []
     console = Console(stderr=True)
     for one in runs(folder, vehicles, campaigns, minutes):
@@ -135,13 +123,7 @@ def _growth(what: str, name: str, found: Sequence[Run]) -> BenchRow:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure and print; return 1 where a row falls short.
-
-    Parameters
-    ----------
-    arguments
-        Of the command line.
-    """
+    """Measure and print; return 1 where a row falls short."""
     parser = argparse.ArgumentParser(prog="python -m bench section_runs", description=TITLE)
     parser.add_argument("--vehicles", type=int, default=10, help="of four wheelsets (10)")
     parser.add_argument("--campaigns", type=int, default=5, help="journeys of each vehicle (5)")

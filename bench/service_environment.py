@@ -11,10 +11,8 @@ from api.settings import PREFIX, Settings
 def environment_of(settings: Settings) -> dict[str, str]:
     """Return the environment of a process that has these settings.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment; those that are not the default are handed over.
+    Args:
+        settings: Of the deployment; those that are not the default are handed over.
     """
     chosen = {
         f"{PREFIX}{name.upper()}": str(value) for name, value in settings.model_dump(exclude_defaults=True).items()

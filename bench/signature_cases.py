@@ -141,10 +141,8 @@ def run(
 ) -> Pass:
     """Run a wheelset over a section at a mean speed, m/s, and return its signatures.
 
-    Raises
-    ------
-    RuntimeError
-        It has none.
+    Raises:
+        RuntimeError: It has none.
     """
     window = window_of(runs, section, track, speed, rng, start_ns, placed=placed)
     found = window_signatures(window, window_parameters(), SignatureParameters())
@@ -158,10 +156,8 @@ def run_within(
 ) -> Pass:
     """Run a wheelset at a speed, m/s, between limits at which it stays within its contact table, on some day.
 
-    Raises
-    ------
-    LeftTableError
-        There is none.
+    Raises:
+        LeftTableError: There is none.
     """
     for _ in range(SPEEDS_TRIED):
         try:

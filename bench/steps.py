@@ -62,13 +62,7 @@ class Found:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the bench; return 1 when a row falls short.
-
-    Parameters
-    ----------
-    arguments
-        Of the command line.
-    """
+    """Run the bench; return 1 when a row falls short."""
     options = _options(arguments)
     rows = printed(_rows(options.seed, options.lives, options.quiet_lives))
     return ended(rows, "steps", TITLE, "python -m bench steps --write-docs" if options.write_docs else None)
@@ -93,12 +87,8 @@ def _rows(seed: int, lives: int, quiet_lives: int) -> Iterator[BenchRow]:
 def found_in(given: Life, history: int) -> Found:
     """Return when the step of a life was found, looking after every interval behind it.
 
-    Parameters
-    ----------
-    given
-        With a step.
-    history
-        Intervals before it.
+    Args:
+        history: Intervals before it.
     """
     first = given.first or 0
     for after in range(1, BEHIND + 1):
@@ -217,13 +207,7 @@ def _quiet_rows(seed: int, lives: int) -> Iterator[BenchRow]:
 
 
 def false_steps(given: Life) -> tuple[int, float]:
-    """Return how many steps were found at any time in a life without one, and its years.
-
-    Parameters
-    ----------
-    given
-        Without a step.
-    """
+    """Return how many steps were found at any time in a life without one, and its years."""
     records, places = given.records, list[float]()
     width = records[1].mileage_km - records[0].mileage_km
     for until in range(2, len(records) + 1):

@@ -25,14 +25,8 @@ MODEL = StepModel()
 def odds(given: Life, until: int, *, wear: bool) -> float:
     """Return the log odds of a step among the newest intervals.
 
-    Parameters
-    ----------
-    given
-        With the truth.
-    until
-        Number of intervals that there are.
-    wear
-        Known, rather than its law.
+    Args:
+        wear: Known, rather than its law.
     """
     part = slice(max(0, until - NEWEST), until)
     records, noise = given.records[part], given.noise[part]

@@ -65,12 +65,8 @@ class Case:
 def life(case: Case, seed: int) -> Life:
     """Return a wheelset life.
 
-    Parameters
-    ----------
-    case
-        What happens.
-    seed
-        Of everything that is by chance.
+    Args:
+        seed: Of everything that is by chance.
     """
     rng = np.random.default_rng(seed)
     mixed = int(case.mixed and case.size != 0.0)
@@ -153,12 +149,9 @@ def _record(number: int, x: float, days: float, width: float, value: float, std:
 def worn_further(given: Life, share: float) -> Life:
     """Return a life whose intervals cover less than 3 mm for a share of it, as worn wheels do.
 
-    Parameters
-    ----------
-    given
-        With all amplitudes.
-    share
-        Of its intervals before the step, the newest of them.
+    Args:
+        given: With all amplitudes.
+        share: Of its intervals before the step, the newest of them.
     """
     first = given.first or len(given.records)
     begin = round(first * (1.0 - share))

@@ -20,15 +20,7 @@ OWN_STD, RATIO_STD = 0.03, 0.03  # of the creep of a vehicle's own wheels, and o
 
 
 def suspension_rows(seed: int, lives: int) -> Iterator[BenchRow]:
-    """Yield when a spring that is 20 % softer is found, and how long after.
-
-    Parameters
-    ----------
-    seed
-        Of the first fleet.
-    lives
-        Fleets of each history.
-    """
+    """Yield when a spring that is 20 % softer is found, and how long after."""
     found, lasting, wrong, years = [], [], 0, 0.0
     for number, history in enumerate(HISTORIES):
         for i in range(max(1, lives // len(HISTORIES))):
@@ -64,12 +56,8 @@ def _findings(code: str, changes: list[object]) -> list[tuple[bool, int]]:
 def fleet(history: int, seed: int) -> list[SuspensionFinding]:
     """Return the findings of a fleet on one section, of which the first vehicle softens at once.
 
-    Parameters
-    ----------
-    history
-        Findings before that.
-    seed
-        Of friction and noise.
+    Args:
+        history: Findings before that.
     """
     rng = np.random.default_rng(seed)
     k = history + BEHIND

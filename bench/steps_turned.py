@@ -40,12 +40,8 @@ NOTHING = Reason(ReasonCode.NOT_FINITE, "not simulated")
 def turned_rows(seed: int, lives: int) -> Iterator[BenchRow]:
     """Yield how soon turned wheelsets are found, and how often right ones are.
 
-    Parameters
-    ----------
-    seed
-        Of the first life.
-    lives
-        Of each difference of the wheels, pair of profiles and distance of intervals.
+    Args:
+        lives: Of each difference of the wheels, pair of profiles and distance of intervals.
     """
     for difference in (0.0, *DIFFERENCES):
         found, pairs, total = 0, 0, 0

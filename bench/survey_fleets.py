@@ -118,15 +118,7 @@ def drawn_track(seed: int, *, switches: bool = False) -> TrackTruth:
 
 
 def drawn_fleet(plan: FleetPlan, seed: int) -> Fleet:
-    """Return the fleet of a plan for one seed.
-
-    Parameters
-    ----------
-    plan
-        What runs.
-    seed
-        Of track, wheels, journeys and sensors.
-    """
+    """Return the fleet of a plan for one seed."""
     rng = np.random.default_rng([seed, 350])
     track = drawn_track(seed, switches=plan.switches)
     parameters = EstimationSettings().windows(_class_of(plan), None)

@@ -98,12 +98,8 @@ class Figures:
 def differences(cases: Sequence[Case], surveys: Sequence[str]) -> list[tuple[str, ...]]:
     """Return by fleet what each survey changes against none: error, interval score, and against an honest none.
 
-    Parameters
-    ----------
-    cases
-        Of all fleets.
-    surveys
-        Names of the columns.
+    Args:
+        cases: Of all fleets.
     """
     found = []
     for row in dict.fromkeys(case["row"] for case in cases):
@@ -120,15 +116,7 @@ def differences(cases: Sequence[Case], surveys: Sequence[str]) -> list[tuple[str
 
 
 def most_share(count: int, of: int) -> float:
-    """Return the largest share, at ``LEVEL``, that is seen so rarely (Clopper and Pearson, one side).
-
-    Parameters
-    ----------
-    count
-        How often it was seen.
-    of
-        How often it could have been.
-    """
+    """Return the largest share, at ``LEVEL``, that is seen so rarely (Clopper and Pearson, one side)."""
     return float(beta.ppf(LEVEL, count + 1, of - count)) if count < of else 1.0
 
 
@@ -213,14 +201,9 @@ class Paired:
 def paired(cases: Sequence[Case], others: Mapping[Any, Case], name: str) -> tuple[list[FloatArray], list[FloatArray]]:
     """Return by fleet by how much errors and interval scores of a survey exceed those of others, number by number.
 
-    Parameters
-    ----------
-    cases
-        Of all surveys.
-    others
-        What is compared with, by fleet and seed.
-    name
-        Of the survey.
+    Args:
+        cases: Of all surveys.
+        others: What is compared with, by fleet and seed.
     """
     errors, scores = [], []
     for case in cases:

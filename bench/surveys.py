@@ -97,14 +97,8 @@ def main(arguments: Sequence[str]) -> int:
 def fleet_cases(row: str, seed: int, surveys: Sequence[str] = tuple(SURVEYS)) -> Iterator[dict[str, Any]]:
     """Yield the scores of one drawn fleet with every survey, as JSON values.
 
-    Parameters
-    ----------
-    row
-        Name of the fleet.
-    seed
-        Of its draw.
-    surveys
-        Names of those that are tried; by default all.
+    Args:
+        surveys: Names of those that are tried; by default all.
     """
     fleet = drawn_fleet(ROWS[row], seed)
     for survey, plan in ((name, SURVEYS[name]) for name in surveys):

@@ -59,14 +59,10 @@ MB = 1e6
 class Feed:
     """Puts copies of chunks into the drop folder, each as one of another vehicle that is put on file for it.
 
-    Attributes
-    ----------
-    folder
-        That the product watches.
-    recordings
-        Contents of files.
-    storage
-        Of the deployment; its first vehicle is the model of the others.
+    Attributes:
+        folder: That the product watches.
+        recordings: Contents of files.
+        storage: Of the deployment; its first vehicle is the model of the others.
     """
 
     folder: Path
@@ -124,14 +120,8 @@ class Watched:
 def rows(folder: Path, load: Workload, minutes: float) -> Iterator[BenchRow]:
     """Yield frames per second by the clock and by processor time, and the memory.
 
-    Parameters
-    ----------
-    folder
-        Empty.
-    load
-        A deployment whose first vehicle's journeys are copied.
-    minutes
-        How long it lasts.
+    Args:
+        load: A deployment whose first vehicle's journeys are copied.
     """
     settings, incoming = load.copy(folder / "deployed"), folder / "incoming"
     incoming.mkdir()

@@ -53,12 +53,8 @@ def rows() -> Iterator[BenchRow]:
 def rates(shapes: tuple[float, float, float], scatter: float = 1.0) -> Rates:
     """Return the rates over seeded histories.
 
-    Parameters
-    ----------
-    shapes
-        Shares of straight, saturating and accelerating wear.
-    scatter
-        By how much the stated standard deviations are too small.
+    Args:
+        scatter: By how much the stated standard deviations are too small.
     """
     level, slope, reached = [], [], []
     for history in histories(SEED, HISTORIES, shapes=shapes, scatter=scatter):

@@ -47,14 +47,8 @@ class VehicleScore:
 def score(scenario: Scenario, cache: Path, folder: Path) -> VehicleScore:
     """Run a scenario through the product and compare what is published with the truth.
 
-    Parameters
-    ----------
-    scenario
-        The row, with its seed.
-    cache
-        Folder that keeps recordings.
-    folder
-        Where the deployment keeps its data; empty.
+    Args:
+        folder: Where the deployment keeps its data; empty.
     """
     recorded = record(scenario, cache, workers=1)
     began = time.perf_counter()

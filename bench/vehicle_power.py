@@ -52,14 +52,10 @@ def parts(row: str) -> tuple[str, int]:
 def with_wrong_parameter(scenario: Scenario, row: str, folder: Path) -> Scenario:
     """Return a scenario whose class on file is wrong as the row's name says.
 
-    Parameters
-    ----------
-    scenario
-        That of ``BASE``, with its seed.
-    row
-        One of ``ROWS``.
-    folder
-        Where the class file is written; exists.
+    Args:
+        scenario: That of ``BASE``, with its seed.
+        row: One of ``ROWS``.
+        folder: Where the class file is written; exists.
     """
     name, percent = parts(row)
     text = CLASS_FILE.read_text(encoding="utf-8")
@@ -75,14 +71,8 @@ def with_wrong_parameter(scenario: Scenario, row: str, folder: Path) -> Scenario
 def scaled(text: str, key: str, factor: float) -> str:
     """Return a class file with the first value of ``key`` multiplied by ``factor``.
 
-    Parameters
-    ----------
-    text
-        TOML.
-    key
-        Of a number.
-    factor
-        What it is multiplied by.
+    Args:
+        factor: What it is multiplied by.
     """
     found = re.search(rf"^{key} = (\S+)$", text, flags=re.MULTILINE)
     assert found is not None, key

@@ -97,10 +97,8 @@ class Counted:
 def counted(cases: Sequence[Mapping[str, Any]]) -> Counted:
     """Return how many wheelsets there are, are published, and do not fit.
 
-    Parameters
-    ----------
-    cases
-        As ``vehicle_case.score`` gives them, in JSON values.
+    Args:
+        cases: As ``vehicle_case.score`` gives them, in JSON values.
     """
     verdicts = [verdict for case in cases for verdict in case["verdicts"]]
     return Counted(
@@ -114,10 +112,8 @@ def counted(cases: Sequence[Mapping[str, Any]]) -> Counted:
 def summary_rows(cases: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return a line for each row that was run; its last cell is "yes" where the row reaches its numbers.
 
-    Parameters
-    ----------
-    cases
-        Of all rows and seeds that did not fail.
+    Args:
+        cases: Of all rows and seeds that did not fail.
     """
     by_row = {name: [case for case in cases if case["row"] == name] for name in ROWS}
     return [_summary(name, of_row) for name, of_row in by_row.items() if of_row]
@@ -126,10 +122,8 @@ def summary_rows(cases: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 def power_rows(cases: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return a line for each size of a wrong parameter that was run.
 
-    Parameters
-    ----------
-    cases
-        Of all rows and seeds that did not fail.
+    Args:
+        cases: Of all rows and seeds that did not fail.
     """
     by_row = {name: [case for case in cases if case["row"] == name] for name in vehicle_power.ROWS}
     return [_power_row(name, of_row) for name, of_row in by_row.items() if of_row]
@@ -138,10 +132,8 @@ def power_rows(cases: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 def tables(cases: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Return the tables for a terminal.
 
-    Parameters
-    ----------
-    cases
-        Of all rows and seeds that did not fail.
+    Args:
+        cases: Of all rows and seeds that did not fail.
     """
     found = [terminal_table(TITLE, HEADER, summary_rows(cases))]
     power = power_rows(cases)
@@ -151,10 +143,8 @@ def tables(cases: Sequence[Mapping[str, Any]]) -> list[Table]:
 def page_body(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the same tables for a page of results.
 
-    Parameters
-    ----------
-    cases
-        Of all rows and seeds that did not fail.
+    Args:
+        cases: Of all rows and seeds that did not fail.
     """
     found = [
         EXPLANATION,

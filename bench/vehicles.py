@@ -80,14 +80,9 @@ def _run(options: argparse.Namespace, cases: list[dict[str, Any]], console: Cons
 def run_case(row: str, seed: int, keep: Path | None) -> dict[str, Any]:
     """Return the score of a row for one seed; runs in a process of its own.
 
-    Parameters
-    ----------
-    row
-        Name of a scenario file, or of a row of ``vehicle_power``.
-    seed
-        Of the scenario.
-    keep
-        Folder that keeps recordings; None for none.
+    Args:
+        row: Name of a scenario file, or of a row of ``vehicle_power``.
+        keep: Folder that keeps recordings; None for none.
     """
     from bench.vehicle_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
 
@@ -100,12 +95,8 @@ def run_case(row: str, seed: int, keep: Path | None) -> dict[str, Any]:
 def scenario_of(row: str, seed: int, folder: Path) -> Scenario:
     """Return the scenario of a row for one seed.
 
-    Parameters
-    ----------
-    row, seed
-        As :func:`run_case` takes them.
-    folder
-        Where a class file that is wrong is written; exists.
+    Args:
+        folder: Where a class file that is wrong is written; exists.
     """
     if row in vehicle_power.ROWS:
         right = with_seed(load_scenario(SCENARIOS / f"{vehicle_power.BASE}.toml"), seed)

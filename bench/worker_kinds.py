@@ -37,26 +37,14 @@ def here(_settings: Settings, _count: int) -> Iterator[tuple[WorkExecutor | None
 
 @contextmanager
 def pool_of(settings: Settings, count: int) -> Iterator[tuple[WorkExecutor | None, Pids]]:
-    """Yield a process pool for a deployment.
-
-    Parameters
-    ----------
-    settings, count
-        Of the deployment; how many workers.
-    """
+    """Yield a process pool for a deployment."""
     with closing(ProcessPool(settings, count)) as pool:
         yield pool, pool.pids
 
 
 @contextmanager
 def dask_of(settings: Settings, count: int) -> Iterator[tuple[WorkExecutor | None, Pids]]:
-    """Yield the workers of a Dask scheduler for a deployment.
-
-    Parameters
-    ----------
-    settings, count
-        Of the deployment; how many workers.
-    """
+    """Yield the workers of a Dask scheduler for a deployment."""
     folder = settings.data_dir.parent / "dask"
     with dask_cluster(settings, folder, count) as cluster, closing(DaskExecutor(cluster.address)) as executor:
         while executor.threads() < count:

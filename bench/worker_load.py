@@ -84,12 +84,8 @@ class Workload:
 def fleet(vehicles: int, minutes: float, *, campaigns: int = 2, surveyed: bool = True) -> str:
     """Return the scenario of vehicles of four wheelsets on one section.
 
-    Parameters
-    ----------
-    vehicles, minutes, campaigns
-        How many, how long a journey takes, and how many journeys each makes.
-    surveyed
-        Whether the section is.
+    Args:
+        vehicles, minutes, campaigns: How many, how long a journey takes, and how many journeys each makes.
     """
     length, known = LARGEST_SPEED * 60.0 * minutes + 100.0, str(surveyed).lower()
     parts = [FLEET.format(minutes=minutes, speed=LARGEST_SPEED, length=length, campaigns=campaigns, surveyed=known)]
@@ -104,16 +100,8 @@ def workload(
 ) -> Workload:
     """Return two journeys of each of some vehicles of four wheelsets, of which the first is received already.
 
-    Parameters
-    ----------
-    folder
-        Empty.
-    vehicles, minutes
-        How many, and how long a journey takes.
-    server
-        URL of a PostgreSQL server; None for SQLite.
-    surveyed
-        Whether the section is.
+    Args:
+        server: URL of a PostgreSQL server; None for SQLite.
     """
     file = folder / "scenario.toml"
     file.write_text(fleet(vehicles, minutes, surveyed=surveyed), encoding="utf-8")

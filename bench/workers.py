@@ -44,20 +44,13 @@ REACH, EFFICIENCY, MOST_STATEMENTS, MOST_WRITING = 1.8, 0.9, 5.0, 0.1
 class Estimated:
     """What one run of the jobs over a deployment came to.
 
-    Attributes
-    ----------
-    windows
-        That waited at the begin.
-    estimations
-        How many windows were estimated or refused.
-    wall_s
-        By the clock, s.
-    cpu_s
-        Processor time of all processes, s.
-    longest_s
-        Processor time of the process that hands out the work, and of the busiest worker, s.
-    state
-        Digests of what is stored.
+    Attributes:
+        windows: That waited at the begin.
+        estimations: How many windows were estimated or refused.
+        wall_s: By the clock, s.
+        cpu_s: Processor time of all processes, s.
+        longest_s: Processor time of the process that hands out the work, and of the busiest worker, s.
+        state: Digests of what is stored.
     """
 
     windows: int
@@ -69,17 +62,7 @@ class Estimated:
 
 
 def estimated(load: Workload, folder: Path, kind: Kind, count: int) -> Estimated:
-    """Return what so many workers come to, once they have estimated something and have compiled all there is.
-
-    Parameters
-    ----------
-    load
-        What there is to estimate.
-    folder
-        Empty.
-    kind, count
-        Of the workers.
-    """
+    """Return what so many workers come to, once they have estimated something and have compiled all there is."""
     settings = load.copy(folder)
     with kind(settings, count) as (executor, workers), opened(settings) as (storage, plain):
         context = replace(plain, executor=executor)
@@ -123,13 +106,7 @@ class Counted:
 
 @contextmanager
 def counted(storage: SqlStorage) -> Iterator[Counted]:
-    """Count what is asked of a database while the block lasts.
-
-    Parameters
-    ----------
-    storage
-        Of the database.
-    """
+    """Count what is asked of a database while the block lasts."""
     found, write = Counted(), SqlStorage.write
 
     def count(*_parameters: object) -> None:
@@ -155,16 +132,9 @@ def counted(storage: SqlStorage) -> Iterator[Counted]:
 def rows(folder: Path, vehicles: int, minutes: float, repeats: int, server: str | None) -> Iterator[BenchRow]:
     """Yield what two workers make of a load beside one, in processes of this machine and on Dask.
 
-    Parameters
-    ----------
-    folder
-        Empty.
-    vehicles, minutes
-        Of the load.
-    repeats
-        How often each is measured; the best counts, for the machine may do other things.
-    server
-        URL of a PostgreSQL server; None for SQLite.
+    Args:
+        repeats: How often each is measured; the best counts, for the machine may do other things.
+        server: URL of a PostgreSQL server; None for SQLite.
     """
     load = workload(folder, vehicles, minutes, server)
     on = "SQLite" if server is None else "PostgreSQL"
@@ -221,13 +191,7 @@ def _asked(load: Workload, folder: Path, on: str) -> Iterator[BenchRow]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure, print, and return 1 when a row falls short.
-
-    Parameters
-    ----------
-    arguments
-        Of the command line.
-    """
+    """Measure, print, and return 1 when a row falls short."""
     parser = argparse.ArgumentParser("python -m bench workers", description=TITLE)
     parser.add_argument("--vehicles", type=int, default=2, help="of four wheelsets")
     parser.add_argument("--minutes", type=float, default=10.0, help="that each of two journeys of a vehicle takes")

@@ -74,16 +74,8 @@ def _measured_wheels(options: argparse.Namespace, console: Console) -> tuple[Whe
 def run_case(row: str, seed: int, keep: Path | None, wheels: tuple[WheelPair, ...] = ()) -> dict[str, Any]:
     """Return the score of a row for one seed; runs in a process of its own.
 
-    Parameters
-    ----------
-    row
-        Name of a scenario file.
-    seed
-        Of the scenario.
-    keep
-        Folder that keeps recordings; None for none.
-    wheels
-        Wheelsets of the rows with measured wheels.
+    Args:
+        keep: Folder that keeps recordings; None for none.
     """
     from bench.world_case import score  # noqa: PLC0415 - compiled code is loaded where it runs
 
@@ -94,13 +86,7 @@ def run_case(row: str, seed: int, keep: Path | None, wheels: tuple[WheelPair, ..
 
 
 def scenario_of(row: str, seed: int, wheels: tuple[WheelPair, ...] = ()) -> tuple[Scenario, tuple[str, ...]]:
-    """Return the scenario of a row for one seed, and the measured wheelsets that cannot run in it.
-
-    Parameters
-    ----------
-    row, seed, wheels
-        As :func:`run_case` takes them.
-    """
+    """Return the scenario of a row for one seed, and the measured wheelsets that cannot run in it."""
     scenario = with_seed(load_scenario(SCENARIOS / f"{row}.toml"), seed)
     return world_measured.with_wheels(scenario, wheels) if row in world_measured.ROWS else (scenario, ())
 

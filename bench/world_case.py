@@ -36,14 +36,8 @@ class WorldScore:
 def score(scenario: Scenario, cache: Path, folder: Path) -> WorldScore:
     """Run a scenario through the product and compare what is published with the truth.
 
-    Parameters
-    ----------
-    scenario
-        The row, with its seed.
-    cache
-        Folder that keeps recordings.
-    folder
-        Where the deployment keeps its data; empty.
+    Args:
+        folder: Where the deployment keeps its data; empty.
     """
     recorded = record(scenario, cache, workers=1)
     began = time.perf_counter()
@@ -55,16 +49,8 @@ def score(scenario: Scenario, cache: Path, folder: Path) -> WorldScore:
 def stored_score(storage: Storage, scenario: Scenario, truth_file: Path, began: float) -> WorldScore:
     """Return what the jobs have stored, compared with the truth.
 
-    Parameters
-    ----------
-    storage
-        Of the deployment.
-    scenario
-        The row, with its seed.
-    truth_file
-        Of the recordings.
-    began
-        Wall clock (``time.perf_counter``) before the recordings were received, s.
+    Args:
+        began: Wall clock (``time.perf_counter``) before the recordings were received, s.
     """
     wheelsets, widths = [], []
     with storage.read() as unit:

@@ -56,17 +56,11 @@ class MeasuredWheels:
 def measured_wheels(folder: Path, section: SectionPlan) -> MeasuredWheels:
     """Return the wheelsets that the wheels in a folder make and that can run on a section.
 
-    Parameters
-    ----------
-    folder
-        With MiniProf wheels in it or below.
-    section
-        Rail, inclination and nominal gauge.
+    Args:
+        folder: With MiniProf wheels in it or below.
 
-    Raises
-    ------
-    ScenarioError
-        There is none.
+    Raises:
+        ScenarioError: There is none.
     """
     left_out: dict[str, str] = {}
     alone, together = _read(sorted(folder.rglob("*.whl")), left_out)
@@ -85,17 +79,8 @@ def with_wheels(scenario: Scenario, pairs: Sequence[WheelPair]) -> tuple[Scenari
     A wheelset is left out, and another one drawn, that climbs a rail in any of its journeys or spends more than 1 % of
     one in flange contact (30 degrees).
 
-    Parameters
-    ----------
-    scenario
-        Of a drawn fleet.
-    pairs
-        Of :func:`measured_wheels`.
-
-    Raises
-    ------
-    ScenarioError
-        None of the wheelsets can run in some place.
+    Raises:
+        ScenarioError: None of the wheelsets can run in some place.
     """
     track, left_out = scenario_track(scenario), []
     places = [(plan.code, axle) for plan in scenario.vehicles for axle in range(len(plan.wheelsets))]
@@ -139,13 +124,6 @@ def fault(pair: WheelPair, section: SectionPlan) -> str | None:
     Contact is rigid, at nominal gauge. A wheelset is left out whose profiles do not touch on both sides;
     whose radii are equal nowhere within 3 mm of the track centre; which within 3 mm of that place climbs a rail or
     has flange contact (30 degrees); whose equivalent conicity at 1 to 3 mm is above 0.4.
-
-    Parameters
-    ----------
-    pair
-        Files of both wheels.
-    section
-        Rail, inclination and nominal gauge.
     """
     left_rail, right_rail, inclination = rails_of(section)
     left, right = (wheel_in(path) for path in pair)

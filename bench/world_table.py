@@ -69,10 +69,8 @@ UNKNOWN = "unknown"  # how the names of the rows on unknown track begin
 def figures(cases: Sequence[Mapping[str, Any]]) -> tuple[list[float], tuple[int, int], list[float]]:
     """Return errors of conicity by wheelset, how many intervals cover of how many, and their half widths.
 
-    Parameters
-    ----------
-    cases
-        As ``world_case.score`` gives them, in JSON values.
+    Args:
+        cases: As ``world_case.score`` gives them, in JSON values.
     """
     wheelsets = [item for case in cases for item in case["wheelsets"]]
     errors = [item["error"] for item in wheelsets if item["error"] is not None]
@@ -84,10 +82,8 @@ def figures(cases: Sequence[Mapping[str, Any]]) -> tuple[list[float], tuple[int,
 def summary_rows(cases: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return a line for each row that was run; its last cell is "yes" where the row reaches its numbers.
 
-    Parameters
-    ----------
-    cases
-        Of all rows and seeds.
+    Args:
+        cases: Of all rows and seeds.
     """
     by_row = {name: [case for case in cases if case["row"] == name] for name in ROWS}
     return [_summary(name, of_row) for name, of_row in by_row.items() if of_row]
@@ -96,10 +92,8 @@ def summary_rows(cases: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
 def width_rows(cases: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Return a line for each range of diversity in which there are fleets on unknown track.
 
-    Parameters
-    ----------
-    cases
-        Of all rows and seeds; a fleet without diversity, of which nothing was solved, comes last.
+    Args:
+        cases: Of all rows and seeds; a fleet without diversity, of which nothing was solved, comes last.
     """
     unknown = [case for case in cases if case["row"].startswith(UNKNOWN)]
     solved = [case for case in unknown if case["diversity"] > 0.0]
@@ -164,10 +158,8 @@ def _summary(name: str, cases: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
 def tables(cases: Sequence[Mapping[str, Any]]) -> list[Table]:
     """Return the tables for a terminal; that of the intervals where there are fleets on unknown track.
 
-    Parameters
-    ----------
-    cases
-        Of all rows and seeds.
+    Args:
+        cases: Of all rows and seeds.
     """
     found = [terminal_table(TITLE, HEADER, summary_rows(cases))]
     widths = width_rows(cases)
@@ -177,10 +169,8 @@ def tables(cases: Sequence[Mapping[str, Any]]) -> list[Table]:
 def page_body(cases: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return the same tables for a page of results.
 
-    Parameters
-    ----------
-    cases
-        Of all rows and seeds.
+    Args:
+        cases: Of all rows and seeds.
     """
     found = [markdown_table(HEADER, summary_rows(cases), range(1, len(HEADER) - 2))]
     widths = width_rows(cases)

@@ -61,10 +61,8 @@ COUNTS = Compilations()
 def compiled(**options: bool | str) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
     """Return a decorator that compiles a function when it is called first, or loads what was compiled before.
 
-    Parameters
-    ----------
-    **options
-        Of ``numba.njit``, such as ``nogil`` and ``inline``.
+    Args:
+        **options: Of ``numba.njit``, such as ``nogil`` and ``inline``.
     """
     wrapper: Any = numba.njit
 
@@ -96,12 +94,8 @@ def numba_config() -> Any:  # noqa: ANN401 - a module whose names are made when 
 class KernelCache:
     """The compiled signatures of one function, as numba's dispatcher asks for them.
 
-    Parameters
-    ----------
-    function
-        The function, not compiled.
-    options
-        With which it is compiled.
+    Args:
+        function: The function, not compiled.
     """
 
     def __init__(self, function: FunctionType, options: list[tuple[str, bool | str]]) -> None:
@@ -114,15 +108,7 @@ class KernelCache:
         return str(directories()[0])
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:  # noqa: ANN401 - numba's own
-        """Return the compiled signature; None where it must be compiled.
-
-        Parameters
-        ----------
-        sig
-            Types of the arguments.
-        target_context
-            Of numba.
-        """
+        """Return the compiled signature; None where it must be compiled."""
         target_context.refresh()
         name = self._name(sig, target_context.codegen())
         content = next((found for found in (_read(base / name) for base in directories()) if found is not None), None)
@@ -136,15 +122,7 @@ class KernelCache:
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401 - numba's own
-        """Keep a compiled signature, where a directory can be written.
-
-        Parameters
-        ----------
-        sig
-            Types of the arguments.
-        data
-            What the compiler returned.
-        """
+        """Keep a compiled signature, where a directory can be written."""
         COUNTS.compiled += 1
         content = dumps(data._reduce())  # type: ignore[no-untyped-call]  # noqa: SLF001 - numba's own caches do the same
         name = self._name(sig, data.codegen)

@@ -39,12 +39,9 @@ class TreadwatchError(Exception):
 class InputError(TreadwatchError):
     """What somebody handed us is wrong.
 
-    Parameters
-    ----------
-    reason
-        What is wrong, in one sentence, without the place.
-    file, line, field
-        Where it is, as far as known.
+    Args:
+        reason: What is wrong, in one sentence, without the place.
+        file, line, field: Where it is, as far as known.
     """
 
     def __init__(
@@ -125,14 +122,10 @@ class PassingFaultError(TreadwatchError):
     No space, no mount, no permission, no memory or process to be had, a missing extra: the same again succeeds once
     the fault is mended.
 
-    Parameters
-    ----------
-    reason
-        What could not be done, in one sentence, without the place.
-    file
-        The file it was to be done with, if any.
-    code
-        What is waited for: one of ``estimation.values.quarantine.PASSING``.
+    Args:
+        reason: What could not be done, in one sentence, without the place.
+        file: The file it was to be done with, if any.
+        code: What is waited for: one of ``estimation.values.quarantine.PASSING``.
     """
 
     def __init__(self, reason: str, *, file: Path | str | None = None, code: str = "waits_for_storage") -> None:

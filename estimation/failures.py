@@ -21,18 +21,8 @@ def after_failure(
 ) -> Quarantined:
     """Return what is kept of a failure.
 
-    Parameters
-    ----------
-    before
-        What is kept of the last failure at this; None for none.
-    subject
-        Kind, key and stage.
-    inputs
-        What it was made from.
-    error
-        What was raised.
-    now_ns
-        Our time.
+    Args:
+        before: What is kept of the last failure at this; None for none.
     """
     again = before is not None and before.state is QuarantineState.HELD and before.inputs == inputs
     attempts = before.attempts + 1 if before is not None and again else 1

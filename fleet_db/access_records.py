@@ -9,23 +9,15 @@ from dataclasses import dataclass
 class ApiKey:
     """What is kept of a key: not its secret.
 
-    Parameters
-    ----------
-    prefix
-        Its public part, by which it is found.
-    digest
-        SHA-256 of the whole key, hexadecimal. A slow hash is for passwords that people choose; a key has 256 random
-        bits, which nobody can try out.
-    owner
-        Who it was given to; recorded with what is done with it.
-    scopes
-        What may be done.
-    fleets
-        Codes of the fleets that are visible; None for all.
-    created_ns, created_by
-        When, ns UTC, and by whom it was made.
-    expires_ns, revoked_ns, last_used_ns
-        When, ns UTC; None for never.
+    Args:
+        prefix: Its public part, by which it is found.
+        digest: SHA-256 of the whole key, hexadecimal. A slow hash is for passwords that people choose; a key has 256
+            random bits, which nobody can try out.
+        owner: Who it was given to; recorded with what is done with it.
+        scopes: What may be done.
+        fleets: Codes of the fleets that are visible; None for all.
+        created_ns, created_by: When, ns UTC, and by whom it was made.
+        expires_ns, revoked_ns, last_used_ns: When, ns UTC; None for never.
     """
 
     prefix: str
@@ -42,10 +34,8 @@ class ApiKey:
     def usable(self, now_ns: int) -> bool:
         """Return whether it is neither revoked nor expired.
 
-        Parameters
-        ----------
-        now_ns
-            Our time, ns UTC.
+        Args:
+            now_ns: Our time, ns UTC.
         """
         return self.revoked_ns is None and (self.expires_ns is None or now_ns < self.expires_ns)
 
@@ -54,22 +44,11 @@ class ApiKey:
 class AuditEntry:
     """One change, or one request that was refused for want of a right.
 
-    Parameters
-    ----------
-    at_ns
-        Our time, ns UTC.
-    owner, key_prefix
-        Of the key; None where none was known.
-    method, path, status
-        Of the request and its answer; of the command line, ``keys``, the command and 0.
-    object
-        Path of what was changed or made.
-    address
-        From where.
-    request_id
-        Name of the request in the log.
-    entry_id
-        Number, given when it is stored.
+    Args:
+        at_ns: Our time, ns UTC.
+        owner, key_prefix: Of the key; None where none was known.
+        method, path, status: Of the request and its answer; of the command line, ``keys``, the command and 0.
+        object: Path of what was changed or made.
     """
 
     at_ns: int

@@ -10,15 +10,9 @@ from pathlib import Path
 def write_atomically(path: Path, content: bytes, *, durable: bool) -> None:
     """Write ``content`` beside ``path`` and rename it into place.
 
-    Parameters
-    ----------
-    path
-        Where; missing directories are made.
-    content
-        What.
-    durable
-        Whether file and directory are on the disk before this returns. Without it the file is whole for every
-        reader at once, and after a loss of power it may be missing or empty.
+    Args:
+        durable: Whether file and directory are on the disk before this returns. Without it the file is whole for every
+            reader at once, and after a loss of power it may be missing or empty.
     """
     if not path.parent.is_dir():
         path.parent.mkdir(parents=True, exist_ok=True)

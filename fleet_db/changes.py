@@ -32,15 +32,7 @@ class Changes:
     sections: set[str] = field(default_factory=set)  # on which something has happened since they were written last
 
     def note(self, wheelset: str, *, shown: bool = True) -> None:
-        """Something that the geometry of a wheelset is computed from has changed.
-
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        shown
-            Whether the worklist shows it.
-        """
+        """Something that the geometry of a wheelset is computed from has changed."""
         self.noted.add(wheelset)
         self.touched.add(wheelset)
         if shown:

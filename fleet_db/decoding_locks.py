@@ -29,17 +29,8 @@ TryVehicle = Callable[[str], AbstractContextManager[bool]]
 def decoding_locks(storage: SqlStorage, holder: str) -> Iterator[TryVehicle]:
     """Yield what locks a vehicle.
 
-    Parameters
-    ----------
-    storage
-        Whose recordings are decoded.
-    holder
-        Name of the process.
-
-    Raises
-    ------
-    StorageError
-        The database cannot be reached.
+    Raises:
+        StorageError: The database cannot be reached.
     """
     file = sqlite_file(storage.engine)
     if file is not None:

@@ -24,15 +24,7 @@ V = TypeVar("V")
 
 
 def fields_of(value: object, *, without: Collection[str] = ()) -> tuple[dict[str, JsonValue], dict[str, Array]]:
-    """Return the fields of a frozen value: JSON and arrays under their names, in the order of the class.
-
-    Parameters
-    ----------
-    value
-        Of a dataclass.
-    without
-        Names of fields to leave out.
-    """
+    """Return the fields of a frozen value: JSON and arrays under their names, in the order of the class."""
     scalars: dict[str, JsonValue] = {}
     arrays: dict[str, Array] = {}
     for name, hint in _hints(cast("Hashable", type(value))).items():
@@ -49,19 +41,12 @@ def fields_of(value: object, *, without: Collection[str] = ()) -> tuple[dict[str
 def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Array], **given: object) -> V:
     """Return the value whose fields were stored.
 
-    Parameters
-    ----------
-    kind
-        Its class.
-    scalars, arrays
-        What ``fields_of`` returned; names that are no field are ignored.
-    given
-        Fields that were not stored this way; they win.
+    Args:
+        scalars, arrays: What ``fields_of`` returned; names that are no field are ignored.
+        given: Fields that were not stored this way; they win.
 
-    Raises
-    ------
-    StorageError
-        A field is missing or does not fit its type.
+    Raises:
+        StorageError: A field is missing or does not fit its type.
     """
     stored = dict(given)
     try:
@@ -76,10 +61,8 @@ def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Arr
 def to_json(item: object) -> JsonValue:
     """Return a field as JSON.
 
-    Raises
-    ------
-    TypeError
-        Its type has no place in JSON.
+    Raises:
+        TypeError: Its type has no place in JSON.
     """
     if isinstance(item, Enum):
         item = item.value
@@ -101,17 +84,12 @@ def to_json(item: object) -> JsonValue:
 def from_json(stored: Any, hint: Any) -> Any:  # noqa: ANN401 - the type is what the hint says
     """Return a field from JSON.
 
-    Parameters
-    ----------
-    stored
-        What ``to_json`` returned.
-    hint
-        The type of the field, as the class declares it.
+    Args:
+        stored: What ``to_json`` returned.
+        hint: The type of the field, as the class declares it.
 
-    Raises
-    ------
-    StorageError
-        ``stored`` does not fit.
+    Raises:
+        StorageError: ``stored`` does not fit.
     """
     return _reader(hint)(stored)
 

@@ -24,14 +24,10 @@ class IncomingFile:
 
     It is made with the first piece.
 
-    Parameters
-    ----------
-    directory
-        In which it is made; made itself if it is missing.
-    suffix
-        Of its format; its name ends so.
-    durable
-        Whether it is on the disk once it is finished; not where it only waits to be sent elsewhere.
+    Args:
+        directory: In which it is made; made itself if it is missing.
+        suffix: Of its format; its name ends so.
+        durable: Whether it is on the disk once it is finished; not where it only waits to be sent elsewhere.
     """
 
     def __init__(self, directory: Path, suffix: str, *, durable: bool = True) -> None:
@@ -52,10 +48,8 @@ class IncomingFile:
     def write(self, piece: bytes | bytearray) -> None:
         """Write the next piece.
 
-        Raises
-        ------
-        PassingFaultError
-            No space, or the disk failed.
+        Raises:
+            PassingFaultError: No space, or the disk failed.
         """
         with passing_faults(self._directory), memoryview(piece) as left:
             file = self._file or self._made()
@@ -68,10 +62,8 @@ class IncomingFile:
     def finish(self) -> None:
         """Put what was written on the disk, where it is to be durable, and close the file.
 
-        Raises
-        ------
-        PassingFaultError
-            The disk failed; nothing that was written counts.
+        Raises:
+            PassingFaultError: The disk failed; nothing that was written counts.
         """
         with passing_faults(self._directory):
             file = self._file or self._made()  # of no bytes
@@ -104,15 +96,8 @@ class IncomingFile:
 def pieces_of(source: Path) -> Iterator[bytes]:
     """Yield the bytes of a file of others.
 
-    Parameters
-    ----------
-    source
-        The file.
-
-    Raises
-    ------
-    InputError
-        It cannot be read; names it.
+    Raises:
+        InputError: It cannot be read; names it.
     """
     try:
         with source.open("rb") as stream:

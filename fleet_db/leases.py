@@ -30,12 +30,9 @@ _log = logging.getLogger(__name__)
 def prolonged(prolong: Callable[[], bool], length_s: float) -> Iterator[None]:
     """Prolong a lease until the block ends.
 
-    Parameters
-    ----------
-    prolong
-        Prolongs it, in a transaction of its own; returns whether it was still there.
-    length_s
-        Of the lease, s.
+    Args:
+        prolong: Prolongs it, in a transaction of its own; returns whether it was still there.
+        length_s: Of the lease, s.
     """
     over = threading.Event()
     thread = threading.Thread(target=_prolong, args=(prolong, length_s, over), name="lease", daemon=True)

@@ -59,12 +59,8 @@ def serialise_vehicle(connection: Connection, vehicle: str) -> None:
     codes have one checksum wait for each other, which costs time and nothing else. On SQLite a writing transaction is
     alone anyway.
 
-    Parameters
-    ----------
-    connection
-        In a transaction of its own, READ COMMITTED.
-    vehicle
-        Code of the vehicle, registered or not.
+    Args:
+        vehicle: Code of the vehicle, registered or not.
     """
     if connection.dialect.name == "postgresql":
         number = zlib.crc32(vehicle.encode()) - (1 << 31)  # the key is a signed integer of 32 bits
@@ -77,10 +73,8 @@ def serialise_vehicle(connection: Connection, vehicle: str) -> None:
 def single_writer(path: Path, timeout_s: float) -> Iterator[None]:
     """Hold the lock file ``path``: the writing transactions of all threads and processes, one after the other.
 
-    Raises
-    ------
-    BusyError
-        Another writer held it for longer than ``timeout_s``.
+    Raises:
+        BusyError: Another writer held it for longer than ``timeout_s``.
     """
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
@@ -98,14 +92,10 @@ def single_writer(path: Path, timeout_s: float) -> Iterator[None]:
 def locked_file(path: Path, flags: int = os.O_RDWR | os.O_CREAT, *, shared: bool = False) -> Iterator[bool]:
     """Try to lock a file, for as long as the context lasts or the process lives; yield whether it was free.
 
-    Parameters
-    ----------
-    path
-        Created where it does not exist, unless ``flags`` say otherwise.
-    flags
-        Of ``os.open``.
-    shared
-        Whether others may hold it shared at the same time.
+    Args:
+        path: Created where it does not exist, unless ``flags`` say otherwise.
+        flags: Of ``os.open``.
+        shared: Whether others may hold it shared at the same time.
     """
     handle = os.open(path, flags | os.O_CLOEXEC, 0o644)
     try:
@@ -118,10 +108,8 @@ def locked_file(path: Path, flags: int = os.O_RDWR | os.O_CREAT, *, shared: bool
 def file_scheduler_lock(path: Path, holder: str) -> Iterator[None]:
     """Hold the lock file ``path``, with ``holder`` written inside; the system lets it go when the process dies.
 
-    Raises
-    ------
-    AlreadyRunningError
-        Another process holds it; names the holder.
+    Raises:
+        AlreadyRunningError: Another process holds it; names the holder.
     """
     with locked_file(path) as locked:
         if not locked:
@@ -149,10 +137,8 @@ def postgresql_session(engine: Engine, holder: str) -> Iterator[Connection]:
 def lock_scheduler(session: Connection) -> None:
     """Take the lock of the one scheduler of this database, for as long as the session lasts.
 
-    Raises
-    ------
-    AlreadyRunningError
-        Another session holds it; names who.
+    Raises:
+        AlreadyRunningError: Another session holds it; names who.
     """
     names = {"namespace": NAMESPACE, "subject": int(Subject.SCHEDULER)}
     if not session.scalar(text("SELECT pg_try_advisory_lock(:namespace, :subject)"), names):

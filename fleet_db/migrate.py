@@ -13,14 +13,10 @@ from fleet_db.session import IMMEDIATE, database_engine, sqlite_file, translate_
 def upgrade(url: str) -> str:
     """Create the database file if there is none, run every missing migration in one transaction; return the head.
 
-    Raises
-    ------
-    ParameterError
-        ``url`` names no database that can be used.
-    MigrationError
-        The database is from before the first release, or of a later version.
-    StorageError
-        It cannot be reached.
+    Raises:
+        ParameterError: ``url`` names no database that can be used.
+        MigrationError: The database is from before the first release, or of a later version.
+        StorageError: It cannot be reached.
     """
     engine = database_engine(url)
     file = sqlite_file(engine)

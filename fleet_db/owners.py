@@ -32,15 +32,7 @@ WHERE locktype = 'advisory' AND granted AND objsubid = 2 AND classid = CAST(:loc
 
 
 def living(connection: Connection, tokens: Collection[int]) -> frozenset[int]:
-    """Return which of these owners are alive.
-
-    Parameters
-    ----------
-    connection
-        In any transaction.
-    tokens
-        Of owners.
-    """
+    """Return which of these owners are alive."""
     if not tokens:
         return frozenset()
     if connection.dialect.name == "postgresql":
@@ -50,13 +42,7 @@ def living(connection: Connection, tokens: Collection[int]) -> frozenset[int]:
 
 
 def remove_dead(connection: Connection) -> frozenset[int]:
-    """Remove the owners that are gone and return those that are alive.
-
-    Parameters
-    ----------
-    connection
-        In a writing transaction.
-    """
+    """Remove the owners that are gone and return those that are alive."""
     tokens = connection.execute(select(OWNERS.c.token)).scalars().all()
     alive = living(connection, tokens)
     for token in set(tokens) - alive:
@@ -65,15 +51,7 @@ def remove_dead(connection: Connection) -> frozenset[int]:
 
 
 def remove(connection: Connection, token: int) -> None:
-    """Remove an owner: from here on it can commit nothing. Waits for what it is committing.
-
-    Parameters
-    ----------
-    connection
-        In a writing transaction.
-    token
-        Of the owner.
-    """
+    """Remove an owner: from here on it can commit nothing. Waits for what it is committing."""
     connection.execute(delete(OWNERS).where(OWNERS.c.token == token))
     if connection.dialect.name == "sqlite":
         lock_file(connection.engine, token).unlink(missing_ok=True)
@@ -82,16 +60,8 @@ def remove(connection: Connection, token: int) -> None:
 def add(connection: Connection, kind: JobTrigger, holder: str, now_ns: int) -> int:
     """Add an owner and return its token; a scheduler takes over from the one before, whose lock it holds by now.
 
-    Parameters
-    ----------
-    connection
-        In a writing transaction.
-    kind
-        What its process is.
-    holder
-        Host and process, for messages.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        now_ns: Our time, ns UTC.
     """
     if kind is JobTrigger.SCHEDULE:
         for token in connection.execute(select(OWNERS.c.token).where(OWNERS.c.kind == kind.value)).scalars().all():
@@ -103,19 +73,8 @@ def add(connection: Connection, kind: JobTrigger, holder: str, now_ns: int) -> i
 def check_claim(connection: Connection, token: int, holder: str) -> None:
     """Raise unless the owner still has its row; nobody removes it before this transaction ends.
 
-    Parameters
-    ----------
-    connection
-        In the transaction that is to be committed.
-    token
-        Of the owner.
-    holder
-        Host and process, for messages.
-
-    Raises
-    ------
-    ClaimLostError
-        It has none.
+    Raises:
+        ClaimLostError: It has none.
     """
     statement = select(OWNERS.c.token).where(OWNERS.c.token == token).with_for_update(read=True)
     if connection.execute(statement).first() is None:
@@ -123,41 +82,19 @@ def check_claim(connection: Connection, token: int, holder: str) -> None:
 
 
 def has_claim(connection: Connection, token: int) -> bool:
-    """Return whether the owner still has its row.
-
-    Parameters
-    ----------
-    connection
-        In any transaction.
-    token
-        Of the owner.
-    """
+    """Return whether the owner still has its row."""
     return connection.execute(select(OWNERS.c.token).where(OWNERS.c.token == token)).first() is not None
 
 
 def lock_file(engine: Engine, token: int) -> Path:
-    """Return the file that an owner locks, beside an SQLite database.
-
-    Parameters
-    ----------
-    engine
-        Of the database.
-    token
-        Of the owner.
-    """
+    """Return the file that an owner locks, beside an SQLite database."""
     file = Path(str(engine.url.database))
     return file.with_name(f"{file.name}.owner-{token}")
 
 
 @contextmanager
 def file_owner_lock(path: Path) -> Iterator[None]:
-    """Hold the lock file of an owner.
-
-    Parameters
-    ----------
-    path
-        The file.
-    """
+    """Hold the lock file of an owner."""
     with locked_file(path) as locked:
         assert locked  # a token is used once
         try:

@@ -20,10 +20,8 @@ def pack_window_adhesion(found: WindowAdhesion) -> bytes:
 def unpack_window_adhesion(blob: bytes, *, where: str) -> WindowAdhesion:
     """Return the creep of a window, bit for bit.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        StorageError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, WINDOW, where=where)
     sums = value_of(FrictionSums, {}, packed.arrays) if packed.arrays else None
@@ -38,10 +36,8 @@ def pack_section_adhesion(found: SectionAdhesion) -> bytes:
 def unpack_section_adhesion(blob: bytes, *, where: str) -> SectionAdhesion:
     """Return the friction of a section, bit for bit.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        StorageError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, SECTION, where=where)
     return value_of(SectionAdhesion, packed.scalars, packed.arrays)

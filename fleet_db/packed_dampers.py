@@ -26,17 +26,11 @@ def pack_window_damper(found: WindowDamper) -> bytes:
 def unpack_window_damper(blob: bytes, *, where: str) -> WindowDamper:
     """Return what a window says, bit for bit.
 
-    Parameters
-    ----------
-    blob
-        From ``pack_window_damper``.
-    where
-        Names it in the message.
+    Args:
+        blob: From ``pack_window_damper``.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged.
+    Raises:
+        StorageError: The blob is damaged.
     """
     packed = unpack(blob, WINDOW, where=where)
     if not packed.arrays:
@@ -59,17 +53,11 @@ def pack_gear_damper(found: GearDamper) -> bytes:
 def unpack_gear_damper(blob: bytes, *, where: str) -> GearDamper:
     """Return the damper of a running gear, bit for bit.
 
-    Parameters
-    ----------
-    blob
-        From ``pack_gear_damper``.
-    where
-        Names it in the message.
+    Args:
+        blob: From ``pack_gear_damper``.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged.
+    Raises:
+        StorageError: The blob is damaged.
     """
     packed = unpack(blob, GEAR, where=where)
     return value_of(GearDamper, packed.scalars, packed.arrays)

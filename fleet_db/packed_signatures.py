@@ -37,17 +37,11 @@ def pack_signatures(found: Sequence[Signature]) -> bytes:
 def unpack_signatures(blob: bytes, wheelset: str, start_ns: int) -> tuple[Signature, ...]:
     """Return the signatures of a window, bit for bit.
 
-    Parameters
-    ----------
-    blob
-        From ``pack_signatures``.
-    wheelset, start_ns
-        Key of the window.
+    Args:
+        blob: From ``pack_signatures``.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged.
+    Raises:
+        StorageError: The blob is damaged.
     """
     packed = unpack(blob, SIGNATURES, where=f"signatures of {wheelset}@{start_ns}")
     if not packed.arrays:
@@ -78,17 +72,11 @@ def pack_answer(record: SignatureRecord) -> bytes:
 def unpack_answer(blob: bytes, wheelset: str) -> SignatureRecord:
     """Return the answer about a wheelset, bit for bit.
 
-    Parameters
-    ----------
-    blob
-        From ``pack_answer``.
-    wheelset
-        Serial.
+    Args:
+        blob: From ``pack_answer``.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged.
+    Raises:
+        StorageError: The blob is damaged.
     """
     packed = unpack(blob, ANSWER, where=f"signature answer of {wheelset}")
     return value_of(SignatureRecord, packed.scalars, packed.arrays)

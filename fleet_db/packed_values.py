@@ -40,10 +40,8 @@ def pack_trend(trend: WearTrend) -> bytes:
 def unpack_trend(blob: bytes, *, where: str) -> WearTrend:
     """Return the trend, bit for bit.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        StorageError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, TREND, where=where)
     return value_of(WearTrend, packed.scalars, packed.arrays)
@@ -69,10 +67,8 @@ def pack_geometry(geometry: WheelsetGeometry) -> bytes:
 def unpack_geometry(blob: bytes, *, where: str) -> WheelsetGeometry:
     """Return the geometry, bit for bit.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        StorageError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, GEOMETRY, where=where)
     statuses, arrays = packed.scalars["combinations"], packed.arrays
@@ -91,19 +87,12 @@ def pack_layout(layout: TrackLayout) -> bytes:
 def unpack_layout(blob: bytes, version: int, *, where: str) -> TrackLayout:
     """Return the layout as ``version``, bit for bit.
 
-    Parameters
-    ----------
-    blob
-        From ``pack_layout``.
-    version
-        Of the layout.
-    where
-        Name of the place it was read from, for messages.
+    Args:
+        blob: From ``pack_layout``.
+        where: Name of the place it was read from, for messages.
 
-    Raises
-    ------
-    DamagedError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        DamagedError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, LAYOUT, where=where)
     return value_of(TrackLayout, packed.scalars, packed.arrays, version=version)
@@ -122,19 +111,12 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
 def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment:
     """Return the alignment as ``version``, bit for bit; the same again is the same object, and so is what it gives.
 
-    Parameters
-    ----------
-    blob
-        From ``pack_alignment``.
-    version
-        Of the alignment.
-    where
-        Name of the place it was read from, for messages.
+    Args:
+        blob: From ``pack_alignment``.
+        where: Name of the place it was read from, for messages.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        StorageError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, ALIGNMENT, where=where)
     stored = packed.scalars.get("findings")
@@ -182,10 +164,8 @@ def pack_wheel_pair(left: Profile, right: Profile) -> bytes:
 def unpack_wheel_pair(blob: bytes, *, where: str) -> tuple[Profile, Profile]:
     """Return the left and the right profile, bit for bit.
 
-    Raises
-    ------
-    DamagedError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        DamagedError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, WHEEL_PAIR, where=where)
     left, right = (
@@ -222,10 +202,8 @@ def pack_bin_table(table: BinTable | FilledCells) -> bytes:
 def unpack_bin_table(blob: bytes, *, where: str) -> BinTable:
     """Return the table, bit for bit.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        StorageError: The blob is damaged; ``where`` names it.
     """
     return unpack_filled_cells(blob, where=where).table()
 
@@ -233,17 +211,12 @@ def unpack_bin_table(blob: bytes, *, where: str) -> BinTable:
 def unpack_filled_cells(blob: bytes, *, where: str) -> FilledCells:
     """Return the filled cells of a packed bin table, bit for bit.
 
-    Parameters
-    ----------
-    blob
-        From ``pack_bin_table``.
-    where
-        Name of the place it was read from, for messages.
+    Args:
+        blob: From ``pack_bin_table``.
+        where: Name of the place it was read from, for messages.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        StorageError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, BIN_TABLE, where=where)
     edges, rows = packed.arrays["edges"], packed.arrays["cells"].T
@@ -291,17 +264,12 @@ def pack_exact_table(table: ExactTable) -> bytes:
 def unpack_exact_table(blob: bytes, *, where: str) -> ExactTable:
     """Return the sum, bit for bit.
 
-    Parameters
-    ----------
-    blob
-        From ``pack_exact_table``.
-    where
-        Name of the place it was read from, for messages.
+    Args:
+        blob: From ``pack_exact_table``.
+        where: Name of the place it was read from, for messages.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        StorageError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, EXACT_TABLE, where=where)
     edges, scalars = packed.arrays["edges"], packed.scalars
@@ -332,17 +300,12 @@ def pack_rolling_sums(parts: Sequence[RollingSums]) -> bytes:
 def unpack_rolling_sums(blob: bytes, *, where: str) -> tuple[RollingSums, ...]:
     """Return the sums of each part of a window, bit for bit.
 
-    Parameters
-    ----------
-    blob
-        From ``pack_rolling_sums``.
-    where
-        Name of the place it was read from, for messages.
+    Args:
+        blob: From ``pack_rolling_sums``.
+        where: Name of the place it was read from, for messages.
 
-    Raises
-    ------
-    StorageError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        StorageError: The blob is damaged; ``where`` names it.
     """
     arrays = unpack(blob, ROLLING_SUMS, where=where).arrays
     return tuple(RollingSums(*both) for both in zip(arrays["products"], arrays["noise"], strict=True))

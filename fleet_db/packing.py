@@ -47,14 +47,10 @@ class Unpacked:
 def pack(kind: str, version: int, scalars: Mapping[str, JsonValue], arrays: Mapping[str, Array]) -> bytes:
     """Return one blob of ``arrays`` and ``scalars``.
 
-    Parameters
-    ----------
-    kind, version
-        What the blob is, and the version of that layout; ``unpack`` insists on the kind.
-    scalars
-        Anything JSON holds except NaN and infinity (numbers that may be one go into an array).
-    arrays
-        float64, int64, int16 or uint8, of any shape.
+    Args:
+        kind, version: What the blob is, and the version of that layout; ``unpack`` insists on the kind.
+        scalars: Anything JSON holds except NaN and infinity (numbers that may be one go into an array).
+        arrays: float64, int64, int16 or uint8, of any shape.
     """
     described = [[name, _little(array).dtype.str, list(array.shape)] for name, array in arrays.items()]
     header = json.dumps(
@@ -70,19 +66,13 @@ def pack(kind: str, version: int, scalars: Mapping[str, JsonValue], arrays: Mapp
 def unpack(blob: bytes, kind: str, *, where: str) -> Unpacked:
     """Return what ``pack`` put into ``blob``; arrays are read-only.
 
-    Parameters
-    ----------
-    blob
-        From ``pack``.
-    kind
-        What the blob must be.
-    where
-        Name of the place it was read from, for messages.
+    Args:
+        blob: From ``pack``.
+        kind: What the blob must be.
+        where: Name of the place it was read from, for messages.
 
-    Raises
-    ------
-    DamagedError
-        The blob is cut, damaged, or of another kind or a later format; ``where`` names it.
+    Raises:
+        DamagedError: The blob is cut, damaged, or of another kind or a later format; ``where`` names it.
     """
     if blob[: len(MAGIC)] != MAGIC or blob[len(MAGIC) : len(MAGIC) + 1] != bytes([FORMAT]):
         raise DamagedError(f"{where}: not packed arrays of format {FORMAT}")

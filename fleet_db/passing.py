@@ -15,15 +15,11 @@ from estimation.values.reasons import ReasonCode
 def passing_faults(path: Path) -> Iterator[None]:
     """Turn errors of the system into ours.
 
-    Parameters
-    ----------
-    path
-        The file or folder of ours that is worked on.
+    Args:
+        path: The file or folder of ours that is worked on.
 
-    Raises
-    ------
-    PassingFaultError
-        No space, no mount, no permission, a failing disk, no memory; names the path.
+    Raises:
+        PassingFaultError: No space, no mount, no permission, a failing disk, no memory; names the path.
     """
     try:
         yield

@@ -26,16 +26,11 @@ class LostRecordingError(PassingFaultError):
 class RawItem:
     """What a store lists: a recording, or what a killed process left.
 
-    Attributes
-    ----------
-    place
-        Path or URL.
-    digest
-        That its name says; empty for what a killed process left.
-    size_bytes
-        Of it.
-    changed_s
-        When it was written last, s since the Unix epoch by the clock of the store.
+    Attributes:
+        place: Path or URL.
+        digest: That its name says; empty for what a killed process left.
+        size_bytes: Of it.
+        changed_s: When it was written last, s since the Unix epoch by the clock of the store.
     """
 
     place: str
@@ -59,10 +54,8 @@ class RawStore(ABC):
     What was put is durable, whole and readable when :meth:`put` returns. Nobody ever sees a part of a recording. The
     same bytes again change nothing, but replace a damaged recording.
 
-    Parameters
-    ----------
-    receiving
-        Folder of this machine in which recordings are received before they are put.
+    Args:
+        receiving: Folder of this machine in which recordings are received before they are put.
     """
 
     def __init__(self, receiving: Path) -> None:
@@ -82,10 +75,8 @@ class RawStore(ABC):
     def place(self, digest: str, suffix: str) -> str:
         """Return the path or URL of a recording, for messages.
 
-        Raises
-        ------
-        ParameterError
-            ``digest`` is no sha256 in hexadecimal, or ``suffix`` no plain ending.
+        Raises:
+            ParameterError: ``digest`` is no sha256 in hexadecimal, or ``suffix`` no plain ending.
         """
 
     @abstractmethod
@@ -96,15 +87,11 @@ class RawStore(ABC):
     def put(self, files: Sequence[IncomingFile]) -> None:
         """Put finished files under their digests.
 
-        Parameters
-        ----------
-        files
-            They may be moved.
+        Args:
+            files: They may be moved.
 
-        Raises
-        ------
-        PassingFaultError
-            They cannot be put now; some of them may be there all the same.
+        Raises:
+            PassingFaultError: They cannot be put now; some of them may be there all the same.
         """
 
     @abstractmethod
@@ -123,22 +110,17 @@ class RawStore(ABC):
     def check(self, digest: str, suffix: str, size_bytes: int | None = None) -> None:
         """Read a recording and compare it with its digest, and with its size where that is known.
 
-        Raises
-        ------
-        LostRecordingError
-            It is missing, or holds something else.
-        PassingFaultError
-            The store cannot be read now: nothing is known of the recording.
+        Raises:
+            LostRecordingError: It is missing, or holds something else.
+            PassingFaultError: The store cannot be read now: nothing is known of the recording.
         """
 
     @abstractmethod
     def whole(self, digest: str, suffix: str, size_bytes: int) -> AbstractContextManager[Path]:
         """Open a block with a file of this machine that holds a recording, compared with its digest.
 
-        Raises
-        ------
-        LostRecordingError, PassingFaultError
-            As :meth:`check`.
+        Raises:
+            LostRecordingError, PassingFaultError: As :meth:`check`.
         """
 
     @abstractmethod
@@ -153,22 +135,14 @@ class RawStore(ABC):
     def remove_old(self, item: RawItem, least_age_s: float) -> int | None:
         """Remove something that was listed unless it has been written again since.
 
-        Parameters
-        ----------
-        item
-            What.
-        least_age_s
-            Age that it must have now, s.
+        Args:
+            least_age_s: Age that it must have now, s.
 
-        Returns
-        -------
-        int | None
-            Its size; None if it stays, or is gone.
+        Returns:
+            int | None: Its size; None if it stays, or is gone.
 
-        Raises
-        ------
-        PassingFaultError
-            It cannot be removed now.
+        Raises:
+            PassingFaultError: It cannot be removed now.
         """
 
     @abstractmethod
@@ -215,19 +189,13 @@ class RawStore(ABC):
     def taken_in(self, source: Path, admit: Callable[[str], None] = lambda _digest: None) -> Iterator[tuple[str, Path]]:
         """Put the file ``source``; open a block with its digest and a file of this machine with these bytes.
 
-        Parameters
-        ----------
-        source
-            The file of somebody else, who may change it.
-        admit
-            Called with the digest before the recording is put; what it raises leaves nothing behind.
+        Args:
+            source: The file of somebody else, who may change it.
+            admit: Called with the digest before the recording is put; what it raises leaves nothing behind.
 
-        Raises
-        ------
-        InputError
-            The file cannot be read; names it.
-        PassingFaultError
-            It cannot be put now: no space, no permission, no connection.
+        Raises:
+            InputError: The file cannot be read; names it.
+            PassingFaultError: It cannot be put now: no space, no permission, no connection.
         """
         with self.incoming(source.suffix.lower()) as incoming:
             for piece in pieces_of(source):
@@ -241,15 +209,11 @@ class RawStore(ABC):
 def recording_name(digest: str, suffix: str) -> str:
     """Return the name of a recording in its store, with its folder.
 
-    Parameters
-    ----------
-    digest, suffix
-        Of its bytes and its format.
+    Args:
+        digest, suffix: Of its bytes and its format.
 
-    Raises
-    ------
-    ParameterError
-        ``digest`` is no sha256 in hexadecimal, or ``suffix`` no plain ending.
+    Raises:
+        ParameterError: ``digest`` is no sha256 in hexadecimal, or ``suffix`` no plain ending.
     """
     if len(digest) != hashlib.sha256().digest_size * 2 or set(digest) - set("0123456789abcdef"):
         raise ParameterError(f"{digest!r} is no sha256", field="digest")
@@ -259,13 +223,7 @@ def recording_name(digest: str, suffix: str) -> str:
 
 
 def digest_in(name: str) -> str | None:
-    """Return the digest in the name of a recording; None where it is the name of something else.
-
-    Parameters
-    ----------
-    name
-        In a store, with its folder.
-    """
+    """Return the digest in the name of a recording; None where it is the name of something else."""
     found = _NAME.fullmatch(name)
     return None if found is None or found[1] != found[2][:2] else found[2]
 
@@ -283,12 +241,8 @@ def damaged(place: Path | str) -> LostRecordingError:
 def check_size(found: int, size_bytes: int | None, place: Path | str) -> None:
     """Raise LostRecordingError where a recording has another size than it must have.
 
-    Parameters
-    ----------
-    found, size_bytes
-        As it is; as it must be, None where that is not known.
-    place
-        Where it is.
+    Args:
+        found, size_bytes: As it is; as it must be, None where that is not known.
     """
     if size_bytes is not None and found != size_bytes:
         raise LostRecordingError(f"has {found} bytes, not {size_bytes}", file=place)

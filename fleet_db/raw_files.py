@@ -28,10 +28,9 @@ from fleet_db.raw import (
 class FileRawStore(RawStore):
     """Recordings under one folder.
 
-    Parameters
-    ----------
-    directory
-        The folder; made with the first recording. Recordings are received in it, and get their names by a rename.
+    Args:
+        directory: The folder; made with the first recording. Recordings are received in it, and get their names by a
+            rename.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -160,12 +159,8 @@ class FileRawStore(RawStore):
 def unlink_old(path: Path, least_age_s: float) -> int | None:
     """Delete a file unless it has been written or used again since it was found; return its size, None if it stays.
 
-    Parameters
-    ----------
-    path
-        The file.
-    least_age_s
-        Age that it must have now.
+    Args:
+        least_age_s: Age that it must have now.
     """
     try:
         found = path.stat()
@@ -180,12 +175,9 @@ def unlink_old(path: Path, least_age_s: float) -> int | None:
 def total_of(directory: Path, enough: int) -> RawTotal:
     """Return the files below a folder, by whole subfolders until enough were looked at; names are digests.
 
-    Parameters
-    ----------
-    directory
-        The folder; it need not be there.
-    enough
-        Files after which the other subfolders are taken to be like those that were looked at.
+    Args:
+        directory: The folder; it need not be there.
+        enough: Files after which the other subfolders are taken to be like those that were looked at.
     """
     try:
         below = sorted(entry.path for entry in os.scandir(directory) if entry.is_dir())

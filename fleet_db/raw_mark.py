@@ -19,19 +19,9 @@ LOOKED_FOR = 10
 def check_raw_store(storage: SqlStorage, raw: RawStore, now_ns: int) -> str:
     """Return the mark of the store of raw recordings; mark it at its first use.
 
-    Parameters
-    ----------
-    storage
-        The database.
-    raw
-        The store.
-    now_ns
-        Our time.
-
-    Raises
-    ------
-    PassingFaultError
-        The store is not that of this database: not mounted, or another one; or it cannot be read or written.
+    Raises:
+        PassingFaultError: The store is not that of this database: not mounted, or another one; or it cannot be read or
+            written.
     """
     found = raw.read_mark()
     with storage.read() as unit:

@@ -37,12 +37,8 @@ NAMES = 1 << 32
 class S3RawStore(RawStore):
     """Recordings in a bucket.
 
-    Parameters
-    ----------
-    bucket
-        The objects.
-    receiving
-        Folder of this machine, in which recordings are received, and copies are made to be read.
+    Args:
+        receiving: Folder of this machine, in which recordings are received, and copies are made to be read.
     """
 
     def __init__(self, bucket: S3Bucket, receiving: Path) -> None:

@@ -54,13 +54,6 @@ def guard_connecting(engine: Engine, open_connection: Callable[..., Any]) -> Non
     """Let the attempts of this engine to connect go through one :class:`Reachability`.
 
     The message of an attempt that failed is passed on without the password.
-
-    Parameters
-    ----------
-    engine
-        Of a database server.
-    open_connection
-        Of the driver; gets its parameters.
     """
     reachability = Reachability()
 

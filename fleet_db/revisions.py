@@ -27,12 +27,9 @@ FROM_LATER = "this version does not know it: run the later one it is of"
 def check_head(engine: Engine) -> None:
     """Refuse a database that is not at the head of this version's migrations.
 
-    Raises
-    ------
-    MigrationError
-        It is elsewhere, or has never been migrated; the message gives the command to run.
-    StorageError
-        It cannot be reached.
+    Raises:
+        MigrationError: It is elsewhere, or has never been migrated; the message gives the command to run.
+        StorageError: It cannot be reached.
     """
     file = sqlite_file(engine)
     if file is not None and not file.exists():
@@ -46,10 +43,8 @@ def check_head(engine: Engine) -> None:
 def check_upgradable(connection: Connection) -> None:
     """Refuse a database that no upgrade of this version leads from.
 
-    Raises
-    ------
-    MigrationError
-        It is from before the first release, or of a later version.
+    Raises:
+        MigrationError: It is from before the first release, or of a later version.
     """
     found = revision_of(connection)
     if found is not None and found not in known_revisions():

@@ -33,17 +33,7 @@ def key_of(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
-    """Make the row with the primary key of ``values`` hold ``values``; return whether anything changed.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    table
-        Where.
-    values
-        By column, with the whole primary key.
-    """
+    """Make the row with the primary key of ``values`` hold ``values``; return whether anything changed."""
     key = key_of(table, values)
     found = connection.execute(_by_key(table), key).mappings().first()
     if found is None and insert_new(connection, table, values):
@@ -57,75 +47,32 @@ def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> b
 
 
 def replace(connection: Connection, table: Table, values: Mapping[str, Any]) -> None:
-    """Change the row with the primary key of ``values`` to hold ``values``.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    table
-        Where.
-    values
-        By column, with the whole primary key.
-    """
+    """Change the row with the primary key of ``values`` to hold ``values``."""
     connection.execute(_update(table, tuple(values)), {**values, **key_of(table, values)})
 
 
 def replace_all(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Change the rows with the primary keys of several values, all of the same columns, to hold them.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    table
-        Where.
-    rows
-        By column, each with the whole primary key.
-    """
+    """Change the rows with the primary keys of several values, all of the same columns, to hold them."""
     if rows:
         connection.execute(_update(table, tuple(rows[0])), [{**row, **key_of(table, row)} for row in rows])
 
 
 def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
-    """Insert ``values`` unless the primary key is there already; return whether it was new.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    table
-        Where.
-    values
-        By column, with the whole primary key.
-    """
+    """Insert ``values`` unless the primary key is there already; return whether it was new."""
     return connection.execute(_insert_new(table, connection.dialect.name), values).rowcount > 0
 
 
 def insert_all_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> int:
-    """Insert those of several values, all of the same columns, that have a new primary key; return how many.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    table
-        Where.
-    rows
-        By column, each with the whole primary key.
-    """
+    """Insert those of several values, all of the same columns, that have a new primary key; return how many."""
     return connection.execute(_insert_new(table, connection.dialect.name), list(rows)).rowcount if rows else 0
 
 
 def on_sections(column: ColumnElement[str | None], sections: Collection[str]) -> ColumnElement[bool]:
     """Return the condition that a column names one of some sections.
 
-    Parameters
-    ----------
-    column
-        Code of a section, or null.
-    sections
-        Codes; the empty text stands for null.
+    Args:
+        column: Code of a section, or null.
+        sections: Codes; the empty text stands for null.
     """
     named = column.in_(sorted(set(sections) - {""}))
     return or_(named, column.is_(None)) if "" in sections else named
@@ -164,13 +111,7 @@ def _update(table: Table, names: tuple[str, ...]) -> Update:
 
 
 def reason_columns(reason: Reason | None) -> dict[str, str | None]:
-    """Return the values of the columns ``reason`` (empty where there is none) and ``reason_code`` (then null).
-
-    Parameters
-    ----------
-    reason
-        What to store.
-    """
+    """Return the values of the columns ``reason`` (empty where there is none) and ``reason_code`` (then null)."""
     if reason is None:
         return {"reason": "", "reason_code": None}
     return {"reason": reason.text, "reason_code": reason.code.value}
@@ -179,9 +120,7 @@ def reason_columns(reason: Reason | None) -> dict[str, str | None]:
 def stored_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of any table with both columns
     """Return the reason of a row; None where it has none.
 
-    Parameters
-    ----------
-    row
-        With the columns ``reason`` and ``reason_code``.
+    Args:
+        row: With the columns ``reason`` and ``reason_code``.
     """
     return None if row.reason_code is None else Reason(ReasonCode(row.reason_code), row.reason)

@@ -33,19 +33,13 @@ NO_BUCKET = "NoSuchBucket"
 class S3Place:
     """Where a bucket is.
 
-    Attributes
-    ----------
-    bucket, prefix
-        Of the objects; the prefix may be empty.
-    endpoint, region
-        Of the store.
-    allow_http
-        Whether the connection may go without TLS.
-    timeout_s
-        How long one request may take; with its repetitions, at most twice as long.
-    keys
-        ``access_key_id``, ``secret_access_key``, and ``token`` where there is one; None where the client library
-        finds credentials by a role of the machine or the container.
+    Attributes:
+        bucket, prefix: Of the objects; the prefix may be empty.
+        endpoint, region: Of the store.
+        allow_http: Whether the connection may go without TLS.
+        timeout_s: How long one request may take; with its repetitions, at most twice as long.
+        keys: ``access_key_id``, ``secret_access_key``, and ``token`` where there is one; None where the client library
+            finds credentials by a role of the machine or the container.
     """
 
     bucket: str
@@ -74,15 +68,11 @@ class ObjectFacts:
 class S3Bucket:
     """Objects below the prefix of a place.
 
-    Parameters
-    ----------
-    place
-        Of the bucket; it must be there already.
+    Args:
+        place: Of the bucket; it must be there already.
 
-    Raises
-    ------
-    PassingFaultError
-        The client library is not installed.
+    Raises:
+        PassingFaultError: The client library is not installed.
     """
 
     def __init__(self, place: S3Place) -> None:
@@ -104,19 +94,12 @@ class S3Bucket:
     def pieces(self, name: str, facts: ObjectFacts) -> Iterator[bytes]:
         """Yield the bytes of an object, by bounded requests.
 
-        Parameters
-        ----------
-        name
-            Of it.
-        facts
-            What the store has said of it: these bytes are read, or none.
+        Args:
+            facts: What the store has said of it: these bytes are read, or none.
 
-        Raises
-        ------
-        FileNotFoundError
-            It is not there any more.
-        PassingFaultError
-            It cannot be read now, or has been replaced meanwhile.
+        Raises:
+            FileNotFoundError: It is not there any more.
+            PassingFaultError: It cannot be read now, or has been replaced meanwhile.
         """
         for first in range(0, facts.size_bytes, PART_BYTES):
             yield self._part(name, first, min(first + PART_BYTES, facts.size_bytes), facts.e_tag)
@@ -124,10 +107,8 @@ class S3Bucket:
     def put(self, name: str, source: Path) -> None:
         """Put the content of a file; large ones in parts. The object is there whole or not at all.
 
-        Raises
-        ------
-        PassingFaultError
-            It cannot be put now.
+        Raises:
+            PassingFaultError: It cannot be put now.
         """
         large = source.stat().st_size > PART_BYTES
         with self._faults(name):

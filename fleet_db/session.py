@@ -48,17 +48,12 @@ to_json = partial(json.dumps, allow_nan=False, ensure_ascii=False, separators=("
 def database_engine(url: str, limits: ServerLimits = UNLIMITED) -> Engine:
     """Return an engine; nothing is connected yet.
 
-    Parameters
-    ----------
-    url
-        ``sqlite:////absolute/path/treadwatch.sqlite3`` or ``postgresql://user@host/database``.
-    limits
-        Of a server; without those of a deployment a statement may take as long as it takes.
+    Args:
+        url: ``sqlite:////absolute/path/treadwatch.sqlite3`` or ``postgresql://user@host/database``.
+        limits: Of a server; without those of a deployment a statement may take as long as it takes.
 
-    Raises
-    ------
-    ParameterError
-        Another database, no valid URL, a relative path or ``:memory:``.
+    Raises:
+        ParameterError: Another database, no valid URL, a relative path or ``:memory:``.
     """
     try:
         parsed = sqlalchemy.make_url(url)
@@ -74,10 +69,8 @@ def database_engine(url: str, limits: ServerLimits = UNLIMITED) -> Engine:
 def read_only_engine(file: Path) -> Engine:
     """Return an engine on an SQLite file that nobody writes to, such as that of a backup; it changes no byte of it.
 
-    Parameters
-    ----------
-    file
-        The database file, without a log beside it.
+    Args:
+        file: The database file, without a log beside it.
     """
     return sqlalchemy.create_engine(f"sqlite+pysqlite:///{file.resolve().as_uri()}?mode=ro&immutable=1&uri=true")
 
@@ -162,14 +155,10 @@ def _prepare_postgresql(limits: ServerLimits, connection: Any, _entry: Connectio
 def translate_errors() -> Iterator[None]:
     """Turn errors of SQLAlchemy and of the drivers into ours.
 
-    Raises
-    ------
-    ConflictError
-        A constraint of the database refused it.
-    ParameterError
-        A value that JSON cannot hold (NaN, infinity, an object).
-    StorageError
-        Everything else: unreachable, locked, full.
+    Raises:
+        ConflictError: A constraint of the database refused it.
+        ParameterError: A value that JSON cannot hold (NaN, infinity, an object).
+        StorageError: Everything else: unreachable, locked, full.
     """
     try:
         yield

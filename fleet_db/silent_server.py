@@ -24,14 +24,10 @@ Waiting = Generator[Any, Any, Returned]
 class ServerLimits:
     """How long a database server may take.
 
-    Attributes
-    ----------
-    connect_s
-        To accept a connection; the driver takes at least 2 s.
-    silence_s
-        To say anything about a statement, before it is asked whether it is there.
-    statement_s
-        For one statement; None without a limit.
+    Attributes:
+        connect_s: To accept a connection; the driver takes at least 2 s.
+        silence_s: To say anything about a statement, before it is asked whether it is there.
+        statement_s: For one statement; None without a limit.
     """
 
     connect_s: int = 5
@@ -61,41 +57,26 @@ class WatchedConnection(psycopg.Connection[Any]):
     def open(cls, limits: ServerLimits, *positional: Any, **named: Any) -> Self:  # noqa: ANN401 - the driver's own
         """Return a connection within these limits.
 
-        Parameters
-        ----------
-        limits
-            Of the server.
-        positional, named
-            Of ``psycopg.connect``.
+        Args:
+            positional, named: Of ``psycopg.connect``.
 
-        Raises
-        ------
-        psycopg.OperationalError
-            Nothing answered in time, or it refused.
+        Raises:
+            psycopg.OperationalError: Nothing answered in time, or it refused.
         """
         connection = cls.connect(*positional, **named)
         connection.watch(limits, lambda: psycopg.connect(*positional, **named))
         return connection
 
     def watch(self, limits: ServerLimits, connect_again: Callable[[], psycopg.Connection[Any]]) -> None:
-        """Look at the silence of the server from now on.
-
-        Parameters
-        ----------
-        limits
-            Of the server.
-        connect_again
-            Returns another connection to it.
-        """
+        """Look at the silence of the server from now on."""
         self._limits, self._again = limits, connect_again
 
     def wait(self, gen: Waiting[Returned], *positional: Any, **named: Any) -> Returned:  # noqa: ANN401 - the driver's own
         """Wait as the driver does, and look at the silence meanwhile.
 
-        Raises
-        ------
-        psycopg.OperationalError
-            The server was silent for too long and is not there, or the statement took too long.
+        Raises:
+            psycopg.OperationalError: The server was silent for too long and is not there, or the statement took too
+                long.
         """
         watched = gen if self._limits is None else self._watch(gen, self._limits)
         return super().wait(watched, *positional, **named)

@@ -18,17 +18,8 @@ def sending_alone(engine: Engine, holder: str) -> Iterator[Callable[[], bool] | 
 
     None is yielded where another process sends.
 
-    Parameters
-    ----------
-    engine
-        Of the database.
-    holder
-        Host and process.
-
-    Raises
-    ------
-    StorageError
-        The database cannot be reached.
+    Raises:
+        StorageError: The database cannot be reached.
     """
     file = sqlite_file(engine)
     if file is not None:

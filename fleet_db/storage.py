@@ -173,24 +173,16 @@ class SqlUnitOfWork:
 class SqlStorage:
     """Implements ``estimation.storage.Storage``.
 
-    Parameters
-    ----------
-    engine
-        From ``fleet_db.session.database_engine``; migrated (``fleet_db.migrate.check_head``).
-    data_dir
-        Where the samples of windows are, under ``windows``.
-    shipped
-        The classes of the package, for vehicles whose class is not registered.
-    patience_s
-        How long a writing transaction on SQLite waits for that of another process.
-    visible_fleets
-        Codes of the fleets that reading transactions see; None for all.
-    lease
-        Without which nothing is committed; None where none is needed.
-    works_for
-        Token of the process that runs the job and started this one; with it leases end. None where there is none.
-    unended
-        Leases of this process that could not be ended yet.
+    Args:
+        engine: From ``fleet_db.session.database_engine``; migrated (``fleet_db.migrate.check_head``).
+        data_dir: Where the samples of windows are, under ``windows``.
+        shipped: The classes of the package, for vehicles whose class is not registered.
+        patience_s: How long a writing transaction on SQLite waits for that of another process.
+        visible_fleets: Codes of the fleets that reading transactions see; None for all.
+        lease: Without which nothing is committed; None where none is needed.
+        works_for: Token of the process that runs the job and started this one; with it leases end. None where there is
+            none.
+        unended: Leases of this process that could not be ended yet.
     """
 
     engine: Engine
@@ -205,10 +197,8 @@ class SqlStorage:
     def seen_by(self, fleets: frozenset[str] | None) -> SqlStorage:
         """Return the storage whose reading transactions see only these fleets.
 
-        Parameters
-        ----------
-        fleets
-            Codes; None for all.
+        Args:
+            fleets: Codes; None for all.
         """
         return self if fleets is None else replace(self, visible_fleets=fleets)
 
@@ -216,16 +206,11 @@ class SqlStorage:
     def write(self) -> Iterator[SqlUnitOfWork]:
         """Commit on a clean exit, roll back on an exception.
 
-        Raises
-        ------
-        ConflictError
-            A constraint of the database refused it.
-        BusyError
-            Another writer holds it too long.
-        LeaseLostError
-            The lease that this storage was made with has ended.
-        StorageError
-            The database cannot be reached.
+        Raises:
+            ConflictError: A constraint of the database refused it.
+            BusyError: Another writer holds it too long.
+            LeaseLostError: The lease that this storage was made with has ended.
+            StorageError: The database cannot be reached.
         """
         with (
             translate_errors(),
@@ -245,10 +230,8 @@ class SqlStorage:
     def read(self) -> Iterator[SqlUnitOfWork]:
         """Read one snapshot; nothing can be written.
 
-        Raises
-        ------
-        StorageError
-            The database cannot be reached, or something was written.
+        Raises:
+            StorageError: The database cannot be reached, or something was written.
         """
         bound = {} if self.visible_fleets is None else {VISIBLE: self.visible_fleets}
         with (
@@ -262,23 +245,13 @@ class SqlStorage:
     def owned(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[OwnedStorage]:
         """Own the runs that are started with the storage that is yielded; nothing is committed once they are not.
 
-        Parameters
-        ----------
-        kind
-            SCHEDULE is the one scheduler of this database.
-        holder
-            Name of the process, such as host and number.
-        now_ns
-            Our time.
+        Args:
+            holder: Name of the process, such as host and number.
 
-        Raises
-        ------
-        AlreadyRunningError
-            On entry: another process is the scheduler; names the holder.
-        ClaimLostError
-            In transactions of the storage: the claim was lost meanwhile.
-        StorageError
-            The database cannot be reached.
+        Raises:
+            AlreadyRunningError: On entry: another process is the scheduler; names the holder.
+            ClaimLostError: In transactions of the storage: the claim was lost meanwhile.
+            StorageError: The database cannot be reached.
         """
         file = sqlite_file(self.engine)
         claim = self._postgresql_claim(kind, holder, now_ns) if file is None else self._file_claim(kind, holder, now_ns)
@@ -301,25 +274,15 @@ class SqlStorage:
         or stands still it ends by itself after ``length_s``. Where the database is out of reach at the end, it ends
         with the next one of this process.
 
-        Parameters
-        ----------
-        stage
-            Of the work, such as the name of a job.
-        keys
-            What.
-        holder
-            Name of the process, such as host and number.
-        length_s
-            Of the lease, s.
-        alone
-            Whether also what workers have ended at is claimed.
+        Args:
+            stage: Of the work, such as the name of a job.
+            holder: Name of the process, such as host and number.
+            length_s: Of the lease, s.
+            alone: Whether also what workers have ended at is claimed.
 
-        Raises
-        ------
-        LeaseLostError
-            In transactions of the storage: the lease has ended meanwhile.
-        StorageError
-            The database cannot be reached.
+        Raises:
+            LeaseLostError: In transactions of the storage: the lease has ended meanwhile.
+            StorageError: The database cannot be reached.
         """
         left = self.unended.left()
         with self.write() as unit:
@@ -403,12 +366,9 @@ class OwnedStorage(SqlStorage):
     def write(self) -> Iterator[SqlUnitOfWork]:
         """Commit on a clean exit while the claim holds, roll back on an exception.
 
-        Raises
-        ------
-        ClaimLostError
-            The claim was lost; nothing was committed.
-        ConflictError, StorageError
-            As :meth:`SqlStorage.write`.
+        Raises:
+            ClaimLostError: The claim was lost; nothing was committed.
+            ConflictError, StorageError: As :meth:`SqlStorage.write`.
         """
         with SqlStorage.write(self) as unit:
             yield unit

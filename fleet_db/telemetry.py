@@ -58,10 +58,8 @@ class WindowFiles:
     def save(self, window: Window, digest: str) -> int:
         """Write the file of ``window``, whose content digest is ``digest``; return its size in bytes.
 
-        Raises
-        ------
-        PassingFaultError
-            It cannot be written now: no space, no permission.
+        Raises:
+            PassingFaultError: It cannot be written now: no space, no permission.
         """
         blob = pack_window(window)
         path = self.path(digest)
@@ -75,14 +73,10 @@ class WindowFiles:
     def load(self, digest: str) -> Window:
         """Return the window, bit for bit.
 
-        Raises
-        ------
-        DamagedError
-            The file is missing, damaged, or holds other content than its name says; names the file.
-        PassingFaultError
-            The file cannot be read now, and the directory can.
-        StorageError
-            The directory is not there or cannot be used.
+        Raises:
+            DamagedError: The file is missing, damaged, or holds other content than its name says; names the file.
+            PassingFaultError: The file cannot be read now, and the directory can.
+            StorageError: The directory is not there or cannot be used.
         """
         path = self.path(digest)
         try:
@@ -123,10 +117,8 @@ def pack_window(window: Window) -> bytes:
 def unpack_window(blob: bytes, *, where: str) -> Window:
     """Return the window, bit for bit.
 
-    Raises
-    ------
-    DamagedError
-        The blob is damaged; ``where`` names it.
+    Raises:
+        DamagedError: The blob is damaged; ``where`` names it.
     """
     packed = unpack(blob, KIND, where=where)
     scalars, arrays = packed.scalars, packed.arrays
@@ -159,12 +151,8 @@ def _counts(values: FloatArray, step: float) -> Array:
 def whole_counts(values: FloatArray, bits: IntArray, step: float) -> tuple[npt.NDArray[np.int16], bool]:
     """Return values (n,) as counts of ``step``, and whether those give back the same bits.
 
-    Parameters
-    ----------
-    values, bits
-        (n,) as numbers, and their bits; NaN as numpy has it is missing.
-    step
-        What one count is.
+    Args:
+        values, bits: (n,) as numbers, and their bits; NaN as numpy has it is missing.
     """
     counts = np.full(len(values), MISSING, np.int16)
     same = True

@@ -11,14 +11,10 @@ from dataclasses import dataclass, field
 class UnendedLease:
     """A lease that nobody works under any more.
 
-    Attributes
-    ----------
-    number
-        Of the lease.
-    stage
-        Of the work.
-    begun_ns
-        When work on each key was begun under it, ns by the clock of the claims.
+    Attributes:
+        number: Of the lease.
+        stage: Of the work.
+        begun_ns: When work on each key was begun under it, ns by the clock of the claims.
     """
 
     number: int

@@ -192,13 +192,7 @@ HIDDEN = frozenset(
 
 
 def narrow_statements(engine: Engine) -> Engine:
-    """Return an engine whose bound connections see only their fleets.
-
-    Parameters
-    ----------
-    engine
-        Of the database.
-    """
+    """Return an engine whose bound connections see only their fleets."""
     event.listen(engine, "before_execute", _narrow, retval=True)
     return engine
 
@@ -217,17 +211,8 @@ def _narrow(
 def narrowed(statement: Any, fleets: Fleets) -> Any:  # noqa: ANN401 - any statement
     """Return a statement whose SELECTs, also in subqueries, see only the records of these fleets.
 
-    Parameters
-    ----------
-    statement
-        Any.
-    fleets
-        Codes.
-
-    Raises
-    ------
-    LookupError
-        It reads a table that is not listed in this module.
+    Raises:
+        LookupError: It reads a table that is not listed in this module.
     """
 
     def narrow(found: Select[Any]) -> None:

@@ -49,24 +49,14 @@ class Failure(StrEnum):
 class Webhook:
     """Where events of the feed are sent; without its secrets.
 
-    Parameters
-    ----------
-    webhook_id
-        Number; 0 until it is stored.
-    url, description
-        Where to, and what it is for.
-    fleets, kinds, severities
-        Which events, as the feed's filters; an empty set is no filter.
-    bound
-        Codes of the fleets of the key that made it: it never carries an event of another. None for all.
-    state, disabled_reason, since_ns
-        Whether it is delivered to, why not where it is disabled, and since when, ns UTC.
-    created_ns, created_by
-        When, ns UTC, and by whom it was made.
-    position
-        Number of the event up to which everything is delivered, or is none of its events.
-    revision
-        Number of its last change.
+    Args:
+        webhook_id: Number; 0 until it is stored.
+        fleets, kinds, severities: Which events, as the feed's filters; an empty set is no filter.
+        bound: Codes of the fleets of the key that made it: it never carries an event of another. None for all.
+        state, disabled_reason, since_ns: Whether it is delivered to, why not where it is disabled, and since when, ns
+            UTC.
+        created_ns, created_by: When, ns UTC, and by whom it was made.
+        position: Number of the event up to which everything is delivered, or is none of its events.
     """
 
     webhook_id: int
@@ -89,27 +79,14 @@ class Webhook:
 class Delivery:
     """An event on its way to a webhook.
 
-    Parameters
-    ----------
-    delivery_id
-        Number; 0 until it is stored.
-    webhook_id
-        Of the webhook.
-    sequence, event_id, event_kind, alert_id, event_ns
-        The event: its number, its identity for receivers, what happened, to which alert, and when it was recorded,
-        ns UTC.
-    state
-        What became of it.
-    attempts
-        How often it was sent.
-    first_ns, last_ns
-        When it was sent first and last, ns UTC.
-    next_ns
-        When it is sent again, ns UTC; None where it is not.
-    status_code
-        Of the last answer; None without one.
-    failure, detail
-        Why the last attempt failed, as code and sentence; None where it did not.
+    Args:
+        delivery_id: Number; 0 until it is stored.
+        sequence, event_id, event_kind, alert_id, event_ns: The event: its number, its identity for receivers, what
+            happened, to which alert, and when it was recorded, ns UTC.
+        first_ns, last_ns: When it was sent first and last, ns UTC.
+        next_ns: When it is sent again, ns UTC; None where it is not.
+        status_code: Of the last answer; None without one.
+        failure, detail: Why the last attempt failed, as code and sentence; None where it did not.
     """
 
     delivery_id: int

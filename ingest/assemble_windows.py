@@ -23,10 +23,9 @@ def assemble_windows(
 ) -> Job:
     """Return the job.
 
-    Parameters
-    ----------
-    storage_of, receiver_of
-        Storage and receiver of a deployment; the receiver is asked for only where there is something to do.
+    Args:
+        storage_of, receiver_of: Storage and receiver of a deployment; the receiver is asked for only where there is
+            something to do.
     """
 
     def run(context: JobContext) -> Mapping[str, int]:

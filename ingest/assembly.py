@@ -60,12 +60,8 @@ def needed_range(first_ns: int, last_ns: int, length_ns: int) -> tuple[int, int,
     ``first`` and ``last`` bound the windows that these frames can change; recordings in ``[from, to)`` are needed to
     assemble those windows.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        First and last frame.
-    length_ns
-        Length of a window.
+    Args:
+        first_ns, last_ns: First and last frame.
     """
     first, last = first_ns - CONTEXT_NS, last_ns + CONTEXT_NS
     from_ns = first // length_ns * length_ns - CONTEXT_NS
@@ -85,10 +81,8 @@ class Assembler:
 
         It comes first; those that had waited for its TIME frames follow.
 
-        Raises
-        ------
-        StorageError
-            A recording that is needed cannot be read any more.
+        Raises:
+            StorageError: A recording that is needed cannot be read any more.
         """
         waiting = list(waiting_beside(unit, record.vehicle, recording))
         beside = list(waiting)
@@ -102,10 +96,8 @@ class Assembler:
     def check_no_logs(self, unit: SqlUnitOfWork, vehicle: str, span: Span) -> None:
         """Raise where logs are in the windows that an exchange of this span of the vehicle's clock touches.
 
-        Raises
-        ------
-        ConflictError
-            There are.
+        Raises:
+            ConflictError: There are.
         """
         _, _, from_ns, to_ns = needed_range(*span, self.length_ns)
         _check_one_kind(vehicle, EXCHANGE_SUFFIX, unit.chunks.overlapping(vehicle, from_ns, to_ns))
@@ -115,10 +107,8 @@ class Assembler:
 
         Two exchanges may share a window, but no instant.
 
-        Raises
-        ------
-        ConflictError
-            They would.
+        Raises:
+            ConflictError: They would.
         """
         if record.first_ns is not None and record.last_ns is not None:
             _, _, from_ns, to_ns = needed_range(record.first_ns, record.last_ns, self.length_ns)
@@ -140,16 +130,9 @@ class Assembler:
     ) -> list[ChunkRecord]:
         """Return the receipts of all recordings that the windows of a vehicle in a span depend on.
 
-        Parameters
-        ----------
-        unit
-            An open transaction.
-        vehicle
-            Code.
-        span
-            ``[from, to)`` of its clock, at the edges of windows.
-        coming
-            Receipts of recordings that are about to be decoded, with their place.
+        Args:
+            span: ``[from, to)`` of its clock, at the edges of windows.
+            coming: Receipts of recordings that are about to be decoded, with their place.
         """
         decoded = unit.chunks.overlapping(vehicle, span[0] - CONTEXT_NS, span[1] + CONTEXT_NS)
         found = {other.digest: other for other in (*decoded, *coming)}
@@ -170,25 +153,15 @@ class Assembler:
     ) -> SpanAssembly:
         """Assemble all windows of a vehicle that overlap a span of its clock.
 
-        Parameters
-        ----------
-        unit
-            An open transaction.
-        vehicle
-            Code.
-        span
-            ``[from, to)``, ns.
-        coming
-            Receipts of recordings that are about to be decoded, with their place.
-        keep_unreadable
-            Whether what is stored of a recording that cannot be read any more stays, and the others go on.
+        Args:
+            span: ``[from, to)``, ns.
+            coming: Receipts of recordings that are about to be decoded, with their place.
+            keep_unreadable: Whether what is stored of a recording that cannot be read any more stays, and the others go
+                on.
 
-        Raises
-        ------
-        NotFoundError
-            The registry does not know the vehicle.
-        StorageError
-            A recording that is needed cannot be read any more.
+        Raises:
+            NotFoundError: The registry does not know the vehicle.
+            StorageError: A recording that is needed cannot be read any more.
         """
         on_file = unit.registry.vehicle(vehicle)
         first = span[0] // self.length_ns * self.length_ns
@@ -301,13 +274,7 @@ def _check_one_kind(vehicle: str, suffix: str, sources: Iterable[ChunkRecord]) -
 
 
 def extent(source: ChunkRecord) -> list[Span]:
-    """Return the span in which a recording changes windows; nothing where it has no place.
-
-    Parameters
-    ----------
-    source
-        Its receipt.
-    """
+    """Return the span in which a recording changes windows; nothing where it has no place."""
     if source.first_ns is None or source.last_ns is None:
         return []
     return [(source.first_ns - CONTEXT_NS, source.last_ns + CONTEXT_NS)]

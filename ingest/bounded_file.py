@@ -21,21 +21,12 @@ def read_text_within(
 ) -> str:
     """Return the content of a text file, without the byte order mark that some editors put first.
 
-    Parameters
-    ----------
-    path
-        The file.
-    most
-        Bytes that it may have.
-    error_type
-        The error to raise.
-    encoding, errors
-        As of ``bytes.decode``.
+    Args:
+        most: Bytes that it may have.
+        encoding, errors: As of ``bytes.decode``.
 
-    Raises
-    ------
-    InputError
-        As ``error_type``: the file cannot be read, is too large, or no text.
+    Raises:
+        InputError: As ``error_type``: the file cannot be read, is too large, or no text.
     """
     try:
         with path.open("rb") as file:

@@ -41,19 +41,12 @@ _SO_RCVBUFFORCE = 33  # asm-generic/socket.h: beyond net.core.rmem_max, where th
 def open_bus(interface: str, channel: str, **options: Any) -> can.BusABC:  # noqa: ANN401 - python-can's own options
     """Open a bus; use it as a context manager.
 
-    Parameters
-    ----------
-    interface
-        One of ``INTERFACES``.
-    channel
-        Channel of the interface, such as can0.
-    options
-        Options of python-can.
+    Args:
+        interface: One of ``INTERFACES``.
+        channel: Channel of the interface, such as can0.
 
-    Raises
-    ------
-    ParameterError
-        No such interface, or it cannot be opened on this machine.
+    Raises:
+        ParameterError: No such interface, or it cannot be opened on this machine.
     """
     if interface not in INTERFACES:
         raise ParameterError(f"is {interface!r}; known are {', '.join(INTERFACES)}", field="interface")
@@ -100,21 +93,13 @@ def send(
 
     The frames of a cycle go out right behind their SYNC: a pause between them could grow beyond the cycle.
 
-    Parameters
-    ----------
-    bus
-        An open bus.
-    batch
-        Frames in the order of time.
-    stop
-        Ends the sending when set, within a frame.
-    clock_s
-        A clock that runs in seconds.
+    Args:
+        batch: Frames in the order of time.
+        stop: Ends the sending when set, within a frame.
+        clock_s: A clock that runs in seconds.
 
-    Raises
-    ------
-    ConflictError
-        The bus refused a frame.
+    Raises:
+        ConflictError: The bus refused a frame.
     """
     if len(batch) == 0:
         return 0

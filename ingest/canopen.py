@@ -38,12 +38,9 @@ def time_of_day(t_ns: npt.ArrayLike) -> tuple[IntArray, IntArray]:
 def vehicle_time_ns(milliseconds: npt.ArrayLike, days: npt.ArrayLike) -> IntArray:
     """Return the vehicle time in ns UTC of a TIME frame.
 
-    Parameters
-    ----------
-    milliseconds
-        (n,) after midnight.
-    days
-        (n,) since 1984-01-01.
+    Args:
+        milliseconds: (n,) after midnight.
+        days: (n,) since 1984-01-01.
     """
     whole_days = np.asarray(days, dtype=np.int64) + EPOCH_DAYS
     return (whole_days * DAY_MS + np.asarray(milliseconds, dtype=np.int64)) * 1_000_000

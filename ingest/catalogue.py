@@ -79,10 +79,8 @@ class MessagePlan:
     def signal(self, name: str) -> SignalPlan:
         """Return the plan of one signal.
 
-        Raises
-        ------
-        CatalogueError
-            The message has no such signal.
+        Raises:
+            CatalogueError: The message has no such signal.
         """
         for plan in self.signals:
             if plan.name == name:
@@ -115,10 +113,8 @@ class Catalogue:
     def find(self, kind: str, node: int | None = None) -> MessagePlan:
         """Return the message of a kind and node.
 
-        Raises
-        ------
-        CatalogueError
-            There is none.
+        Raises:
+            CatalogueError: There is none.
         """
         for plan in self.messages.values():
             if plan.kind == kind and plan.node == node:
@@ -129,15 +125,11 @@ class Catalogue:
 def load_catalogue(path: Path) -> Catalogue:
     """Read a DBC file.
 
-    Parameters
-    ----------
-    path
-        The DBC file; 11-bit identifiers, little endian, integers, no multiplexing.
+    Args:
+        path: The DBC file; 11-bit identifiers, little endian, integers, no multiplexing.
 
-    Raises
-    ------
-    CatalogueError
-        The file cannot be read, or lacks what the codec needs; names file and field.
+    Raises:
+        CatalogueError: The file cannot be read, or lacks what the codec needs; names file and field.
     """
     database = parse_dbc(path)
     messages = {message.frame_id: _message_plan(message, path) for message in database.messages}
@@ -156,10 +148,8 @@ def default_catalogue() -> Catalogue:
 def parse_dbc(path: Path) -> Any:  # noqa: ANN401 - cantools is untyped
     """Return a DBC file as cantools reads it.
 
-    Raises
-    ------
-    CatalogueError
-        The file cannot be read, or is no DBC file.
+    Raises:
+        CatalogueError: The file cannot be read, or is no DBC file.
     """
     import cantools  # noqa: PLC0415 - a slow import, needed only to read a catalogue
 

@@ -28,21 +28,14 @@ def count_by_identifier(
 ) -> tuple[IntArray, int, int]:
     """Count the frames that have an 11-bit identifier by identifier.
 
-    Parameters
-    ----------
-    arbitration_id, dlc
-        (n,) as in a batch.
-    lengths
-        (2048,) bytes that a frame must have, -1 for unknown identifiers.
+    Args:
+        arbitration_id, dlc: (n,) as in a batch.
+        lengths: (2048,) bytes that a frame must have, -1 for unknown identifiers.
 
-    Returns
-    -------
-    counts
-        (2049,) good frames by identifier, shifted by one: their cumulative sum is where each identifier starts.
-    wrong
-        Frames with a known identifier and another length.
-    unknown
-        Frames with an unknown identifier.
+    Returns:
+        counts: (2049,) good frames by identifier, shifted by one: their cumulative sum is where each identifier starts.
+        wrong: Frames with a known identifier and another length.
+        unknown: Frames with an unknown identifier.
     """
     counts = np.zeros(STANDARD_IDENTIFIERS + 1, np.int64)
     wrong = 0
@@ -72,16 +65,11 @@ def gather_by_identifier(
 
     ``starts`` is the cumulative sum of what :func:`count_by_identifier` returns.
 
-    Parameters
-    ----------
-    arbitration_id, dlc
-        (n,) as in a batch.
-    lengths
-        (2048,) bytes that a frame must have, -1 for unknown identifiers.
-    words
-        (n,) payloads.
-    starts
-        (2049,) cumulative sum of what :func:`count_by_identifier` returns.
+    Args:
+        arbitration_id, dlc: (n,) as in a batch.
+        lengths: (2048,) bytes that a frame must have, -1 for unknown identifiers.
+        words: (n,) payloads.
+        starts: (2049,) cumulative sum of what :func:`count_by_identifier` returns.
     """
     place = starts.copy()
     index = np.empty(starts[-1], np.int64)
@@ -102,14 +90,10 @@ def scaled(
 ) -> FloatArray:
     """Return ``raw * scale + offset`` (n, m), NaN where ``raw`` is outside ``low..high`` (each (m,)).
 
-    Parameters
-    ----------
-    raw
-        (n, m) raw values.
-    low, high
-        (m,) limits of each signal.
-    scale, offset
-        (m,) conversion of each signal.
+    Args:
+        raw: (n, m) raw values.
+        low, high: (m,) limits of each signal.
+        scale, offset: (m,) conversion of each signal.
     """
     n, m = raw.shape
     values = np.empty((n, m))
@@ -124,12 +108,9 @@ def scaled(
 def count_within(raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray) -> int:
     """Count the raw values (n, m) inside ``low..high`` (each (m,)).
 
-    Parameters
-    ----------
-    raw
-        (n, m) raw values.
-    low, high
-        (m,) limits of each signal.
+    Args:
+        raw: (n, m) raw values.
+        low, high: (m,) limits of each signal.
     """
     n, m = raw.shape
     count = 0
@@ -188,10 +169,8 @@ class MessageValues:
     def values(self, *, with_clipped: bool = False) -> FloatArray:
         """Return (n, m) values in the units of the catalogue; NaN where not valid.
 
-        Parameters
-        ----------
-        with_clipped
-            Whether a value that stands for clipping is given as it is, at the end of the range.
+        Args:
+            with_clipped: Whether a value that stands for clipping is given as it is, at the end of the range.
         """
         scale = np.array([signal.scale for signal in self.plan.signals])
         offset = np.array([signal.offset for signal in self.plan.signals])
@@ -223,12 +202,8 @@ class Decoded:
 def raw_limits(plan: MessagePlan, *, with_clipped: bool) -> tuple[IntArray, IntArray]:
     """Return the lowest and highest raw values (m,) that are values, with or without those that stand for clipping.
 
-    Parameters
-    ----------
-    plan
-        The message.
-    with_clipped
-        Whether a value that stands for clipping is inside.
+    Args:
+        with_clipped: Whether a value that stands for clipping is inside.
     """
     low = [s.raw_minimum + (s.clips and s.signed and not with_clipped) for s in plan.signals]
     high = [s.raw_maximum - (s.clips and not with_clipped) for s in plan.signals]
@@ -241,12 +216,8 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
     Frames that are no data frames with an 11-bit identifier of the catalogue and the length it gives are counted by
     reason and left out.
 
-    Parameters
-    ----------
-    catalogue
-        The messages of the bus.
-    batch
-        Frames in any order.
+    Args:
+        batch: Frames in any order.
     """
     lengths = np.full(STANDARD_IDENTIFIERS, -1, dtype=np.int16)
     for arbitration_id, plan in catalogue.messages.items():
@@ -304,12 +275,8 @@ def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:
 def unpack(plan: MessagePlan, words: npt.NDArray[np.uint64]) -> RawArray:
     """Return the raw values (n, m) in payloads given as little-endian 64-bit words (n,).
 
-    Parameters
-    ----------
-    plan
-        The message.
-    words
-        (n,) payloads as little-endian 64-bit words.
+    Args:
+        words: (n,) payloads as little-endian 64-bit words.
     """
     if plan.four_int16:
         return words.view("<i2").reshape(-1, 4)
@@ -329,21 +296,12 @@ def encode(
     NaN becomes "not available"; a value beyond a limit is clipped to it; signals that are not given are "not
     available" where the catalogue has a code for that, else 0.
 
-    Parameters
-    ----------
-    plan
-        The message.
-    t_ns
-        (n,) time of each frame.
-    values
-        (n,) or one value per signal, in the units of the catalogue.
-    channel
-        Name of the bus.
+    Args:
+        t_ns: (n,) time of each frame.
+        values: (n,) or one value per signal, in the units of the catalogue.
 
-    Raises
-    ------
-    ParameterError
-        A name that the message does not have; NaN in a signal without a code for it.
+    Raises:
+        ParameterError: A name that the message does not have; NaN in a signal without a code for it.
     """
     unknown = set(values) - set(plan.names)
     if unknown:
@@ -364,12 +322,8 @@ def encode(
 def raw_of(signal: SignalPlan, values: FloatArray) -> IntArray:
     """Return the raw values (n,) of a signal: rounded to the nearest count, clipped, NaN as "not available".
 
-    Parameters
-    ----------
-    signal
-        The signal.
-    values
-        (n,) in the units of the catalogue.
+    Args:
+        values: (n,) in the units of the catalogue.
     """
     counts = np.rint((values - signal.offset) / signal.scale)
     missing = np.isnan(counts)

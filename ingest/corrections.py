@@ -58,12 +58,9 @@ class RecordingCorrections:
         The time of receipt stays. What was ahead of it remains so, however late it is tried again, unless our clock
         was wrong then: the vehicle's is checked against that of now in this case.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that digest.
-        ConflictError
-            It is decoded, or set aside, or its raw bytes were purged.
+        Raises:
+            NotFoundError: There is none of that digest.
+            ConflictError: It is decoded, or set aside, or its raw bytes were purged.
         """
         return self._correct(digest, RecordingAction.RETRY, author, our_clock_was_behind=our_clock_was_behind)
 
@@ -80,12 +77,9 @@ class RecordingCorrections:
 
         One that was set aside stays so.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that digest, or no such vehicle.
-        ConflictError
-            It is of that vehicle already, or its raw bytes were purged.
+        Raises:
+            NotFoundError: There is none of that digest, or no such vehicle.
+            ConflictError: It is of that vehicle already, or its raw bytes were purged.
         """
         return self._correct(digest, RecordingAction.REASSIGN, author, vehicle)
 
@@ -94,12 +88,9 @@ class RecordingCorrections:
 
         Its raw file is removed. Where that cannot be done now, the next purge removes it.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that digest.
-        ConflictError
-            It was deleted already, or a backup is being made.
+        Raises:
+            NotFoundError: There is none of that digest.
+            ConflictError: It was deleted already, or a backup is being made.
         """
         with keeping_alone(self.storage.engine):
             record = self._correct(digest, RecordingAction.DELETE, author)
@@ -160,19 +151,12 @@ class RecordingCorrections:
 def receipt_of(unit: SqlUnitOfWork, digest: str) -> ChunkRecord:
     """Return the receipt of a recording.
 
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    digest
-        All of its digest, or the begin of it that no other recording has.
+    Args:
+        digest: All of its digest, or the begin of it that no other recording has.
 
-    Raises
-    ------
-    NotFoundError
-        There is none.
-    ConflictError
-        Several digests begin so.
+    Raises:
+        NotFoundError: There is none.
+        ConflictError: Several digests begin so.
     """
     found = unit.chunks.beginning(digest)
     if not found:

@@ -16,12 +16,8 @@ TAKE_DELETED = "--take-deleted"
 class DeletedRecordings:
     """What is done with recordings that were deleted and come again.
 
-    Parameters
-    ----------
-    storage
-        Receipts and the record of changes.
-    taken_by
-        Who wants them to be taken in; None where they are refused.
+    Args:
+        taken_by: Who wants them to be taken in; None where they are refused.
     """
 
     storage: SqlStorage
@@ -38,10 +34,8 @@ class DeletedRecordings:
     def admit(self, digest: str) -> None:
         """Refuse a recording that was deleted, before its bytes are stored.
 
-        Raises
-        ------
-        ConflictError
-            It was deleted; says when, by whom and why, and how to take it in again.
+        Raises:
+            ConflictError: It was deleted; says when, by whom and why, and how to take it in again.
         """
         deleted = self.receipt(digest)
         if deleted is not None:
@@ -50,10 +44,8 @@ class DeletedRecordings:
     def refuse(self, found: ChunkRecord) -> None:
         """Refuse a recording whose receipt says that it was deleted, where that is not wanted again.
 
-        Raises
-        ------
-        ConflictError
-            It was, and is not.
+        Raises:
+            ConflictError: It was, and is not.
         """
         if self.taken_by is None and found.state is ChunkState.DELETED:
             raise _refusal(found)
@@ -61,17 +53,11 @@ class DeletedRecordings:
     def take_again(self, unit: SqlUnitOfWork, deleted: ChunkRecord, record: ChunkRecord) -> None:
         """Put a new receipt in the place of that of a deleted recording, with its record.
 
-        Parameters
-        ----------
-        unit
-            A writing transaction.
-        deleted, record
-            The receipt that there is, and the new one.
+        Args:
+            deleted, record: The receipt that there is, and the new one.
 
-        Raises
-        ------
-        ConflictError
-            It is not asked for: the recording was deleted meanwhile.
+        Raises:
+            ConflictError: It is not asked for: the recording was deleted meanwhile.
         """
         if self.taken_by is None:
             raise _refusal(deleted)

@@ -39,14 +39,9 @@ def kernel() -> FloatArray:
 def derivative(values: FloatArray, interval_s: float, times: int = 1) -> FloatArray:
     """Return the derivative (n,) of uniform samples; NaN where a sample in its reach is NaN or missing.
 
-    Parameters
-    ----------
-    values
-        (n,) every ``interval_s``.
-    interval_s
-        Sampling interval, s.
-    times
-        How often to differentiate.
+    Args:
+        values: (n,) every ``interval_s``.
+        interval_s: Sampling interval, s.
     """
     result = values
     for _ in range(times):
@@ -60,19 +55,12 @@ def derivative_with_gaps(
 ) -> FloatArray:
     """Return the derivative (n,) at samples with gaps between them; NaN near to a gap that is not bridged.
 
-    Parameters
-    ----------
-    tick
-        (n,) sampling instants, increasing.
-    values
-        (n,) samples; NaN where not valid.
-    interval_s
-        Sampling interval, s.
-    bridged
-        Samples in a row that may be missing or not valid: for the derivative of their neighbours a straight line stands
-        for them. Their own derivative is NaN.
-    times
-        How often to differentiate.
+    Args:
+        tick: (n,) sampling instants, increasing.
+        values: (n,) samples; NaN where not valid.
+        interval_s: Sampling interval, s.
+        bridged: Samples in a row that may be missing or not valid: for the derivative of their neighbours a straight
+            line stands for them. Their own derivative is NaN.
     """
     result = np.full(len(tick), np.nan)
     known = np.flatnonzero(~np.isnan(values))
@@ -88,11 +76,7 @@ def derivative_with_gaps(
 def clipped_reach(flags: BoolArray, times: int = 1) -> BoolArray:
     """Return which derivatives (n,) a flagged sample of the signal is part of.
 
-    Parameters
-    ----------
-    flags
-        (n,) samples that are clipped.
-    times
-        How often it is differentiated.
+    Args:
+        flags: (n,) samples that are clipped.
     """
     return np.asarray(np.convolve(flags, np.ones(2 * REACH * times + 1, np.int64), mode="same") > 0)

@@ -21,14 +21,9 @@ _MOST = 0xFFFF_FFFF
 def dropped_marker(t_ns: int, frames: int, channel: str) -> FrameBatch:
     """Return the one frame which says that frames are missing behind a time.
 
-    Parameters
-    ----------
-    t_ns
-        Stamp of the last frame before the gap, ns.
-    frames
-        How many are missing, at least 1.
-    channel
-        Name of the bus.
+    Args:
+        t_ns: Stamp of the last frame before the gap, ns.
+        frames: How many are missing, at least 1.
     """
     payload = bytes([_COUNTED, _OVERFLOW, 0, 0]) + min(frames, _MOST).to_bytes(4, "little")
     data = np.frombuffer(payload, np.uint8).reshape(1, -1)
@@ -36,13 +31,7 @@ def dropped_marker(t_ns: int, frames: int, channel: str) -> FrameBatch:
 
 
 def count_dropped(batch: FrameBatch) -> int:
-    """Return how many frames a recording says are missing in it.
-
-    Parameters
-    ----------
-    batch
-        Its frames.
-    """
+    """Return how many frames a recording says are missing in it."""
     is_overflow = batch.arbitration_id == OVERFLOW_ID
     if not is_overflow.any():
         return 0

@@ -11,14 +11,10 @@ NEAREST = 4  # neighbours of the quotient that are tried, either way
 def in_unit(stored: float, read: Callable[[float], float], factor: float) -> float:
     """Return the number that a reader turns into the stored one, to the last bit where there is such a number.
 
-    Parameters
-    ----------
-    stored
-        In SI units.
-    read
-        What the reader does with a number of the file.
-    factor
-        The number of the file is about ``stored * factor``.
+    Args:
+        stored: In SI units.
+        read: What the reader does with a number of the file.
+        factor: The number of the file is about ``stored * factor``.
     """
     tried = above = below = stored * factor
     if read(tried) == stored:
@@ -34,9 +30,7 @@ def in_unit(stored: float, read: Callable[[float], float], factor: float) -> flo
 def thousandths(stored: float) -> float:
     """Return metres as millimetres, or anything else that a reader multiplies by 1e-3.
 
-    Parameters
-    ----------
-    stored
-        In the greater unit.
+    Args:
+        stored: In the greater unit.
     """
     return in_unit(stored, lambda value: 1e-3 * value, 1e3)

@@ -53,10 +53,8 @@ _NUMBERED = re.compile(r"[A-Za-z_]*(\d+)")
 def channel_name(number: int) -> str:
     """Return the name of a bus: BLF, ASC and MF4 count from 1, and ``can0`` is number 1.
 
-    Parameters
-    ----------
-    number
-        Number of the bus, from 1; 0 is taken as 1.
+    Args:
+        number: Number of the bus, from 1; 0 is taken as 1.
     """
     return f"can{max(number - 1, 0)}"
 
@@ -64,10 +62,8 @@ def channel_name(number: int) -> str:
 def channel_number(name: str) -> int:
     """Return the number, from 1, that BLF, ASC and MF4 use for a bus.
 
-    Parameters
-    ----------
-    name
-        Name of the bus; one without a number is bus 1.
+    Args:
+        name: Name of the bus; one without a number is bus 1.
     """
     match = _NUMBERED.fullmatch(name)
     return int(match[1]) + 1 if match else 1
@@ -78,18 +74,11 @@ def batch_of(
 ) -> FrameBatch:
     """Return frames that all carry one identifier.
 
-    Parameters
-    ----------
-    arbitration_id
-        Identifier of every frame.
-    t_ns
-        (n,) time of each frame.
-    data
-        (n, 8) payload, zero beyond ``length``.
-    length
-        Number of data bytes of every frame.
-    channel
-        Name of the bus.
+    Args:
+        arbitration_id: Identifier of every frame.
+        t_ns: (n,) time of each frame.
+        data: (n, 8) payload, zero beyond ``length``.
+        length: Number of data bytes of every frame.
     """
     n = len(t_ns)
     return FrameBatch(
@@ -115,12 +104,8 @@ def from_owned_arrays(
 ) -> FrameBatch:
     """Return a batch of arrays that have no other owner: they are made read-only in place instead of copied.
 
-    Parameters
-    ----------
-    channel
-        Name of the bus.
-    t_ns, arbitration_id, dlc, data
-        As in ``FrameBatch``.
+    Args:
+        t_ns, arbitration_id, dlc, data: As in ``FrameBatch``.
     """
     for array in (t_ns, arbitration_id, dlc, data):
         if array.base is None:
@@ -131,12 +116,8 @@ def from_owned_arrays(
 def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
     """Return the frames that ``index`` (positions, a mask or a slice) picks, in its order.
 
-    Parameters
-    ----------
-    batch
-        The frames.
-    index
-        (k,) positions, (n,) a mask, or a slice.
+    Args:
+        index: (k,) positions, (n,) a mask, or a slice.
     """
     return from_owned_arrays(
         batch.channel, batch.t_ns[index], batch.arbitration_id[index], batch.dlc[index], batch.data[index]
@@ -146,12 +127,9 @@ def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
 def concatenate(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
     """Return the frames of all batches, one after the other, as one bus.
 
-    Parameters
-    ----------
-    batches
-        Batches in their order.
-    channel
-        Name of the bus; by default that of the first batch.
+    Args:
+        batches: Batches in their order.
+        channel: Name of the bus; by default that of the first batch.
     """
     if not batches:
         return empty_batch(channel or DEFAULT_CHANNEL)
@@ -180,12 +158,9 @@ def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBat
     length and payload. A frame that occurs twice with the same time, identifier and payload is the same frame, and
     is kept once.
 
-    Parameters
-    ----------
-    batches
-        Batches in any order.
-    channel
-        Name of the bus; by default that of the first batch.
+    Args:
+        batches: Batches in any order.
+        channel: Name of the bus; by default that of the first batch.
     """
     joined = concatenate(batches, channel)
     if np.all(joined.t_ns[1:] > joined.t_ns[:-1]):
@@ -212,12 +187,9 @@ def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBat
 def between(batch: FrameBatch, from_ns: int, to_ns: int) -> FrameBatch:
     """Return the frames of a time-ordered batch with ``from_ns <= t < to_ns``.
 
-    Parameters
-    ----------
-    batch
-        Frames in the order of time.
-    from_ns, to_ns
-        Span of the recorder's clock, ns.
+    Args:
+        batch: Frames in the order of time.
+        from_ns, to_ns: Span of the recorder's clock, ns.
     """
     first, last = np.searchsorted(batch.t_ns, [from_ns, to_ns])
     return take(batch, slice(int(first), int(last)))

@@ -32,10 +32,8 @@ class HeldRecordings:
     def hold(self, record: ChunkRecord, error: Exception) -> ChunkRecord:
         """Keep a failure at a stored recording; return its receipt, with the reason.
 
-        Raises
-        ------
-        StorageError
-            The database cannot be reached.
+        Raises:
+            StorageError: The database cannot be reached.
         """
         unexpected = None if isinstance(error, TreadwatchError) else error
         _log.warning("recording %s of %s is held: %s", record.digest, record.vehicle, error, exc_info=unexpected)
@@ -92,10 +90,8 @@ class HeldVehicles:
     def hold(self, vehicle: str, spans: Sequence[StaleSpan], error: Exception) -> None:
         """Keep a failure at the stale spans of a vehicle, where others may succeed.
 
-        Raises
-        ------
-        StorageError
-            The database cannot be reached.
+        Raises:
+            StorageError: The database cannot be reached.
         """
         unexpected = None if isinstance(error, TreadwatchError) else error
         _log.warning("windows of vehicle %s could not be assembled again: %s", vehicle, error, exc_info=unexpected)

@@ -42,12 +42,8 @@ class InputTable(BaseModel):
 def field_error(reason: str, *location: str | int) -> PydanticCustomError:
     """Return the error that a validator of an ``InputTable`` raises.
 
-    Parameters
-    ----------
-    reason
-        What is wrong, in one sentence.
-    location
-        Keys and indices from the validated value to what is wrong; none for the value itself.
+    Args:
+        location: Keys and indices from the validated value to what is wrong; none for the value itself.
     """
     return PydanticCustomError("field_error", "{reason}", {"reason": reason, "location": location})
 
@@ -102,12 +98,8 @@ class InputFile:
     def error(self, reason: str, location: Location = ()) -> InputError:
         """Return the error that names file, line and field.
 
-        Parameters
-        ----------
-        reason
-            What is wrong, in one sentence.
-        location
-            Keys and indices from the root of the file to the field; empty for the whole file.
+        Args:
+            location: Keys and indices from the root of the file to the field; empty for the whole file.
         """
         written = (self.lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in self.lines)
         return self.error_type(reason, file=self.path, line=next(written, None), field=dotted(location) or None)
@@ -115,10 +107,8 @@ class InputFile:
     def at(self, location: Location) -> Any:  # noqa: ANN401 - whatever the file holds there
         """Return what is at a place of the file.
 
-        Parameters
-        ----------
-        location
-            Keys and indices from the root of the file.
+        Args:
+            location: Keys and indices from the root of the file.
         """
         found: Any = self.values
         for part in location:
@@ -128,18 +118,13 @@ class InputFile:
     def parse(self, model: type[Model], location: Location = ()) -> Model:
         """Return the content, or what is at a place of it, as a model.
 
-        Parameters
-        ----------
-        model
-            The schema of the whole file, or of what is at ``location``.
-        location
-            Keys and indices from the root of the file; empty for the whole file.
+        Args:
+            model: The schema of the whole file, or of what is at ``location``.
+            location: Keys and indices from the root of the file; empty for the whole file.
 
-        Raises
-        ------
-        InputError
-            As ``error_type``: a key is missing, unknown, of another type or out of range. Of several errors the first
-            in the order of the schema is reported.
+        Raises:
+            InputError: As ``error_type``: a key is missing, unknown, of another type or out of range. Of several errors
+                the first in the order of the schema is reported.
         """
         try:
             return model.model_validate(self.at(location))
@@ -147,13 +132,7 @@ class InputFile:
             raise self._errors(error, model, location)[0] from error
 
     def problems(self, model: type[Model]) -> list[InputError]:
-        """Return everything that is wrong with the content as a model, in the order of the schema; see ``parse``.
-
-        Parameters
-        ----------
-        model
-            The schema of the whole file.
-        """
+        """Return everything that is wrong with the content as a model, in the order of the schema; see ``parse``."""
         try:
             model.model_validate(self.values)
         except ValidationError as error:
@@ -172,17 +151,11 @@ class InputFile:
 def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFile:
     """Return the content of a TOML file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    error_type
-        The error to raise, here and when the content is parsed.
+    Args:
+        error_type: The error to raise, here and when the content is parsed.
 
-    Raises
-    ------
-    InputError
-        As ``error_type``: the file cannot be read, or is no TOML.
+    Raises:
+        InputError: As ``error_type``: the file cannot be read, or is no TOML.
     """
     return parse_toml(read_text_within(path, SETTINGS_BYTES, error_type), path, error_type)
 
@@ -190,19 +163,11 @@ def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFil
 def parse_toml(text: str, path: Path, error_type: type[InputError] = InputError) -> InputFile:
     """Return the content of a TOML text.
 
-    Parameters
-    ----------
-    text
-        The content.
-    path
-        Its name in messages.
-    error_type
-        The error to raise, here and when the content is parsed.
+    Args:
+        error_type: The error to raise, here and when the content is parsed.
 
-    Raises
-    ------
-    InputError
-        As ``error_type``: it is no TOML.
+    Raises:
+        InputError: As ``error_type``: it is no TOML.
     """
     try:
         return InputFile(path, tomllib.loads(text), key_lines(text), error_type)
@@ -215,17 +180,11 @@ def parse_toml(text: str, path: Path, error_type: type[InputError] = InputError)
 def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFile:
     """Return the content of a JSON file that holds one object.
 
-    Parameters
-    ----------
-    path
-        The file.
-    error_type
-        The error to raise, here and when the content is parsed.
+    Args:
+        error_type: The error to raise, here and when the content is parsed.
 
-    Raises
-    ------
-    InputError
-        As ``error_type``: the file cannot be read, is no JSON, or holds something else than an object.
+    Raises:
+        InputError: As ``error_type``: the file cannot be read, is no JSON, or holds something else than an object.
     """
     text = read_text_within(path, SETTINGS_BYTES, error_type)
     try:
@@ -240,13 +199,7 @@ def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFil
 
 
 def key_lines(text: str) -> dict[Location, int]:
-    """Return the line (from 1) of every table header and bare key of a TOML text.
-
-    Parameters
-    ----------
-    text
-        The whole file.
-    """
+    """Return the line (from 1) of every table header and bare key of a TOML text."""
     lines: dict[Location, int] = {}
     counts: dict[Location, int] = {}
     table: Location = ()
@@ -274,10 +227,8 @@ def _table_location(names: Sequence[str], counts: dict[Location, int], *, is_arr
 def dotted(location: Location) -> str:
     """Return a location as in ``vehicles[1].wheelsets[0].serial``.
 
-    Parameters
-    ----------
-    location
-        Keys and indices from the root of the file.
+    Args:
+        location: Keys and indices from the root of the file.
     """
     text = ""
     for part in location:

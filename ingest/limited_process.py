@@ -13,13 +13,7 @@ PR_SET_PDEATHSIG = 1
 
 
 def end_with(parent: int) -> None:
-    """Let this process end when the one that started it ends.
-
-    Parameters
-    ----------
-    parent
-        Its number.
-    """
+    """Let this process end when the one that started it ends."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:  # it had ended before
@@ -27,13 +21,7 @@ def end_with(parent: int) -> None:
 
 
 def limit_memory(more_bytes: int) -> None:
-    """Let this process have so many bytes of address space more than it has now.
-
-    Parameters
-    ----------
-    more_bytes
-        Beyond what it has.
-    """
+    """Let this process have so many bytes of address space more than it has now."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     space = pages * resource.getpagesize() + more_bytes
     resource.setrlimit(resource.RLIMIT_AS, (space, space))

@@ -50,10 +50,8 @@ class LostRecordings:
     def look(self, vehicle: str | None = None) -> None:
         """Look for missing recordings, and let the windows of those that are there again be made again.
 
-        Parameters
-        ----------
-        vehicle
-            The only one, whether another attempt is due or not; None for all that are due.
+        Args:
+            vehicle: The only one, whether another attempt is due or not; None for all that are due.
         """
         now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
@@ -82,13 +80,7 @@ class LostRecordings:
 
 
 def missing(unit: SqlUnitOfWork) -> list[Quarantined]:
-    """Return what is in quarantine of recordings whose windows wait for their raw file.
-
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    """
+    """Return what is in quarantine of recordings whose windows wait for their raw file."""
     return [item for item in unit.quarantine.held(ASSEMBLY) if item.kind is SubjectKind.RECORDING]
 
 

@@ -40,17 +40,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Reassembler:
-    """Makes the windows of stale spans again.
-
-    Parameters
-    ----------
-    storage
-        Receipts, stale spans and windows.
-    assembler
-        From recordings to windows.
-    clock
-        Ours.
-    """
+    """Makes the windows of stale spans again."""
 
     storage: SqlStorage
     assembler: Assembler
@@ -64,12 +54,9 @@ class Reassembler:
     def reassemble(self, vehicle: str, from_ns: int | None, to_ns: int | None) -> SpanChanges:
         """Make the windows of a vehicle in ``[from_ns, to_ns)`` again, and all that is stale of it; None is open.
 
-        Raises
-        ------
-        NotFoundError
-            The registry does not know the vehicle.
-        StorageError
-            The raw recordings or the database cannot be reached; what is left stays stale.
+        Raises:
+            NotFoundError: The registry does not know the vehicle.
+            StorageError: The raw recordings or the database cannot be reached; what is left stays stale.
         """
         with self.storage.write() as unit:
             unit.registry.vehicle(vehicle)
@@ -81,18 +68,13 @@ class Reassembler:
 
         A vehicle that fails goes to quarantine. Among all it is left out until it is due again, or more is stale of it.
 
-        Parameters
-        ----------
-        vehicle
-            Code of the only one, due or not.
-        checkpoint
-            Called after each piece with the number of spans that are done and of all.
+        Args:
+            vehicle: Code of the only one, due or not.
+            checkpoint: Called after each piece with the number of spans that are done and of all.
 
-        Raises
-        ------
-        TreadwatchError
-            The one vehicle failed; or raw recordings or database cannot be reached, after all others are done. What is
-            left stays stale.
+        Raises:
+            TreadwatchError: The one vehicle failed; or raw recordings or database cannot be reached, after all others
+                are done. What is left stays stale.
         """
         self.lost.look(vehicle)
         with self.storage.read() as unit:
@@ -187,10 +169,8 @@ class Reassembler:
 def joined(spans: Sequence[StaleSpan]) -> list[list[StaleSpan]]:
     """Return stale spans of one vehicle in groups that touch each other, by their begin.
 
-    Parameters
-    ----------
-    spans
-        In any order.
+    Args:
+        spans: In any order.
     """
     groups: list[list[StaleSpan]] = []
     end = 0

@@ -22,19 +22,8 @@ def to_nobody(_record: ChunkRecord) -> None:
 def enter_receipt(unit: SqlUnitOfWork, record: ChunkRecord, deleted: DeletedRecordings) -> tuple[ChunkRecord, bool]:
     """Store the receipt of a recording, and return what stands there now, and whether it had been there before.
 
-    Parameters
-    ----------
-    unit
-        A writing transaction.
-    record
-        The new receipt.
-    deleted
-        What is done with recordings that were deleted.
-
-    Raises
-    ------
-    ConflictError
-        The recording was deleted, and is not wanted again; or it is of another vehicle.
+    Raises:
+        ConflictError: The recording was deleted, and is not wanted again; or it is of another vehicle.
     """
     if unit.chunks.put(record):
         return record, False
@@ -52,17 +41,7 @@ def enter_receipt(unit: SqlUnitOfWork, record: ChunkRecord, deleted: DeletedReco
 
 
 def of_another_vehicle(found: ChunkRecord, vehicle: str, name: str) -> ConflictError:
-    """Return the refusal of a recording that another vehicle has sent.
-
-    Parameters
-    ----------
-    found
-        Its receipt.
-    vehicle
-        Who sends it now.
-    name
-        Stands for it in the message.
-    """
+    """Return the refusal of a recording that another vehicle has sent."""
     digest = found.digest
     reason = (
         f"{name}: the same recording was received from vehicle {found.vehicle};"

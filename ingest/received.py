@@ -35,25 +35,13 @@ class Decoded:
 
 
 def printable_name(path: Path) -> str:
-    """Return the name of a file as it is kept with the receipt: what is no text in it is replaced.
-
-    Parameters
-    ----------
-    path
-        The file.
-    """
+    """Return the name of a file as it is kept with the receipt: what is no text in it is replaced."""
     name = path.name.encode("utf-8", "replace").decode()
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
 
 
 def read_or_raise(recording: Recording | Exception) -> Recording:
-    """Return what was read; raise what was raised at reading.
-
-    Parameters
-    ----------
-    recording
-        Either of them.
-    """
+    """Return what was read; raise what was raised at reading."""
     if isinstance(recording, Exception):
         raise recording
     return recording
@@ -62,17 +50,8 @@ def read_or_raise(recording: Recording | Exception) -> Recording:
 def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> None:
     """Raise where a recording was reassigned, deleted, set aside or rejected while its windows were assembled.
 
-    Parameters
-    ----------
-    unit
-        The transaction in which they are committed.
-    receipts
-        As they were when they were read.
-
-    Raises
-    ------
-    ConflictError
-        One was; names it.
+    Raises:
+        ConflictError: One was; names it.
     """
     for receipt in receipts:
         now = unit.chunks.get(receipt.digest)

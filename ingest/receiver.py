@@ -57,20 +57,11 @@ class ChunkReceipt:
 class Receiver:
     """Takes recordings in.
 
-    Parameters
-    ----------
-    storage, raw
-        Where receipts and windows, and where raw bytes go.
-    catalogue
-        The frames of the vehicles' buses, or the choice among several.
-    clock
-        Ours.
-    window_length_s
-        Length of a window; a whole number of sampling intervals.
-    deleted_taken_by
-        Who wants recordings that were deleted to be taken in again; None where they are refused.
-    announce
-        Called with each receipt once it is committed.
+    Args:
+        storage, raw: Where receipts and windows, and where raw bytes go.
+        catalogue: The frames of the vehicles' buses, or the choice among several.
+        window_length_s: Length of a window; a whole number of sampling intervals.
+        deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
     """
 
     def __init__(
@@ -101,34 +92,25 @@ class Receiver:
         Where decoding fails for a passing fault or by a failure of the program the recording is stored all the same,
         with its reason, and tried again by :meth:`decode_stored`.
 
-        Raises
-        ------
-        LogFileError
-            The file is no log, truncated or corrupt. Its bytes are kept with a receipt that says so, unless its
-            suffix already says that it is no log.
-        NotFoundError
-            The registry does not know the vehicle. The recording is kept, and decoded once it does.
-        ConflictError
-            The same recording was received from another vehicle, or was deleted.
-        PassingFaultError
-            Its bytes cannot be stored now: nothing is.
+        Raises:
+            LogFileError: The file is no log, truncated or corrupt. Its bytes are kept with a receipt that says so,
+                unless its suffix already says that it is no log.
+            NotFoundError: The registry does not know the vehicle. The recording is kept, and decoded once it does.
+            ConflictError: The same recording was received from another vehicle, or was deleted.
+            PassingFaultError: Its bytes cannot be stored now: nothing is.
         """
         return self.accept(self._store_and_read(path, vehicle))
 
     def receive_exchange(self, description: Path) -> ChunkReceipt:
         """Take in one exchange of runs; nothing of it is stored unless all of it is good.
 
-        Parameters
-        ----------
-        description
-            Its TOML file, beside its table.
+        Args:
+            description: Its TOML file, beside its table.
 
-        Raises
-        ------
-        ExchangeError
-            Something in it is missing, impossible, or contradicts itself or the registry; names file, line and field.
-        ConflictError
-            Logs of the vehicle's bus are in the same windows, or another exchange has the same time.
+        Raises:
+            ExchangeError: Something in it is missing, impossible, or contradicts itself or the registry; names file,
+                line and field.
+            ConflictError: Logs of the vehicle's bus are in the same windows, or another exchange has the same time.
         """
         with self._storage.read() as unit:
             exchange = checked_exchange(description, unit)
@@ -177,26 +159,12 @@ class Receiver:
     def keep(self, content: bytes, suffix: str, vehicle: str, name: str) -> tuple[ChunkRecord, bool]:
         """Store a recording and commit its receipt; nothing of it is decoded.
 
-        Parameters
-        ----------
-        content, suffix
-            Of the log.
-        vehicle
-            Whose it is.
-        name
-            Stands for it in messages.
+        Returns:
+            tuple[ChunkRecord, bool]: The receipt, and whether it had been there before.
 
-        Returns
-        -------
-        tuple[ChunkRecord, bool]
-            The receipt, and whether it had been there before.
-
-        Raises
-        ------
-        ConflictError
-            The same recording was received from another vehicle.
-        PassingFaultError
-            It cannot be stored now: nothing is.
+        Raises:
+            ConflictError: The same recording was received from another vehicle.
+            PassingFaultError: It cannot be stored now: nothing is.
         """
         self._check_raw()
         deleted = self._deleted.receipt(hashlib.sha256(content).hexdigest())
@@ -221,12 +189,9 @@ class Receiver:
 
         Yields the new receipt of each, or why it still cannot be decoded.
 
-        Parameters
-        ----------
-        digest
-            Of the only recording to decode, due or not.
-        vehicle
-            The only one whose recordings are decoded.
+        Args:
+            digest: Of the only recording to decode, due or not.
+            vehicle: The only one whose recordings are decoded.
         """
         try:
             self._check_raw()

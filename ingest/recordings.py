@@ -81,12 +81,9 @@ class Recordings:
     def read(self, path: Path, digest: str, vehicle: str) -> Recording:
         """Read a recording of a vehicle from a file that has this digest.
 
-        Raises
-        ------
-        LogFileError
-            The file is no log that can be read, or its SYNC comes at another rate than in the catalogue.
-        PassingFaultError
-            The file is not there, or cannot be read now.
+        Raises:
+            LogFileError: The file is no log that can be read, or its SYNC comes at another rate than in the catalogue.
+            PassingFaultError: The file is not there, or cannot be read now.
         """
         with passing_faults(path), path.open("rb"):
             pass
@@ -102,12 +99,9 @@ class Recordings:
     def load(self, record: ChunkRecord) -> Recording:
         """Return the recording of a receipt.
 
-        Raises
-        ------
-        LogFileError
-            Its file is no log that can be read.
-        PassingFaultError
-            Its file is missing, holds something else, or cannot be read now.
+        Raises:
+            LogFileError: Its file is no log that can be read.
+            PassingFaultError: Its file is missing, holds something else, or cannot be read now.
         """
         kept = self._kept.get(record.digest)
         if kept is None or not (kept.rows or kept.catalogue is self.catalogue_of(record.vehicle)):
@@ -119,10 +113,8 @@ class Recordings:
     def load_neighbour(self, record: ChunkRecord) -> Recording:
         """Return a recording that could be read before.
 
-        Raises
-        ------
-        StorageError
-            It cannot any more: the raw store has lost or damaged it.
+        Raises:
+            StorageError: It cannot any more: the raw store has lost or damaged it.
         """
         try:
             return self.load(record)
@@ -145,33 +137,17 @@ def _read_exchange(path: Path, digest: str) -> Recording:
 def align_frames(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
     """Decode a batch and put its frames on the vehicle's clock.
 
-    Parameters
-    ----------
-    catalogue
-        The messages of the bus.
-    batch
-        Frames in merged order (:func:`ingest.frames.merge`).
+    Args:
+        batch: Frames in merged order (:func:`ingest.frames.merge`).
 
-    Raises
-    ------
-    LogFileError
-        The sampling instants of a bus of one's own come at another rate than its mapping gives.
+    Raises:
+        LogFileError: The sampling instants of a bus of one's own come at another rate than its mapping gives.
     """
     return align_own(catalogue, batch) if isinstance(catalogue, OwnBus) else align_to_clock(catalogue, batch)
 
 
 def waiting_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> Sequence[ChunkRecord]:
-    """Return the receipts of recordings without TIME whose recorder stamps touch a recording.
-
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    vehicle
-        Code of the vehicle.
-    recording
-        The recording.
-    """
+    """Return the receipts of recordings without TIME whose recorder stamps touch a recording."""
     if recording.rows:
         return []
     own = recording.digest, recording.recorder_ns
@@ -179,19 +155,7 @@ def waiting_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> S
 
 
 def decoded_beside(unit: SqlUnitOfWork, vehicle: str, digest: str, recorder_ns: Span) -> Sequence[ChunkRecord]:
-    """Return the receipts of decoded recordings whose recorder stamps touch those of a recording.
-
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    vehicle
-        Code of the vehicle.
-    digest
-        Of the recording.
-    recorder_ns
-        Its first and last stamp.
-    """
+    """Return the receipts of decoded recordings whose recorder stamps touch those of a recording."""
     first, last = recorder_ns
     decoded = unit.chunks.overlapping_by_recorder(vehicle, first - TIME_REACH_NS, last + TIME_REACH_NS + 1)
     return [r for r in decoded if r.purged_ns is None and _beside(r, digest, recorder_ns)]
@@ -211,12 +175,9 @@ def align_recordings(recordings: Iterable[Recording], span: Span | None = None) 
 
     The answer depends on the set of recordings, not on their order.
 
-    Parameters
-    ----------
-    recordings
-        Recordings of one vehicle.
-    span
-        ``[from, to)`` of the vehicle's clock, ns: what cannot matter to windows in it may be left out. None is all.
+    Args:
+        span: ``[from, to)`` of the vehicle's clock, ns: what cannot matter to windows in it may be left out. None is
+            all.
     """
     groups: list[list[Recording]] = []
     for recording in sorted(recordings, key=lambda r: (r.recorder_ns, r.digest)):

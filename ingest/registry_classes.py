@@ -16,17 +16,11 @@ _FIELD = "vehicle_classes"
 def read_classes(file: InputFile, count: int) -> tuple[VehicleClass, ...]:
     """Return the classes of a registry file, those in files of their own included.
 
-    Parameters
-    ----------
-    file
-        The registry file.
-    count
-        Of the entries of ``vehicle_classes``.
+    Args:
+        count: Of the entries of ``vehicle_classes``.
 
-    Raises
-    ------
-    InputError
-        An entry or a file is wrong, or two have the same code.
+    Raises:
+        InputError: An entry or a file is wrong, or two have the same code.
     """
     found: list[VehicleClass] = []
     for index in range(count):

@@ -39,12 +39,8 @@ class ExportedRegistry:
 def export_registry(unit: SqlUnitOfWork, folder: str) -> ExportedRegistry:
     """Return the registry of a store as a file; what was voided is left out.
 
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    folder
-        In which the files that it names will be, relative to the registry file.
+    Args:
+        folder: In which the files that it names will be, relative to the registry file.
     """
     registry, files = unit.registry, _Files(folder)
     serials = [one.serial for one in registry.wheelsets() if not registry.voided(one.serial)]
@@ -75,17 +71,11 @@ def write_export(path: Path, unit: SqlUnitOfWork) -> ExportedRegistry:
 
     The registry itself is written last: where it is, it is whole.
 
-    Parameters
-    ----------
-    path
-        Of the registry file, which must not exist.
-    unit
-        An open transaction.
+    Args:
+        path: Of the registry file, which must not exist.
 
-    Raises
-    ------
-    InputError
-        The file exists, or cannot be written.
+    Raises:
+        InputError: The file exists, or cannot be written.
     """
     folder = f"{path.stem}-files"
     if path.exists() or (path.parent / folder).exists():

@@ -51,25 +51,18 @@ def load_registry(
 ) -> LoadedRegistry:
     """Read a registry file and store its contents; return them, and what they change.
 
-    Parameters
-    ----------
-    path
-        The registry file; the files it names are relative to its folder.
-    unit_of_work
-        An open transaction; nothing is committed here.
-    recorded_ns
-        Our time, ns UTC.
-    entry
-        Who loads it, our time to tell the future by, and what has been confirmed; by default nobody, none and nothing.
+    Args:
+        path: The registry file; the files it names are relative to its folder.
+        unit_of_work: An open transaction; nothing is committed here.
+        recorded_ns: Our time, ns UTC.
+        entry: Who loads it, our time to tell the future by, and what has been confirmed; by default nobody, none and
+            nothing.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no JSON.
-    RegistryRefusedError
-        A track file or a profile file cannot be read, a field is missing, unknown or impossible, or a record refers to
-        something that neither the file nor the store knows, or contradicts what is on file. It lists everything;
-        nothing has been committed then.
+    Raises:
+        InputError: The file cannot be read, or is no JSON.
+        RegistryRefusedError: A track file or a profile file cannot be read, a field is missing, unknown or impossible,
+            or a record refers to something that neither the file nor the store knows, or contradicts what is on file.
+            It lists everything; nothing has been committed then.
     """
     file = read_json(path)
     contents, refusals = _contents(file)
@@ -79,15 +72,11 @@ def load_registry(
 def read_registry(path: Path) -> RegistryContents:
     """Read and check a registry file and the files it names.
 
-    Parameters
-    ----------
-    path
-        The registry file; the files it names are relative to its folder.
+    Args:
+        path: The registry file; the files it names are relative to its folder.
 
-    Raises
-    ------
-    InputError
-        As ``load_registry``, but for what the store knows.
+    Raises:
+        InputError: As ``load_registry``, but for what the store knows.
     """
     contents, refusals = _contents(read_json(path))
     if refusals:

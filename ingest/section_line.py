@@ -28,11 +28,9 @@ BEYOND_M = 50.0
 def read_line(path: Path, section: TrackSectionRecord) -> SectionLine:
     """Return the line of a section, checked.
 
-    Raises
-    ------
-    InputError
-        As ``read_columns``; or a coordinate is out of range, the points are not on the section, too far apart, or
-        their places contradict their distances (jumps, exchanged columns, another unit).
+    Raises:
+        InputError: As ``read_columns``; or a coordinate is out of range, the points are not on the section, too far
+            apart, or their places contradict their distances (jumps, exchanged columns, another unit).
     """
     table = read_columns(path, COLUMNS, FEWEST_POINTS)
     if len(table) > MOST_POINTS:

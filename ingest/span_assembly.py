@@ -16,27 +16,17 @@ from ingest.recordings import Span
 class SpanAssembly:
     """The windows of a vehicle that overlap a span of its clock, and everything that went into them.
 
-    Attributes
-    ----------
-    vehicle
-        Code.
-    from_ns, to_ns
-        Start of the first window of the span, end of its last.
-    sources
-        Digests of the recordings.
-    lookup
-        The registry.
-    windows
-        All that recordings and registry give in the span, but for those of ``kept``.
-    kept
-        Spans in which a recording cannot be read any more: what is stored of them stays.
-    lost
-        Receipts of those whose raw file is lost or damaged, and was not purged.
-    again
-        Receipts of recordings that the vehicle's bus, another one now, places elsewhere than when they were decoded, or
-        cannot read.
-    counts
-        What was left out.
+    Attributes:
+        vehicle: Code.
+        from_ns, to_ns: Start of the first window of the span, end of its last.
+        sources: Digests of the recordings.
+        lookup: The registry.
+        windows: All that recordings and registry give in the span, but for those of ``kept``.
+        kept: Spans in which a recording cannot be read any more: what is stored of them stays.
+        lost: Receipts of those whose raw file is lost or damaged, and was not purged.
+        again: Receipts of recordings that the vehicle's bus, another one now, places elsewhere than when they were
+            decoded, or cannot read.
+        counts: What was left out.
     """
 
     vehicle: str
@@ -58,14 +48,8 @@ class SpanAssembly:
 def registry_lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, to_ns: int) -> RegistryLookup:
     """Return what the registry contains of a vehicle over a span of its clock.
 
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    vehicle
-        The vehicle.
-    from_ns, to_ns
-        The span, its end excluded.
+    Args:
+        from_ns, to_ns: The span, its end excluded.
     """
     sections = unit.tracks.sections()
     return RegistryLookup(

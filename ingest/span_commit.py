@@ -20,14 +20,10 @@ from ingest.span_assembly import SpanAssembly, registry_lookup
 class SpanChanges:
     """How many windows of a span are not as they were.
 
-    Attributes
-    ----------
-    new, changed, removed
-        Windows that were not there, have another content or mileage now, or are none any more.
-    healed
-        Windows whose file had been lost or damaged.
-    quarantined
-        Vehicles at which it failed, or that are not due yet after a failure.
+    Attributes:
+        new, changed, removed: Windows that were not there, have another content or mileage now, or are none any more.
+        healed: Windows whose file had been lost or damaged.
+        quarantined: Vehicles at which it failed, or that are not due yet after a failure.
     """
 
     new: int = 0
@@ -60,16 +56,8 @@ def still_so(
 ) -> bool:
     """Whether recordings and registry are those that an assembly was made from.
 
-    Parameters
-    ----------
-    unit
-        The transaction that will store it.
-    assembler
-        Made it.
-    assembly
-        The windows of a span.
-    coming
-        Receipts of recordings that will be stored with it.
+    Args:
+        coming: Receipts of recordings that will be stored with it.
     """
     span = (assembly.from_ns, assembly.to_ns)
     decoded = [receipt for receipt in coming if receipt.first_ns is not None]
@@ -84,16 +72,10 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
 
     Bin tables and positions of windows that are removed go with them; the jobs find what rested on those.
 
-    Parameters
-    ----------
-    unit
-        An open transaction; nothing is committed here.
-    assembly
-        All windows of the span.
-    recorded_ns
-        Our time, ns UTC.
-    verify
-        Whether the files of windows that have not changed are read and checked.
+    Args:
+        unit: An open transaction; nothing is committed here.
+        recorded_ns: Our time, ns UTC.
+        verify: Whether the files of windows that have not changed are read and checked.
     """
     wanted = {_key(each.window): each for each in map(_assembled, assembly.windows)}
     wheelsets = {wheelset for wheelset, _ in wanted}
@@ -161,13 +143,7 @@ def _assembled(mounted: MountedWindow) -> AssembledWindow:
 
 
 def mileage_km(mounted: MountedWindow) -> float:
-    """Return the mileage of a wheelset at the start of a window.
-
-    Parameters
-    ----------
-    mounted
-        The window with its mounting.
-    """
+    """Return the mileage of a wheelset at the start of a window."""
     mounting = mounted.mounting
     return mounting.wheelset_mileage_km + (mounted.window.odometer_m / 1000.0 - mounting.vehicle_odometer_km)
 

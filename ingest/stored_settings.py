@@ -37,17 +37,8 @@ class StoredBus:
 def check_window_length(unit: SqlUnitOfWork, length_ns: int) -> None:
     """Refuse a window length that is not the one with which data are stored.
 
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    length_ns
-        What the process was started with.
-
-    Raises
-    ------
-    ParameterError
-        Names both and what to do.
+    Raises:
+        ParameterError: Names both and what to do.
     """
     stored = _stored_length(unit)
     if stored is not None and stored != length_ns and unit.settings.in_use():
@@ -64,19 +55,8 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
     Where a bus is not the one before, its vehicles are assembled again. Where a mapping file described it and this
     process has none for it, recordings of its vehicles are left to a process that has.
 
-    Parameters
-    ----------
-    storage
-        Of the deployment.
-    buses, length_ns
-        What this process was started with.
-    now_ns
-        Our time.
-
-    Raises
-    ------
-    ParameterError
-        Windows of another length are stored.
+    Raises:
+        ParameterError: Windows of another length are stored.
     """
     with storage.read() as unit:
         check_window_length(unit, length_ns)

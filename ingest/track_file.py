@@ -37,11 +37,9 @@ def read_track_columns(path: Path) -> FloatArray:
 
     Further columns are ignored; blank lines are skipped.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, a column is missing, a cell is not a finite number, distances do not increase, or
-        there are fewer than eight rows; names file, line and column.
+    Raises:
+        InputError: The file cannot be read, a column is missing, a cell is not a finite number, distances do not
+            increase, or there are fewer than eight rows; names file, line and column.
     """
     header, lines = _cells(path)
     table = _table(path, header, lines, COLUMNS, FEWEST_POINTS)
@@ -51,19 +49,11 @@ def read_track_columns(path: Path) -> FloatArray:
 def read_columns(path: Path, columns: Sequence[str], fewest: int) -> FloatArray:
     """Return columns of a file (n, k) as they are written; the first is a distance.
 
-    Parameters
-    ----------
-    path
-        The file.
-    columns
-        Their names.
-    fewest
-        Rows that it must have.
+    Args:
+        fewest: Rows that it must have.
 
-    Raises
-    ------
-    InputError
-        As ``read_track_columns``, for at least ``fewest`` rows.
+    Raises:
+        InputError: As ``read_track_columns``, for at least ``fewest`` rows.
     """
     header, lines = _cells(path)
     return _table(path, header, lines, columns, fewest)
@@ -72,10 +62,8 @@ def read_columns(path: Path, columns: Sequence[str], fewest: int) -> FloatArray:
 def read_gauge_columns(path: Path) -> FloatArray | None:
     """Return (n, 2): distance and gauge deviation, both in m, of a file without alignment; None where it has one.
 
-    Raises
-    ------
-    InputError
-        As ``read_track_columns``.
+    Raises:
+        InputError: As ``read_track_columns``.
     """
     header, lines = _cells(path)
     if COLUMNS[1] in header:
@@ -87,11 +75,9 @@ def read_gauge_columns(path: Path) -> FloatArray | None:
 def read_layout_columns(path: Path) -> FloatArray | None:
     """Return (n, 3): distance in m, curvature in 1/m, cant in m; None where the file has no such columns.
 
-    Raises
-    ------
-    InputError
-        As ``read_track_columns``; or one of the two columns stands alone or has another name, or its numbers are in
-        another unit: radii, 1/m, cant in metres.
+    Raises:
+        InputError: As ``read_track_columns``; or one of the two columns stands alone or has another name, or its
+            numbers are in another unit: radii, 1/m, cant in metres.
     """
     header, lines = _cells(path)
     for name in header:

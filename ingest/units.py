@@ -86,17 +86,12 @@ _PER_S_PER_S = re.compile(r"/\(?ss\)?$|/s/s$")
 def unit_of(name: str, allowed: Iterable[Quantity]) -> Unit:
     """Return the unit of a name as files write it: ``m/s^2``, ``m/s²`` and ``m/s2`` are one.
 
-    Parameters
-    ----------
-    name
-        As written.
-    allowed
-        What it may measure.
+    Args:
+        name: As written.
+        allowed: What it may measure.
 
-    Raises
-    ------
-    ParameterError
-        The name is no unit that is known, or measures something else.
+    Raises:
+        ParameterError: The name is no unit that is known, or measures something else.
     """
     quantities = tuple(allowed)
     plain = name.replace(" ", "")

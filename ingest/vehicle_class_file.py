@@ -25,17 +25,11 @@ class VehicleClassFile(VehicleClassEntry):
 def read_vehicle_class(path: Path, error_type: type[InputError] = InputError) -> VehicleClass:
     """Return the class of a file.
 
-    Parameters
-    ----------
-    path
-        A TOML file of the format ``treadwatch-vehicle-class-1``.
-    error_type
-        The error to raise.
+    Args:
+        path: A TOML file of the format ``treadwatch-vehicle-class-1``.
 
-    Raises
-    ------
-    InputError
-        As ``error_type``: the file cannot be read, or something in it is wrong; names file, line and field.
+    Raises:
+        InputError: As ``error_type``: the file cannot be read, or something in it is wrong; names file, line and field.
     """
     return parse_vehicle_class(read_toml(path, error_type))
 
@@ -43,15 +37,8 @@ def read_vehicle_class(path: Path, error_type: type[InputError] = InputError) ->
 def parse_vehicle_class(file: InputFile) -> VehicleClass:
     """Return the class of a file that was read.
 
-    Parameters
-    ----------
-    file
-        Its content and lines.
-
-    Raises
-    ------
-    InputError
-        Something in it is wrong; names file, line and field.
+    Raises:
+        InputError: Something in it is wrong; names file, line and field.
     """
     return file.parse(VehicleClassFile).record()
 
@@ -64,15 +51,11 @@ def shipped_classes() -> tuple[str, ...]:
 def shipped_path(code: str) -> Path:
     """Return the file of a class that the package ships.
 
-    Parameters
-    ----------
-    code
-        As ``shipped_classes`` lists it.
+    Args:
+        code: As ``shipped_classes`` lists it.
 
-    Raises
-    ------
-    NotFoundError
-        There is no such class.
+    Raises:
+        NotFoundError: There is no such class.
     """
     if code not in shipped_classes():
         raise NotFoundError("shipped vehicle class", code)
@@ -81,27 +64,17 @@ def shipped_path(code: str) -> Path:
 
 @cache
 def class_of_package(code: str) -> VehicleClass | None:
-    """Return a class that the package ships; None where it ships none of this code.
-
-    Parameters
-    ----------
-    code
-        Of any class.
-    """
+    """Return a class that the package ships; None where it ships none of this code."""
     return shipped_class(code) if code in shipped_classes() else None
 
 
 def shipped_class(code: str) -> VehicleClass:
     """Return a class that the package ships.
 
-    Parameters
-    ----------
-    code
-        As ``shipped_classes`` lists it.
+    Args:
+        code: As ``shipped_classes`` lists it.
 
-    Raises
-    ------
-    NotFoundError
-        There is no such class.
+    Raises:
+        NotFoundError: There is no such class.
     """
     return read_vehicle_class(shipped_path(code))

@@ -263,10 +263,8 @@ class VehicleClassEntry(InputTable):
     def _kalker_radii(self) -> tuple[ContactRadii, ContactRadiiStd]:
         """Return what Kalker's coefficients follow from, and how well it is known.
 
-        Raises
-        ------
-        PydanticCustomError
-            The radii make no contact ellipse within the table.
+        Raises:
+            PydanticCustomError: The radii make no contact ellipse within the table.
         """
         creep = self.creep
         assert creep.rail_head_radius_mm is not None

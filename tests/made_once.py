@@ -13,14 +13,8 @@ import pytest
 def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], object]) -> Path:
     """Return a folder that ``make`` has filled in one of the test processes of this run; nobody writes to it again.
 
-    Parameters
-    ----------
-    factory
-        Knows the folder of the run.
-    name
-        Of the folder; another content has another name.
-    make
-        Fills the folder it is given, which is empty.
+    Args:
+        make: Fills the folder it is given, which is empty.
     """
     run = factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:

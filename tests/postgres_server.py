@@ -77,13 +77,7 @@ def running_server() -> Iterator[str]:
 
 @contextmanager
 def stoppable_server(chosen: Sequence[str] = FAST) -> Iterator[PostgresServer]:
-    """Yield a running server that only this process knows; it ends with the block.
-
-    Parameters
-    ----------
-    chosen
-        Settings of the server.
-    """
+    """Yield a running server that only this process knows; it ends with the block."""
     home = Path(tempfile.mkdtemp(prefix="treadwatch-postgres-"))  # short: the name of a socket is limited
     try:
         programs, user = _programs(home), _user(home)

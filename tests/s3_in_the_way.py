@@ -15,12 +15,9 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 class Line:
     """A line to a port of this machine.
 
-    Attributes
-    ----------
-    change
-        Applied to what is sent to the server.
-    most_bytes
-        Sent to the server at most, of all connections; the rest is held back.
+    Attributes:
+        change: Applied to what is sent to the server.
+        most_bytes: Sent to the server at most, of all connections; the rest is held back.
     """
 
     to_port: int
@@ -79,14 +76,10 @@ def line(to_port: int, **how: object) -> Iterator[Line]:
 class Carelessness:
     """A store that checks nothing: it keeps what it makes of the bytes, and calls it what it likes.
 
-    Attributes
-    ----------
-    keep
-        From what came to what is kept.
-    tag
-        From what is kept to its ETag.
-    status
-        With which it refuses every request; 0 for none.
+    Attributes:
+        keep: From what came to what is kept.
+        tag: From what is kept to its ETag.
+        status: With which it refuses every request; 0 for none.
     """
 
     keep: Callable[[bytes], bytes] = lambda content: content

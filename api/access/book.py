@@ -39,10 +39,8 @@ class _Change:
 class AccessBook:
     """Writes in one thread, which starts with the first thing to write.
 
-    Parameters
-    ----------
-    storage
-        Returns the storage of all fleets.
+    Args:
+        storage: Returns the storage of all fleets.
     """
 
     storage: Callable[[], SqlStorage]
@@ -55,12 +53,8 @@ class AccessBook:
     def used(self, prefix: str, at_ns: int) -> None:
         """Note that a key was used; written at most once a minute.
 
-        Parameters
-        ----------
-        prefix
-            Of the key.
-        at_ns
-            Our time, ns UTC.
+        Args:
+            at_ns: Our time, ns UTC.
         """
         if at_ns - self._used.get(prefix, 0) >= USED_EVERY_NS:
             self._used[prefix] = at_ns

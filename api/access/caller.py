@@ -20,17 +20,12 @@ _PLACE = "treadwatch.caller"
 class Caller:
     """The owner of a key or token.
 
-    Parameters
-    ----------
-    name
-        Of the owner, as it is recorded with what is done; None where access is open.
-    scopes
-        What may be done.
-    fleets
-        Codes of the fleets that are visible; None for all.
-    identity
-        Of the key or token's subject, such as ``key 3fq2xh7a``: what limits and Idempotency-Keys belong to; None where
-        access is open.
+    Args:
+        name: Of the owner, as it is recorded with what is done; None where access is open.
+        scopes: What may be done.
+        fleets: Codes of the fleets that are visible; None for all.
+        identity: Of the key or token's subject, such as ``key 3fq2xh7a``: what limits and Idempotency-Keys belong to;
+            None where access is open.
     """
 
     name: str | None
@@ -47,17 +42,12 @@ class Caller:
     def acts_as(self, by: str | None, unnamed: str | None = None) -> str:
         """Return who is recorded as the actor: the owner of the key; where access is open, whom the body names.
 
-        Parameters
-        ----------
-        by
-            Of the request's body.
-        unnamed
-            Who it is where access is open and the body names nobody; None refuses that.
+        Args:
+            by: Of the request's body.
+            unnamed: Who it is where access is open and the body names nobody; None refuses that.
 
-        Raises
-        ------
-        ProblemError
-            422: it names another than the owner, or, where access is open, nobody.
+        Raises:
+            ProblemError: 422: it names another than the owner, or, where access is open, nobody.
         """
         if self.name is None and (by or unnamed) is not None:
             return by or str(unnamed)
@@ -75,36 +65,20 @@ ANYONE = Caller(None, EVERYTHING, None)
 
 
 def name_caller(scope: Scope, caller: Caller) -> None:
-    """Let a request be that of a caller; to be called once it is known.
-
-    Parameters
-    ----------
-    scope
-        Of the request; changed.
-    caller
-        Who asks.
-    """
+    """Let a request be that of a caller; to be called once it is known."""
     scope[_PLACE] = caller
 
 
 def known_caller(scope: Scope) -> Caller | None:
-    """Return who asks; None where nobody is known yet, as of a request that is refused.
-
-    Parameters
-    ----------
-    scope
-        Of the request.
-    """
+    """Return who asks; None where nobody is known yet, as of a request that is refused."""
     return cast("Caller | None", scope.get(_PLACE))
 
 
 async def caller_of(request: Request) -> Caller:
     """Return who asks.
 
-    Raises
-    ------
-    LookupError
-        The request did not pass the gate.
+    Raises:
+        LookupError: The request did not pass the gate.
     """
     found = known_caller(request.scope)
     if found is None:

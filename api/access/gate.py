@@ -37,22 +37,12 @@ class _Uses(Protocol):
 class Gate:
     """Decides who asks, and refuses who may not.
 
-    Parameters
-    ----------
-    hosts
-        Names and origins.
-    doors
-        What of the service needs no key, or is shut.
-    keys
-        Those of the database; None where access is open.
-    tokens
-        Of the provider, if there is one.
-    uses
-        Where the use of keys is noted.
-    requests, failures
-        Limits of rate: of each key; of wrong keys, of each address.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        doors: What of the service needs no key, or is shut.
+        keys: Those of the database; None where access is open.
+        tokens: Of the provider, if there is one.
+        requests, failures: Limits of rate: of each key; of wrong keys, of each address.
+        now_ns: Our time, ns UTC.
     """
 
     hosts: Hosts
@@ -67,16 +57,9 @@ class Gate:
     async def admit(self, scope: Scope) -> None:
         """Let a request in and name its caller.
 
-        Parameters
-        ----------
-        scope
-            Of the request; gets its caller.
-
-        Raises
-        ------
-        ProblemError
-            421 and 403: host and origin; 401: no key or token that is good; 403: the door needs more; 404: it is shut;
-            429: too often.
+        Raises:
+            ProblemError: 421 and 403: host and origin; 401: no key or token that is good; 403: the door needs more;
+                404: it is shut; 429: too often.
         """
         self.hosts.check(scope)
         door = door_of(self.doors, scope)
@@ -133,15 +116,8 @@ class Gate:
 async def require_still_good(scope: Scope) -> None:
     """Refuse a request that has waited for long, where its caller would not be let in any more.
 
-    Parameters
-    ----------
-    scope
-        Of the request.
-
-    Raises
-    ------
-    ProblemError
-        401: the key or token was revoked, or has expired.
+    Raises:
+        ProblemError: 401: the key or token was revoked, or has expired.
     """
     if not await still_good(scope):
         detail = "the key or token was revoked, or has expired, while the request waited"
@@ -149,25 +125,13 @@ async def require_still_good(scope: Scope) -> None:
 
 
 async def still_good(scope: Scope) -> bool:
-    """Return whether the caller of a request that goes on for long would be let in now.
-
-    Parameters
-    ----------
-    scope
-        Of the request.
-    """
+    """Return whether the caller of a request that goes on for long would be let in now."""
     ask: Callable[[], Awaitable[bool]] | None = scope.get(STILL_GOOD)
     return ask is None or await ask()
 
 
 def address_of(scope: Scope) -> str | None:
-    """Return the address that a request came from; None where the server does not know it.
-
-    Parameters
-    ----------
-    scope
-        Of the request.
-    """
+    """Return the address that a request came from; None where the server does not know it."""
     client = scope.get("client")
     return None if client is None else str(client[0])
 

@@ -35,10 +35,8 @@ class Access:
     def protect(self, headers: MutableHeaders) -> None:
         """Add to an answer what browsers are to do with it.
 
-        Parameters
-        ----------
-        headers
-            Of the answer; changed where they do not say it themselves.
+        Args:
+            headers: Of the answer; changed where they do not say it themselves.
         """
         for name, value in security_headers(https=self.https, shared=bool(self.origins)).items():
             headers.setdefault(name, value)
@@ -47,12 +45,8 @@ class Access:
 def guard_of(plan: AccessPlan, storage: Callable[[], SqlStorage]) -> Access:
     """Return what guards one app.
 
-    Parameters
-    ----------
-    plan
-        What the deployment has decided.
-    storage
-        Returns the storage of all fleets.
+    Args:
+        storage: Returns the storage of all fleets.
     """
     book = AccessBook(storage)
     return Access(
@@ -66,15 +60,7 @@ def guard_of(plan: AccessPlan, storage: Callable[[], SqlStorage]) -> Access:
 
 
 def allow_pages(app: FastAPI, origins: frozenset[str]) -> None:
-    """Let pages of these origins read answers (CORS); those of no other can.
-
-    Parameters
-    ----------
-    app
-        Changed.
-    origins
-        By configuration.
-    """
+    """Let pages of these origins read answers (CORS); those of no other can."""
     if origins:
         app.add_middleware(
             CORSMiddleware,

@@ -23,12 +23,9 @@ READING = frozenset({HTTPMethod.GET, HTTPMethod.HEAD, HTTPMethod.OPTIONS})
 class Hosts:
     """The names and origins that are let through.
 
-    Parameters
-    ----------
-    names
-        Names of hosts, in lower case, beside those of loopback and the address that the connection came in at.
-    origins
-        Origins of pages, such as ``https://maintenance.example``, beside our own.
+    Args:
+        names: Names of hosts, in lower case, beside those of loopback and the address that the connection came in at.
+        origins: Origins of pages, such as ``https://maintenance.example``, beside our own.
     """
 
     names: frozenset[str] = frozenset()
@@ -37,15 +34,8 @@ class Hosts:
     def check(self, scope: Scope) -> None:
         """Refuse a request under another name, or a change that a page of another origin asks for.
 
-        Parameters
-        ----------
-        scope
-            Of the request.
-
-        Raises
-        ------
-        ProblemError
-            421 or 403.
+        Raises:
+            ProblemError: 421 or 403.
         """
         headers = Headers(scope=scope)
         host = headers.get("host")
@@ -66,13 +56,7 @@ class Hosts:
 
 
 def host_name(host: str) -> str | None:
-    """Return the name in a ``Host`` header, in lower case and without its port; None where it is none.
-
-    Parameters
-    ----------
-    host
-        The header.
-    """
+    """Return the name in a ``Host`` header, in lower case and without its port; None where it is none."""
     try:
         parts = urlsplit(f"//{host}")
         _ = parts.port

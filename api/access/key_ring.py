@@ -34,10 +34,8 @@ class _Known:
 class KeyRing:
     """The keys that were used lately; for one event loop.
 
-    Parameters
-    ----------
-    storage
-        Returns the storage of all fleets.
+    Args:
+        storage: Returns the storage of all fleets.
     """
 
     storage: Callable[[], SqlStorage]
@@ -52,17 +50,11 @@ class KeyRing:
     async def find(self, token: str, now_ns: int) -> ApiKey | None:
         """Return the key that a token is; None where it is none, expired or revoked.
 
-        Parameters
-        ----------
-        token
-            As the client sent it.
-        now_ns
-            Our time, ns UTC.
+        Args:
+            now_ns: Our time, ns UTC.
 
-        Raises
-        ------
-        StorageError
-            The key has to be read, and the database cannot be reached.
+        Raises:
+            StorageError: The key has to be read, and the database cannot be reached.
         """
         prefix = prefix_of(token)
         if prefix is None:

@@ -15,16 +15,9 @@ from fleet_db.storage import SqlUnitOfWork
 class Wanted:
     """A key that is to be made.
 
-    Parameters
-    ----------
-    owner
-        Who it is for.
-    scopes
-        What it allows.
-    fleets
-        Codes of the fleets that it sees; None for all.
-    expires_ns
-        When it expires, ns UTC; None for never.
+    Args:
+        fleets: Codes of the fleets that it sees; None for all.
+        expires_ns: When it expires, ns UTC; None for never.
     """
 
     owner: str
@@ -36,23 +29,12 @@ class Wanted:
 def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple[ApiKey, NewToken]:
     """Store a new key and return it with its secret.
 
-    Parameters
-    ----------
-    unit
-        A writing transaction.
-    wanted
-        What it is to be.
-    by
-        Who makes it.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        now_ns: Our time, ns UTC.
 
-    Raises
-    ------
-    ParameterError
-        An unknown scope or none, no owner, or it has expired already; names the field.
-    NotFoundError
-        There is no such fleet.
+    Raises:
+        ParameterError: An unknown scope or none, no owner, or it has expired already; names the field.
+        NotFoundError: There is no such fleet.
     """
     if not wanted.owner.strip():
         raise ParameterError("names nobody", field="owner")

@@ -33,17 +33,12 @@ _log = logging.getLogger(__name__)
 class Provider:
     """Which tokens are taken, and what of them says what.
 
-    Parameters
-    ----------
-    issuer, audience
-        That a token must carry.
-    keys
-        URL or file of the JSON Web Key Set.
-    owner_claim, scopes_claim, fleets_claim
-        Names of the claims. Scopes are a list or a text with spaces. Fleets are a list, or `*` for all; a token
-        without them sees none.
-    leeway_s
-        By how many seconds clocks may differ.
+    Args:
+        issuer, audience: That a token must carry.
+        keys: URL or file of the JSON Web Key Set.
+        owner_claim, scopes_claim, fleets_claim: Names of the claims. Scopes are a list or a text with spaces. Fleets
+            are a list, or `*` for all; a token without them sees none.
+        leeway_s: By how many seconds clocks may differ.
     """
 
     issuer: str
@@ -64,13 +59,7 @@ class Tokens:
     _fetched_s: float = float("-inf")
 
     async def find(self, token: str) -> Caller | None:
-        """Return the caller that a token names; None where it is not to be believed, whatever the cause.
-
-        Parameters
-        ----------
-        token
-            As the client sent it.
-        """
+        """Return the caller that a token names; None where it is not to be believed, whatever the cause."""
         try:
             header = jwt.get_unverified_header(token)
             if header.get("alg") not in ALGORITHMS:

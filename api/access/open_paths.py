@@ -40,25 +40,15 @@ class _Passage:
     def check(self, caller: Caller) -> None:
         """Refuse a caller who may not pass.
 
-        Raises
-        ------
-        ProblemError
-            403.
+        Raises:
+            ProblemError: 403.
         """
         if self.of_all_fleets and ("read" not in caller.scopes or caller.fleets is not None):
             raise ProblemError(403, "forbidden", "this needs a key of all fleets with the scope 'read'")
 
 
 def door_of(opened: Opened, scope: Scope) -> _Passage:
-    """Return how the path of a request is passed; with a key where nothing else is said.
-
-    Parameters
-    ----------
-    opened
-        By configuration.
-    scope
-        Of the request.
-    """
+    """Return how the path of a request is passed; with a key where nothing else is said."""
     path: str = scope["path"]
     if path in HEALTH or path in PAGE or path.startswith(PAGE_FILES):
         return _Passage(open=True)  # also where the method is not allowed, which is then the answer

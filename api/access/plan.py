@@ -38,12 +38,8 @@ class AccessPlan:
     def gate(self, storage: Callable[[], SqlStorage], book: AccessBook) -> Gate:
         """Return the gate of one app.
 
-        Parameters
-        ----------
-        storage
-            Returns the storage of all fleets.
-        book
-            Where the use of keys is noted.
+        Args:
+            storage: Returns the storage of all fleets.
         """
         return Gate(
             hosts=self.hosts,
@@ -59,16 +55,9 @@ class AccessPlan:
 def plan_of(settings: Settings) -> AccessPlan:
     """Return what a deployment has decided.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-
-    Raises
-    ------
-    ParameterError
-        Access is open beyond loopback and nothing says that this is meant; or the settings of the token issuer are not
-        complete.
+    Raises:
+        ParameterError: Access is open beyond loopback and nothing says that this is meant; or the settings of the token
+            issuer are not complete.
     """
     if settings.access == "open" and not is_loopback(settings.host):
         raise ParameterError(
@@ -94,10 +83,8 @@ def plan_of(settings: Settings) -> AccessPlan:
 def is_loopback(host: str) -> bool:
     """Return whether an address to listen on is reached from this machine alone.
 
-    Parameters
-    ----------
-    host
-        A name or an address; a name other than ``localhost`` may be any address.
+    Args:
+        host: A name or an address; a name other than ``localhost`` may be any address.
     """
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
@@ -108,10 +95,8 @@ def is_loopback(host: str) -> bool:
 def listed(value: str | None) -> list[str]:
     """Return the parts of a setting with commas between them.
 
-    Parameters
-    ----------
-    value
-        Of the setting; None for none.
+    Args:
+        value: Of the setting; None for none.
     """
     return [part for one in (value or "").split(",") if (part := one.strip())]
 

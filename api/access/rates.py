@@ -27,12 +27,8 @@ class Rate:
     def take(self, name: str, now_s: float) -> float | None:
         """Take one; return None, or after how many seconds there will be one.
 
-        Parameters
-        ----------
-        name
-            Whose.
-        now_s
-            Of a clock that never goes back.
+        Args:
+            now_s: Of a clock that never goes back.
         """
         bucket = self._filled(name, now_s)
         if bucket.tokens < 1.0:
@@ -43,12 +39,8 @@ class Rate:
     def wait_s(self, name: str, now_s: float) -> float | None:
         """Return after how many seconds there will be one to take; None where there is one now. Takes none.
 
-        Parameters
-        ----------
-        name
-            Whose.
-        now_s
-            Of a clock that never goes back.
+        Args:
+            now_s: Of a clock that never goes back.
         """
         tokens = self._filled(name, now_s).tokens
         return None if tokens >= 1.0 else math.ceil((1.0 - tokens) / self.per_s)

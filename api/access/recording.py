@@ -27,14 +27,8 @@ _OF_ADDRESS = 60.0
 class Recorder:
     """Decides what is recorded, and has it written.
 
-    Parameters
-    ----------
-    book
-        Where.
-    refusals
-        How many refusals of one address are recorded.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        now_ns: Our time, ns UTC.
     """
 
     book: AccessBook
@@ -45,15 +39,6 @@ class Recorder:
         """Record how a request was answered, before its answer is sent: no change is answered that is not recorded.
 
         An upload is recorded in its receipt, with its sender: an entry beside each would be more rows than all else.
-
-        Parameters
-        ----------
-        scope
-            Of the request.
-        status, headers
-            Of the answer.
-        request_id
-            Name of the request in the log.
         """
         changed = scope["method"] not in READING and status < HTTPStatus.MULTIPLE_CHOICES and not is_upload(scope)
         if changed and "idempotency-replayed" not in headers:
@@ -80,10 +65,8 @@ class Recorder:
 def recorder_of(book: AccessBook) -> Recorder:
     """Return the recorder of one app.
 
-    Parameters
-    ----------
-    book
-        Where entries are written.
+    Args:
+        book: Where entries are written.
     """
     return Recorder(book, Rate(_OF_ADDRESS / 60.0, _OF_ADDRESS))
 

@@ -30,17 +30,11 @@ _READING = frozenset({HTTPMethod.GET.value, HTTPMethod.HEAD.value})
 def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep], None]:
     """Return a dependency that refuses callers without a scope.
 
-    Parameters
-    ----------
-    scope
-        That the operation needs.
-    all_fleets
-        Whether the operation concerns more than the fleets of a caller that is bound to some.
+    Args:
+        all_fleets: Whether the operation concerns more than the fleets of a caller that is bound to some.
 
-    Raises
-    ------
-    ProblemError
-        In the dependency, 403: the caller does not have it; names the scope.
+    Raises:
+        ProblemError: In the dependency, 403: the caller does not have it; names the scope.
     """
 
     def check(caller: CallerDep) -> None:
@@ -55,30 +49,15 @@ def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep],
 def refuse_without(caller: Caller, scope: Scope) -> None:
     """Refuse a caller without a scope.
 
-    Parameters
-    ----------
-    caller
-        Who asks.
-    scope
-        That the operation needs.
-
-    Raises
-    ------
-    ProblemError
-        403; names the scope.
+    Raises:
+        ProblemError: 403; names the scope.
     """
     if scope not in caller.scopes:
         raise ProblemError(403, "forbidden", f"this needs the scope '{scope}'")
 
 
 def scope_of(route: APIRoute) -> Scope | None:
-    """Return the scope of an operation: the one that it declares, `read` where it only reads; None is a mistake.
-
-    Parameters
-    ----------
-    route
-        Of the operation.
-    """
+    """Return the scope of an operation: the one that it declares, `read` where it only reads; None is a mistake."""
     declared = {
         scope for depends in route.dependencies if (scope := getattr(depends.dependency, SCOPE_OF, None)) is not None
     }
@@ -90,12 +69,9 @@ def scope_of(route: APIRoute) -> Scope | None:
 async def authorise(request: Request, caller: CallerDep) -> None:
     """Refuse callers who lack the scope of the operation; for every route of the API.
 
-    Raises
-    ------
-    ProblemError
-        403: the caller does not have it; names the scope.
-    LookupError
-        The route changes something and declares no scope, or several.
+    Raises:
+        ProblemError: 403: the caller does not have it; names the scope.
+        LookupError: The route changes something and declares no scope, or several.
     """
     route: APIRoute = request.scope["route"]
     scope = scope_of(route)

@@ -15,12 +15,9 @@ HTTPS_ONLY = "max-age=31536000"
 def security_headers(*, https: bool, shared: bool) -> Mapping[str, str]:
     """Return the headers of an answer.
 
-    Parameters
-    ----------
-    https
-        Whether a proxy serves it by HTTPS alone.
-    shared
-        Whether pages of other origins may read it.
+    Args:
+        https: Whether a proxy serves it by HTTPS alone.
+        shared: Whether pages of other origins may read it.
     """
     found = {
         "X-Content-Type-Options": "nosniff",

@@ -15,10 +15,8 @@ from api.problems import ProblemError
 class StreamPlaces:
     """The places of one process; for one event loop.
 
-    Parameters
-    ----------
-    per_key
-        Of each key; where access is open, there are no keys to count by.
+    Args:
+        per_key: Of each key; where access is open, there are no keys to count by.
     """
 
     per_key: int
@@ -28,15 +26,8 @@ class StreamPlaces:
     def place(self, caller: Caller) -> Iterator[None]:
         """Hold a place for as long as a stream is open.
 
-        Parameters
-        ----------
-        caller
-            Who opens it.
-
-        Raises
-        ------
-        ProblemError
-            429: the key holds as many as it may.
+        Raises:
+            ProblemError: 429: the key holds as many as it may.
         """
         name = caller.identity or ""
         if caller.identity is not None and self._held[name] >= self.per_key:

@@ -25,12 +25,9 @@ class ContactCache:
     def contact(self, wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact | Reason:
         """Return the contact geometry of two wheels on rails, or why there is none.
 
-        Parameters
-        ----------
-        wheels
-            Profiles, radius and their standard deviation.
-        rails
-            Rails with the share of the running on each.
+        Args:
+            wheels: Profiles, radius and their standard deviation.
+            rails: Rails with the share of the running on each.
         """
         key = _digest(wheels, rails)
         with self._lock:

@@ -19,12 +19,9 @@ from fleet_db.storage import SqlUnitOfWork
 class Placed:
     """What was compared, and what could not be read.
 
-    Attributes
-    ----------
-    rows
-        Measurements beside their estimates.
-    unreadable
-        By wheelset: why none of its measurements is among the rows.
+    Attributes:
+        rows: Measurements beside their estimates.
+        unreadable: By wheelset: why none of its measurements is among the rows.
     """
 
     rows: list[PlacedComparison]
@@ -36,14 +33,8 @@ def placed_comparisons(unit: SqlUnitOfWork, reader: ComparisonReader, keys: Sequ
 
     A wheelset of which something stored is damaged is named, and keeps no other from being compared.
 
-    Parameters
-    ----------
-    unit
-        Registry and estimates are read.
-    reader
-        Compares; of the same transaction.
-    keys
-        Wheelset and time of each measurement.
+    Args:
+        reader: Compares; of the same transaction.
     """
     times: defaultdict[str, set[int]] = defaultdict(set)
     for serial, at_ns in keys:

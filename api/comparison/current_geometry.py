@@ -23,14 +23,8 @@ from estimation.values.motion import Motion
 def geometry_by(storage: Storage, context: JobContext, serial: str, estimator: str) -> WheelsetGeometry | None:
     """Return the current geometry of a wheelset as an estimator finds it; nothing is stored.
 
-    Parameters
-    ----------
-    storage, context
-        Store and settings of the deployment.
-    serial
-        Of the wheelset.
-    estimator
-        Name in the catalogue; the shipped one gives the geometry of the job.
+    Args:
+        estimator: Name in the catalogue; the shipped one gives the geometry of the job.
     """
     with storage.read() as unit:
         found = geometries_of(unit, serial, context)
@@ -57,10 +51,8 @@ def _by_rival(unit: UnitOfWork, found: RolledGeometries, rival: Estimator[Any]) 
 def parameters_of(used: EstimatedWith) -> EstimatorParameters:
     """Return what all estimators share, as the job has it.
 
-    Parameters
-    ----------
-    used
-        What a geometry of the job is estimated with.
+    Args:
+        used: What a geometry of the job is estimated with.
     """
     settings = used.settings
     return EstimatorParameters(

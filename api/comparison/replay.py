@@ -25,19 +25,11 @@ def replayed(
     A window is left out whose position or content has changed since, so that it is refused today, and one whose
     samples have been purged.
 
-    Parameters
-    ----------
-    unit
-        The transaction to read from.
-    members
-        Windows of one wheelset.
-    parameters
-        Class of the vehicle, filters and gates; the same for all windows.
+    Args:
+        parameters: Class of the vehicle, filters and gates; the same for all windows.
 
-    Raises
-    ------
-    DamagedError
-        The samples of a window are damaged; names the file.
+    Raises:
+        DamagedError: The samples of a window are damaged; names the file.
     """
 
     @lru_cache

@@ -113,16 +113,9 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, wor
     The recordings are received once. Alignment, windows and geometries are those of the scheduled jobs; each estimator
     of the catalogue gets the same stored windows and versions of the alignment.
 
-    Parameters
-    ----------
-    scenario
-        The fleet, with its seed.
-    cache
-        Folder that keeps the recordings.
-    progress
-        Called with what is being done, and how far it is.
-    workers
-        Processes of the simulation; None for as many as cores.
+    Args:
+        progress: Called with what is being done, and how far it is.
+        workers: Processes of the simulation; None for as many as cores.
     """
 
     def show(what: str, done: int, of: int) -> None:
@@ -152,15 +145,7 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, wor
 
 
 def on_file(scenario: Scenario, track: TrackInformation) -> Scenario:
-    """Return the scenario whose registry holds ``track``; its recordings are the same.
-
-    Parameters
-    ----------
-    scenario
-        As simulated.
-    track
-        What is to be on file.
-    """
+    """Return the scenario whose registry holds ``track``; its recordings are the same."""
     section = scenario.section
     if track is TrackInformation.FLEET:
         return replace(scenario, section=replace(section, surveyed=False))

@@ -56,21 +56,13 @@ def record(
 ) -> Recorded:
     """Return the recordings of a scenario, simulated where ``cache`` does not hold them.
 
-    Parameters
-    ----------
-    scenario
-        What to simulate.
-    cache
-        Folder of all recordings.
-    workers
-        Processes; None for as many as cores.
-    progress
-        Called with what is being done, and how far it is.
+    Args:
+        cache: Folder of all recordings.
+        workers: Processes; None for as many as cores.
+        progress: Called with what is being done, and how far it is.
 
-    Raises
-    ------
-    ScenarioError
-        The scenario cannot be run.
+    Raises:
+        ScenarioError: The scenario cannot be run.
     """
     folder = cache / recording_key(scenario)
     if not (folder / TRUTH_FILE).exists():  # written last
@@ -87,12 +79,8 @@ def record(
 def deploy(scenario: Scenario, folder: Path) -> Settings:
     """Return the settings of a new data folder whose store knows the registry of ``scenario``.
 
-    Parameters
-    ----------
-    scenario
-        Its registry and the track that is on file are written beside the data and loaded.
-    folder
-        Made where missing.
+    Args:
+        scenario: Its registry and the track that is on file are written beside the data and loaded.
     """
     settings = Settings(  # type: ignore[call-arg] # of pydantic-settings
         data_dir=folder / "data", database_url=None, raw_store=None, _env_file=None
@@ -112,14 +100,8 @@ def register(scenario: Scenario, settings: Settings, folder: Path) -> None:
 def receive(recorded: Recorded, settings: Settings, progress: Progress = no_progress) -> None:
     """Receive every recording, in the order of time, as ``treadwatch ingest`` does.
 
-    Parameters
-    ----------
-    recorded
-        The recordings.
-    settings
-        Of the deployment that receives them.
-    progress
-        Called with what is being done, and how far it is.
+    Args:
+        progress: Called with what is being done, and how far it is.
     """
     with closing(open_store(settings)) as storage:
         catalogue = default_catalogue()
@@ -145,19 +127,13 @@ def opened(settings: Settings) -> Iterator[tuple[SqlStorage, JobContext]]:
 def run_jobs(context: JobContext, jobs: Sequence[Job] = ESTIMATION, progress: Progress = no_progress) -> None:
     """Run jobs one after the other.
 
-    Parameters
-    ----------
-    context
-        What they may touch.
-    jobs
-        In their order.
-    progress
-        Called with what is being done, and how far it is.
+    Args:
+        context: What they may touch.
+        jobs: In their order.
+        progress: Called with what is being done, and how far it is.
 
-    Raises
-    ------
-    TreadwatchError
-        A job failed; with its message.
+    Raises:
+        TreadwatchError: A job failed; with its message.
     """
     for job in jobs:
 

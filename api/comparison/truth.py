@@ -45,17 +45,12 @@ class TrueWheelset:
 def read_truth(path: Path, campaign: int = 1) -> tuple[TrueWheelset, ...]:
     """Return what is true of every wheelset, in the order of their serials.
 
-    Parameters
-    ----------
-    path
-        The ``truth.json`` of a simulation.
-    campaign
-        From 1.
+    Args:
+        path: The ``truth.json`` of a simulation.
+        campaign: From 1.
 
-    Raises
-    ------
-    NotFoundError
-        There is no such campaign.
+    Raises:
+        NotFoundError: There is no such campaign.
     """
     wheelsets = json.loads(path.read_text(encoding="utf-8"))["wheelsets"]
     found = [_wheelset(item, _campaign(item, campaign)) for item in wheelsets]
@@ -65,12 +60,8 @@ def read_truth(path: Path, campaign: int = 1) -> tuple[TrueWheelset, ...]:
 def conicity_errors(found: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[float, bool] | None]:
     """Return error and whether the 95 % interval holds the truth at each amplitude of the truth; None: no estimate.
 
-    Parameters
-    ----------
-    found
-        The geometry of a wheelset.
-    truth
-        Of the same wheelset.
+    Args:
+        truth: Of the same wheelset.
     """
     compared: list[tuple[float, bool] | None] = []
     for amplitude, true in zip(truth.amplitude, truth.conicity, strict=True):

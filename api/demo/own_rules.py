@@ -13,14 +13,8 @@ FILE = "rules.toml"
 def with_rules(settings: Settings, name: str, folder: Path) -> Settings:
     """Return settings with the rules of a scenario, where it has some and the deployment does not name others.
 
-    Parameters
-    ----------
-    settings
-        Of the demo.
-    name
-        Of the scenario.
-    folder
-        Of the demo; the rules are put there, to be read and changed.
+    Args:
+        folder: Of the demo; the rules are put there, to be read and changed.
     """
     shipped = files("api.demo").joinpath("rules", f"{name}.toml")
     if settings.rules_file is not None or not shipped.is_file():

@@ -64,21 +64,13 @@ def ending_now(scenario: Scenario, now_ns: int) -> Scenario:
 def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) -> Table:
     """Receive and estimate the whole history; return what was done, as a table.
 
-    Parameters
-    ----------
-    settings
-        Of the demo's deployment.
-    fleets
-        What was simulated; the campaigns of the first fleet are replayed first.
-    console
-        Where progress is shown.
+    Args:
+        settings: Of the demo's deployment.
+        fleets: What was simulated; the campaigns of the first fleet are replayed first.
 
-    Raises
-    ------
-    TreadwatchError
-        A recording was rejected.
-    StorageError
-        A job failed.
+    Raises:
+        TreadwatchError: A recording was rejected.
+        StorageError: A job failed.
     """
     columns = (
         SpinnerColumn(),

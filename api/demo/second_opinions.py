@@ -29,14 +29,8 @@ def second_opinions(
 ) -> Iterator[SecondOpinion]:
     """Ask the REST API for a fleet's wheelsets without a geometry, and for the low adhesion that it found.
 
-    Parameters
-    ----------
-    service
-        The API.
-    scenario
-        Of the fleet.
-    true
-        Campaigns of each wheelset, of the simulator's side file.
+    Args:
+        true: Campaigns of each wheelset, of the simulator's side file.
     """
     query = urllib.parse.urlencode({"fleet": scenario.fleet_code, "limit": 1000})
     for row in get(service, f"/v1/wheelsets?{query}")["items"]:

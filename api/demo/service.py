@@ -20,10 +20,8 @@ START_S = 30.0
 def serving(settings: Settings) -> Iterator[str]:
     """Serve the REST API and run the jobs on schedule; yield the base URL, and end both on leaving.
 
-    Raises
-    ------
-    StorageError
-        The API did not start.
+    Raises:
+        StorageError: The API did not start.
     """
     stopping = threading.Event()
     scheduler = threading.Thread(target=_schedule, args=(settings, stopping), name="scheduler", daemon=True)
@@ -40,10 +38,8 @@ def serving(settings: Settings) -> Iterator[str]:
 def serving_api(settings: Settings) -> Iterator[str]:
     """Serve the REST API alone; yield its base URL.
 
-    Raises
-    ------
-    StorageError
-        The API did not start.
+    Raises:
+        StorageError: The API did not start.
     """
     api = create_server(settings)
     thread = threading.Thread(target=api.run, name="api", daemon=True)

@@ -55,14 +55,8 @@ class WheelsetLine:
 def lines(service: ServiceAddress, truth: Path, fleet: str) -> list[WheelsetLine]:
     """Ask the REST API for every wheelset of a fleet, its geometry, trend and open alerts; the most urgent first.
 
-    Parameters
-    ----------
-    service
-        The API.
-    truth
-        The simulator's side file.
-    fleet
-        Code of the fleet.
+    Args:
+        truth: The simulator's side file.
     """
     true = true_campaigns(truth)
     query = urllib.parse.urlencode({"fleet": fleet, "sort": "urgency", "limit": 1000})

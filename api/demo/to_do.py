@@ -12,15 +12,7 @@ NOTHING_TO_DO = (Urgency.NOT_DUE, Urgency.NOT_MOUNTED)
 
 
 def to_do(service: ServiceAddress, fleet: str) -> list[str]:
-    """Ask the REST API for the worklist of a fleet; return a sentence for each wheelset that somebody has to look at.
-
-    Parameters
-    ----------
-    service
-        The API.
-    fleet
-        Code of the fleet.
-    """
+    """Ask the REST API for the worklist of a fleet; return a sentence for each wheelset that needs somebody."""
     query = urllib.parse.urlencode({"fleet": fleet, "sort": "urgency", "limit": 1000})
     rows = get(service, f"/v1/wheelsets?{query}")["items"]
     return [_sentence(row) for row in rows if row["state"]["urgency"] not in NOTHING_TO_DO]

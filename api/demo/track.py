@@ -11,13 +11,7 @@ from estimation.values.track import AlignmentSource
 
 
 def track_lines(service: ServiceAddress) -> list[str]:
-    """Ask the REST API for every section; return one sentence or two of each.
-
-    Parameters
-    ----------
-    service
-        The API.
-    """
+    """Ask the REST API for every section; return one sentence or two of each."""
     return [_said(service, item) for item in get(service, "/v1/track-sections?limit=1000")["items"]]
 
 

@@ -41,10 +41,8 @@ class FeedCursor:
 def check_of(event: AlertEvent | None) -> str:
     """Return what a cursor keeps of its last event: enough to know another of the same number from it.
 
-    Parameters
-    ----------
-    event
-        None before the first.
+    Args:
+        event: None before the first.
     """
     if event is None:
         return _NO_EVENT
@@ -57,14 +55,8 @@ def check_of(event: AlertEvent | None) -> str:
 def encode(narrowed: FeedFilter, branch: FeedBranch, event: AlertEvent | None) -> str:
     """Return the cursor behind an event.
 
-    Parameters
-    ----------
-    narrowed
-        The filter that it is bound to.
-    branch
-        The current one.
-    event
-        The last one seen; None at the beginning.
+    Args:
+        event: The last one seen; None at the beginning.
     """
     sequence = 0 if event is None else event.sequence
     return cursors.encode(FEED, narrowed.bound, f"{sequence}.{branch.identity}.{check_of(event)}")
@@ -73,17 +65,8 @@ def encode(narrowed: FeedFilter, branch: FeedBranch, event: AlertEvent | None) -
 def decode(narrowed: FeedFilter, cursor: str | None) -> FeedCursor | None:
     """Return what a cursor says; None without one.
 
-    Parameters
-    ----------
-    narrowed
-        The filter of the request.
-    cursor
-        As the client sent it.
-
-    Raises
-    ------
-    ProblemError
-        400: it is none of the feed under this filter.
+    Raises:
+        ProblemError: 400: it is none of the feed under this filter.
     """
     key = cursors.decode(FEED, narrowed.bound, cursor)
     if key is None:
@@ -97,21 +80,9 @@ def decode(narrowed: FeedFilter, cursor: str | None) -> FeedCursor | None:
 def position(unit: SqlUnitOfWork, narrowed: FeedFilter, path: str, cursor: FeedCursor | None) -> AlertEvent | None:
     """Return the event behind which the next poll begins; None at the beginning.
 
-    Parameters
-    ----------
-    unit
-        One snapshot of the database.
-    narrowed
-        The filter of the request.
-    path
-        Where to go on, with the filter.
-    cursor
-        Of the client.
-
-    Raises
-    ------
-    ProblemError
-        409: the cursor is of another database, or of this one before it was restored; with where to go on.
+    Raises:
+        ProblemError: 409: the cursor is of another database, or of this one before it was restored; with where to go
+            on.
     """
     if cursor is None:
         return None

@@ -21,16 +21,9 @@ FleetCode = Annotated[str, Query(pattern=CODE)]
 class FeedFilter:
     """Which events are listed; an empty set is no filter.
 
-    Parameters
-    ----------
-    fleets
-        Codes.
-    kinds
-        Of alerts.
-    severities
-        An alert is followed to its end once it has had one of them.
-    visible
-        Codes of the fleets that the client may see; None for all.
+    Args:
+        severities: An alert is followed to its end once it has had one of them.
+        visible: Codes of the fleets that the client may see; None for all.
     """
 
     fleets: frozenset[str] = frozenset()

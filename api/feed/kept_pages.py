@@ -28,18 +28,9 @@ def read_kept(
 ) -> KeptPage:
     """Return the page behind a place that is known to be of this database.
 
-    Parameters
-    ----------
-    unit
-        One snapshot of the database.
-    narrowed
-        Of the client.
-    after_sequence
-        Number of the last event that was handed over.
-    limit
-        How many events at most.
-    cache
-        Of representations.
+    Args:
+        after_sequence: Number of the last event that was handed over.
+        limit: How many events at most.
     """
     found = unit.alerts.feed_outlines(
         after_sequence, limit, fleets=narrowed.fleets, kinds=narrowed.kinds, severities=narrowed.severities

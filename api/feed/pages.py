@@ -22,12 +22,9 @@ LATEST = "latest"
 class Place:
     """A place in the feed.
 
-    Parameters
-    ----------
-    sequence
-        What matches up to this number has been handed over.
-    cursor
-        The same for clients.
+    Args:
+        sequence: What matches up to this number has been handed over.
+        cursor: The same for clients.
     """
 
     sequence: int
@@ -38,14 +35,10 @@ class Place:
 class FeedPage:
     """Events, and where they end.
 
-    Parameters
-    ----------
-    events
-        Each with the cursor behind it, in commit order.
-    end
-        Behind the last event, or behind all that there was where that were fewer than asked for.
-    newest
-        Behind all that there was.
+    Args:
+        events: Each with the cursor behind it, in commit order.
+        end: Behind the last event, or behind all that there was where that were fewer than asked for.
+        newest: Behind all that there was.
     """
 
     events: Sequence[tuple[AlertEvent, str]]
@@ -62,23 +55,14 @@ def opened(
 ) -> PageT:
     """Return the page behind a client's cursor.
 
-    Parameters
-    ----------
-    storage
-        As the client sees it.
-    narrowed
-        The client's filter.
-    path
-        Of the operation; for where to go on.
-    after
-        The cursor; None for the beginning, ``latest`` for the end.
-    read
-        Reads the page behind a number.
+    Args:
+        narrowed: The client's filter.
+        after: The cursor; None for the beginning, ``latest`` for the end.
+        read: Reads the page behind a number.
 
-    Raises
-    ------
-    ProblemError
-        400: the cursor is none of the feed under this filter; 409: it is of another history of the database.
+    Raises:
+        ProblemError: 400: the cursor is none of the feed under this filter; 409: it is of another history of the
+            database.
     """
     given = cursors.decode(narrowed, None if after == LATEST else after)
     with storage.read() as unit:
@@ -91,16 +75,9 @@ def opened(
 def read_page(unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, limit: int) -> FeedPage:
     """Return the page behind a place that is known to be of this database.
 
-    Parameters
-    ----------
-    unit
-        One snapshot of the database.
-    narrowed
-        Of the client.
-    after_sequence
-        Number of the last event that was handed over.
-    limit
-        How many events at most.
+    Args:
+        after_sequence: Number of the last event that was handed over.
+        limit: How many events at most.
     """
     found = unit.alerts.feed(
         after_sequence, limit, fleets=narrowed.fleets, kinds=narrowed.kinds, severities=narrowed.severities
@@ -113,28 +90,12 @@ def read_page(unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, li
 
 
 def with_filter(path: str, narrowed: FeedFilter) -> str:
-    """Return a path with the filter as its query.
-
-    Parameters
-    ----------
-    path
-        Of an operation of the feed.
-    narrowed
-        The filter.
-    """
+    """Return a path with the filter as its query."""
     named = (("fleet", narrowed.fleets), ("kind", narrowed.kinds), ("severity", narrowed.severities))
     given = [(name, value) for name, values in named for value in sorted(values)]
     return quote(path) + (f"?{urlencode(given)}" if given else "")
 
 
 def newest_place(unit: SqlUnitOfWork, narrowed: FeedFilter, branch: FeedBranch) -> Place:
-    """Return the end of the feed; its cursor names the newest event that the client may see.
-
-    Parameters
-    ----------
-    unit, narrowed
-        As of :func:`read_page`.
-    branch
-        The current one.
-    """
+    """Return the end of the feed; its cursor names the newest event that the client may see."""
     return Place(unit.feed_branches.newest_sequence(), cursors.encode(narrowed, branch, unit.alerts.last_in_feed()))

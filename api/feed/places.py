@@ -27,12 +27,8 @@ class Waits(StrEnum):
 class WaitingPlaces(Collector):
     """Counts who waits, refuses who would be too many, and shows it to Prometheus.
 
-    Parameters
-    ----------
-    limit
-        Of all in this process.
-    of_keys
-        Those of each key.
+    Args:
+        limit: Of all in this process.
     """
 
     def __init__(self, limit: int, of_keys: StreamPlaces) -> None:
@@ -44,17 +40,8 @@ class WaitingPlaces(Collector):
     def held(self, how: Waits, caller: Caller) -> Iterator[None]:
         """Hold a place.
 
-        Parameters
-        ----------
-        how
-            The client waits.
-        caller
-            Whose client it is.
-
-        Raises
-        ------
-        ProblemError
-            503: the process has no more places; 429: the key has no more.
+        Raises:
+            ProblemError: 503: the process has no more places; 429: the key has no more.
         """
         if sum(self._waiting.values()) >= self._limit:
             detail = f"limit max_streams: {self._limit} clients wait for news; try again"

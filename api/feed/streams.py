@@ -37,14 +37,8 @@ _log = logging.getLogger(__name__)
 class EventStream(StreamingResponse):
     """An answer that goes on; a client that does not read is left, nothing is kept for it.
 
-    Parameters
-    ----------
-    parts
-        What is sent.
-    headers
-        Of the answer.
-    held
-        Entered for as long as it goes on; may refuse it with a problem.
+    Args:
+        held: Entered for as long as it goes on; may refuse it with a problem.
     """
 
     media_type = EVENT_STREAM
@@ -79,18 +73,9 @@ class EventStream(StreamingResponse):
 class FeedStream:
     """One client's stream.
 
-    Parameters
-    ----------
-    watch
-        Tells of news.
-    narrowed
-        The client's filter.
-    storage
-        The database as the client sees it.
-    good
-        Returns whether the client would still be let in.
-    clock_s
-        Seconds, growing.
+    Args:
+        narrowed: The client's filter.
+        good: Returns whether the client would still be let in.
     """
 
     watch: FeedWatch
@@ -102,10 +87,8 @@ class FeedStream:
     async def parts(self, page: FeedPage) -> AsyncIterator[bytes]:
         """Yield what is sent, one or more whole events at a time, until the stream ends.
 
-        Parameters
-        ----------
-        page
-            The first events behind the client's cursor.
+        Args:
+            page: The first events behind the client's cursor.
         """
         ends, history = self.clock_s() + LONGEST_S, self.watch.histories
         yield b"retry: %d\n: the feed of alerts\n\n" % RETRY_MS + _text(page)

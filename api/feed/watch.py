@@ -43,18 +43,12 @@ class Sent:
 class Channel:
     """What is new under one filter.
 
-    Attributes
-    ----------
-    narrowed, storage
-        The filter, and the database as its clients see it.
-    begin
-        All that matches and has a higher number is in ``kept``.
-    end
-        Up to where has been looked.
-    kept
-        In commit order.
-    followers
-        How many wait for it.
+    Attributes:
+        narrowed, storage: The filter, and the database as its clients see it.
+        begin: All that matches and has a higher number is in ``kept``.
+        end: Up to where has been looked.
+        kept: In commit order.
+        followers: How many wait for it.
     """
 
     narrowed: FeedFilter
@@ -79,27 +73,16 @@ class Channel:
 
 
 def as_sent(event: AlertEvent, cursor: str) -> bytes:
-    """Return an event of the feed as an event of a stream (WHATWG HTML, server-sent events).
-
-    Parameters
-    ----------
-    event
-        Of the feed.
-    cursor
-        Behind it.
-    """
+    """Return an event of the feed as an event of a stream (WHATWG HTML, server-sent events)."""
     return f"id: {cursor}\ndata: {alerts.event(event).model_dump_json(by_alias=True)}\n\n".encode()
 
 
 class FeedWatch:
     """Looks for news while somebody waits for them; one an app.
 
-    Parameters
-    ----------
-    storage
-        Of the app, where it has one by now.
-    ending
-        Whether the server is about to end.
+    Args:
+        storage: Of the app, where it has one by now.
+        ending: Whether the server is about to end.
     """
 
     def __init__(self, storage: Callable[[], SqlStorage | None], ending: Callable[[], bool]) -> None:
@@ -126,14 +109,9 @@ class FeedWatch:
     async def following(self, narrowed: FeedFilter, storage: SqlStorage, page: FeedPage) -> AsyncIterator[Channel]:
         """Yield what is new under a filter from a page on.
 
-        Parameters
-        ----------
-        narrowed
-            The client's filter.
-        storage
-            As the client sees it.
-        page
-            The last one that was read for the client.
+        Args:
+            narrowed: The client's filter.
+            page: The last one that was read for the client.
         """
         channel = self._channels.get(narrowed)
         if channel is None:
@@ -150,13 +128,7 @@ class FeedWatch:
                 del self._channels[narrowed]
 
     async def wait(self, timeout_s: float) -> bool:
-        """Wait until there may be news, or for a time; return whether there may be.
-
-        Parameters
-        ----------
-        timeout_s
-            How long.
-        """
+        """Wait until there may be news, or for a time; return whether there may be."""
         try:
             async with asyncio.timeout(timeout_s):
                 await self._news.wait()

@@ -50,10 +50,8 @@ class Block:
 def blocks(lines: Iterable[str]) -> Iterator[Block]:
     """Yield the blocks of a stream (WHATWG HTML, 9.2.6); one that ends in the middle is dropped.
 
-    Parameters
-    ----------
-    lines
-        Without their ends.
+    Args:
+        lines: Without their ends.
     """
     identity: str | None = None
     data: list[str] = []
@@ -72,19 +70,13 @@ def blocks(lines: Iterable[str]) -> Iterator[Block]:
 def checked(response: httpx.Response) -> Any:  # noqa: ANN401 - JSON
     """Return the body of a success.
 
-    Parameters
-    ----------
-    response
-        Read to its end.
+    Args:
+        response: Read to its end.
 
-    Raises
-    ------
-    OtherHistoryError
-        409: the cursor is of another history.
-    RefusedError
-        The request is wrong, or not allowed.
-    UnreachableError
-        The service has too much to do, or failed.
+    Raises:
+        OtherHistoryError: 409: the cursor is of another history.
+        RefusedError: The request is wrong, or not allowed.
+        UnreachableError: The service has too much to do, or failed.
     """
     if response.is_success:
         return _json(response)

@@ -48,18 +48,10 @@ class Taker(Protocol):
 class Follower:
     """A client of the feed.
 
-    Parameters
-    ----------
-    http
-        With the address of the service and the key.
-    query
-        The filter.
-    taker
-        Gets the events.
-    cursor
-        Where to begin; None for the beginning.
-    sleep
-        For seconds.
+    Args:
+        http: With the address of the service and the key.
+        cursor: Where to begin; None for the beginning.
+        sleep: For seconds.
     """
 
     http: httpx.Client
@@ -73,10 +65,8 @@ class Follower:
     def once(self) -> None:
         """Hand over what there is.
 
-        Raises
-        ------
-        RefusedError, UnreachableError
-            As of the service.
+        Raises:
+            RefusedError, UnreachableError: As of the service.
         """
         while self._guarded(lambda: self._page(wait_s=0)):
             pass
@@ -84,10 +74,8 @@ class Follower:
     def follow(self) -> None:
         """Hand over what there is and what happens, until it is interrupted.
 
-        Raises
-        ------
-        RefusedError
-            The service refuses the key, the filter or the cursor.
+        Raises:
+            RefusedError: The service refuses the key, the filter or the cursor.
         """
         while True:
             try:

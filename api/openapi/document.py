@@ -34,12 +34,8 @@ Times are RFC 3339 in UTC; ranges are half-open.
 def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     """Return the document of this app.
 
-    Parameters
-    ----------
-    app
-        With its routes.
-    scopes
-        Of every operation, by its name.
+    Args:
+        scopes: Of every operation, by its name.
     """
     found = get_openapi(
         title=app.title,

@@ -41,14 +41,8 @@ def describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[st
 
     The service answers a request without it with 428 rather than with 422, so the route itself cannot require it.
 
-    Parameters
-    ----------
-    method
-        Of HTTP.
-    operation
-        Of the document; changed.
-    schemas
-        Of the document, each under its name; they show which answers are pages.
+    Args:
+        schemas: Of the document, each under its name; they show which answers are pages.
     """
     for parameter in operation.get("parameters", ()):
         if parameter["name"] == IF_MATCH:

@@ -59,12 +59,8 @@ _POINTED = [{"in": "query", "pointer": "#/limit", "detail": "Input should be les
 def describe_problems(path: str, operation: dict[str, Any]) -> None:
     """Give every problem of an operation an example.
 
-    Parameters
-    ----------
-    path
-        Template of the operation's path.
-    operation
-        Of the document; changed.
+    Args:
+        path: Template of the operation's path.
     """
     for status, response in operation["responses"].items():
         content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)

@@ -22,15 +22,8 @@ SCHEME = {
 def scopes_of(modules: Iterable[ModuleType]) -> dict[str, Scope]:
     """Return the scope of every operation by its name.
 
-    Parameters
-    ----------
-    modules
-        With their routes.
-
-    Raises
-    ------
-    LookupError
-        One has none.
+    Raises:
+        LookupError: One has none.
     """
     found = {}
     for module in modules:
@@ -46,12 +39,8 @@ def scopes_of(modules: Iterable[ModuleType]) -> dict[str, Scope]:
 def describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
     """Add the key to the document, and the scope to every operation; `/healthz` and `/readyz` need none.
 
-    Parameters
-    ----------
-    document
-        Changed.
-    scopes
-        Each under the name of its operation; `read` where nothing is said, as of `/metrics`.
+    Args:
+        scopes: Each under the name of its operation; `read` where nothing is said, as of `/metrics`.
     """
     document["components"]["securitySchemes"] = {KEY: SCHEME}
     for path, operations in document["paths"].items():

@@ -12,15 +12,7 @@ from api.csv_tables import columns_of, item_of
 
 
 def describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
-    """Add the table of every list to its success.
-
-    Parameters
-    ----------
-    app
-        Its routes say what they answer with.
-    document
-        Of the app; changed.
-    """
+    """Add the table of every list to its success."""
     for context in iter_route_contexts(app.routes):
         route = context.original_route
         item = item_of(route.response_model) if isinstance(route, APIRoute) and route.include_in_schema else None

@@ -201,13 +201,7 @@ OF_SCHEMA: Mapping[str, str] = {
 
 
 def describe_properties(schemas: Mapping[str, Any]) -> None:
-    """Describe every property that is not described where it is declared and has a word here.
-
-    Parameters
-    ----------
-    schemas
-        Of the document, each under its name; changed.
-    """
+    """Describe every property that is not described where it is declared and has a word here."""
     for name, schema in schemas.items():
         for field, described in schema.get("properties", {}).items():
             text = OF_SCHEMA.get(f"{name}.{field}", WORDS.get(field))

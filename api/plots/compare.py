@@ -95,12 +95,9 @@ def _arrays(found: WheelsetGeometry) -> tuple[FloatArray, FloatArray, FloatArray
 def draw_errors(axes: Axes, study: PairStudy) -> None:
     """Draw every wheelset's error as a dot, the median as a bar, by information on the track; on a logarithmic scale.
 
-    Parameters
-    ----------
-    axes
-        Where to; empty.
-    study
-        The scores of every estimator on every track.
+    Args:
+        axes: Where to; empty.
+        study: The scores of every estimator on every track.
     """
     tracks = [track for track in TrackInformation if track not in study.unestimated]
     names = list(titles())

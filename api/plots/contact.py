@@ -27,16 +27,10 @@ def save_contact_figure(
 ) -> None:
     """Write radii, contact angles, contact positions and equivalent conicity of the table's first gauge as PNG.
 
-    Parameters
-    ----------
-    table
-        Contact geometry; the column of its first gauge deviation is drawn.
-    amplitude, conicity, std
-        (k,) m, tan(gamma_e) and its standard deviation, which is drawn where it is not 0.
-    summary
-        What it is, with the conicity at 3 mm and the limit, which are marked.
-    out
-        File to write.
+    Args:
+        table: Contact geometry; the column of its first gauge deviation is drawn.
+        amplitude, conicity, std: (k,) m, tan(gamma_e) and its standard deviation, which is drawn where it is not 0.
+        summary: What it is, with the conicity at 3 mm and the limit, which are marked.
     """
     figure = Figure(figsize=(10.0, 7.5), layout="constrained")
     FigureCanvasAgg(figure)

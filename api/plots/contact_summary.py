@@ -13,22 +13,11 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 class ContactSummary:
     """Wheel, rail, gauge, and the equivalent conicity at 3 mm beside the shipped limit.
 
-    Parameters
-    ----------
-    wheel_left, wheel_right, rail
-        Names of the profiles.
-    inclination
-        Of the rails, as it was written.
-    gauge_mm
-        Track gauge.
-    method
-        How contact points are found.
-    conicity, std
-        Equivalent conicity at 3 mm and its standard deviation; None where the contact gives none.
-    speed_km_h
-        Greatest speed that the limit is for.
-    limit
-        Of the equivalent conicity at 3 mm, by the shipped rules, which the operator confirms; None where there is none.
+    Args:
+        inclination: Of the rails, as it was written.
+        conicity, std: Equivalent conicity at 3 mm and its standard deviation; None where the contact gives none.
+        limit: Of the equivalent conicity at 3 mm, by the shipped rules, which the operator confirms; None where there
+            is none.
     """
 
     wheel_left: str
@@ -81,18 +70,9 @@ def contact_summary(
 ) -> ContactSummary:
     """Return what a contact geometry is of.
 
-    Parameters
-    ----------
-    wheelset
-        On its track.
-    inclination
-        Of the rails, as it was written.
-    method
-        How contact points are found.
-    at_limit_amplitude
-        Equivalent conicity at 3 mm and its standard deviation; None where the contact gives none.
-    speed_km_h
-        Greatest speed of the vehicle.
+    Args:
+        inclination: Of the rails, as it was written.
+        at_limit_amplitude: Equivalent conicity at 3 mm and its standard deviation; None where the contact gives none.
     """
     return ContactSummary(
         wheel_left=wheelset.left_wheel.name,

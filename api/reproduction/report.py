@@ -50,12 +50,8 @@ def numbers(contact: ContactTable, cases: Mapping[str, Case], seed: int) -> dict
 def page(title: str, case: Case) -> str:
     """Return a Markdown page of a figure, bin by bin.
 
-    Parameters
-    ----------
-    title
-        Heading of the page.
-    case
-        The run behind the figure.
+    Args:
+        case: The run behind the figure.
     """
     return f"# {title}\n\nWritten by `treadwatch reproduce`.\n\n{table(case)}"
 

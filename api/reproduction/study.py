@@ -61,14 +61,8 @@ def contact(gauge_deviation: FloatArray) -> ContactTable:
 def run(gauge_std: float, seconds: float, seed: int) -> Case:
     """Simulate and estimate one case.
 
-    Parameters
-    ----------
-    gauge_std
-        Standard deviation of the gauge, m; zero for the paper's first simulation.
-    seconds
-        Length of the run.
-    seed
-        Of the track.
+    Args:
+        gauge_std: Standard deviation of the gauge, m; zero for the paper's first simulation.
     """
     gauge_grid = np.linspace(-GAUGE_REACH, GAUGE_REACH, 33) if gauge_std else np.zeros(1)
     table = contact(gauge_grid)

@@ -72,17 +72,8 @@ def get_recording(request: Request, services: ServicesDep, digest: Digest, _held
 def with_history(unit: SqlUnitOfWork, digest: str) -> recordings.RecordingWithHistory:
     """Return the representation of one recording.
 
-    Parameters
-    ----------
-    unit
-        A reading transaction.
-    digest
-        Of the recording.
-
-    Raises
-    ------
-    NotFoundError
-        There is none.
+    Raises:
+        NotFoundError: There is none.
     """
     record = unit.chunks.get(digest)
     if record is None:

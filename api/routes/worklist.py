@@ -103,10 +103,8 @@ def _row(entry: WorklistEntry) -> worklist.WheelsetRow:
 def _place(key: object) -> WorklistPlace | None:
     """Return the place in a cursor; None at the beginning.
 
-    Raises
-    ------
-    ProblemError
-        400: it is no place of this list.
+    Raises:
+        ProblemError: 400: it is no place of this list.
     """
     if key is None:
         return None

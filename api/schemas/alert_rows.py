@@ -30,14 +30,8 @@ class AlertRow(Alert):
 def alert_row(record: AlertValue, now_ns: int, place: tuple[str | None, int | None]) -> AlertRow:
     """Return the representation of an alert in a list.
 
-    Parameters
-    ----------
-    record
-        The alert.
-    now_ns
-        Our time.
-    place
-        Vehicle and axle that its wheelset ran under when it was opened.
+    Args:
+        place: Vehicle and axle that its wheelset ran under when it was opened.
     """
     vehicle, axle = place
     return AlertRow(**dict(alert(record, now_ns)), vehicle=vehicle, axle=axle)

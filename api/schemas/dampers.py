@@ -38,15 +38,7 @@ class Dampers(Representation):
 
 
 def dampers(vehicle: str, found: Sequence[GearDamper]) -> Dampers:
-    """Return the representation of the dampers of a vehicle.
-
-    Parameters
-    ----------
-    vehicle
-        Its code.
-    found
-        By axle.
-    """
+    """Return the representation of the dampers of a vehicle."""
     key = segment(vehicle)
     return Dampers(
         vehicle=vehicle,

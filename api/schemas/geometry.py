@@ -135,12 +135,8 @@ def _centre(found: Centre) -> ConicityCentre:
 def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> Geometry:
     """Return the representation of a geometry estimate.
 
-    Parameters
-    ----------
-    record
-        The estimate.
-    without
-        Why it holds no number; None where it does, or as it was recorded at a time.
+    Args:
+        without: Why it holds no number; None where it does, or as it was recorded at a time.
     """
     found = record.geometry
     reason = found.reason if without is None else without.reason
@@ -193,16 +189,8 @@ def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> 
 def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEstimate | None = None) -> Geometry:
     """Return the representation of a wheelset of which nothing was ever estimated.
 
-    Parameters
-    ----------
-    serial
-        Of the wheelset.
-    baseline
-        Number of its reprofilings.
-    reason
-        Why, in one sentence.
-    without
-        The same by its windows; None of a time that has passed.
+    Args:
+        without: The same by its windows; None of a time that has passed.
     """
     own = f"/v1/wheelsets/{segment(serial)}"
     unknown = uncertain(Estimate.unknown(reason))

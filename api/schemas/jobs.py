@@ -57,16 +57,9 @@ def run(record: JobRunValue) -> JobRun:
 def job(name: str, description: str, every_s: float, last: JobRunValue | None) -> Job:
     """Return the representation of a job.
 
-    Parameters
-    ----------
-    name
-        Of the job.
-    description
-        What it does.
-    every_s
-        Interval of its schedule, s.
-    last
-        Its last run, if any.
+    Args:
+        every_s: Interval of its schedule, s.
+        last: Its last run, if any.
     """
     due = None if last is None else to_rfc3339(last.started_ns + int(every_s * 1e9))
     return Job(

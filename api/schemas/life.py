@@ -84,14 +84,8 @@ def interval(record: GeometryRecord) -> Interval:
 def data_quality(serial: str, found: WindowCounts, waiting: Sequence[window_reasons.WindowsOfReason]) -> DataQuality:
     """Return the representation of the windows of a wheelset over time.
 
-    Parameters
-    ----------
-    serial
-        Of the wheelset.
-    found
-        Its windows over time.
-    waiting
-        Those that wait, by what they wait for.
+    Args:
+        waiting: Those that wait, by what they wait for.
     """
     stretches: dict[int, dict[tuple[WindowState, ReasonCode | None], int]] = {}
     total: dict[tuple[WindowState, ReasonCode | None], int] = {}

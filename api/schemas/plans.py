@@ -64,12 +64,8 @@ class TurningPlan(Representation):
 def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
     """Return a wheelset as the plan needs it; None where it is not mounted.
 
-    Parameters
-    ----------
-    row
-        Of the worklist.
-    nominal_radii
-        Whether the radius on file is taken for that of both wheels.
+    Args:
+        nominal_radii: Whether the radius on file is taken for that of both wheels.
     """
     mounting, state = row.wheelset.mounting, row.state
     if mounting is None:

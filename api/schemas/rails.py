@@ -125,13 +125,7 @@ class WheelsetRails(Representation):
 
 
 def section_rails(record: SectionRailsRecord) -> SectionRails:
-    """Return the representation of what was found of a section's rails.
-
-    Parameters
-    ----------
-    record
-        As stored.
-    """
+    """Return the representation of what was found of a section's rails."""
     own, trend = f"/v1/track-sections/{segment(record.section)}", record.trend
     no_trend = record.no_trend if trend is None else None
     return SectionRails(
@@ -163,12 +157,8 @@ def section_rails(record: SectionRailsRecord) -> SectionRails:
 def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None) -> WheelsetRails:
     """Return the representation of a wheelset's wheels, beside its geometry.
 
-    Parameters
-    ----------
-    record
-        As stored.
-    geometry
-        The current one; None without.
+    Args:
+        geometry: The current one; None without.
     """
     part, own = record.part, f"/v1/wheelsets/{segment(record.wheelset)}"
     rows = []

@@ -79,12 +79,8 @@ def _state(found: StateProbability) -> StateOfWear:
 def signature_answer(record: SignatureRecord, seen: Collection[str]) -> SignatureAnswer:
     """Return the representation of an answer.
 
-    Parameters
-    ----------
-    record
-        The answer.
-    seen
-        Wheelsets of the library that may be named.
+    Args:
+        seen: Wheelsets of the library that may be named.
     """
     found, differs = record.answer, record.disagreement
     own = f"/v1/wheelsets/{segment(record.wheelset)}"

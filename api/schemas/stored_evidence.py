@@ -22,13 +22,7 @@ _CAUSES = tuple(cause.value for cause in StepCause)
 
 
 def evidence_of(alert: Alert) -> kinds.Evidence:
-    """Return the evidence of an alert.
-
-    Parameters
-    ----------
-    alert
-        As stored.
-    """
+    """Return the evidence of an alert."""
     if alert.scope is AlertScope.FLEET:
         return _fleet_alert(alert)
     read = _READERS.get(alert.kind, _other)

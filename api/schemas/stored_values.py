@@ -86,12 +86,8 @@ def estimate(value: JsonValue) -> Uncertain | None:
 def distance(value: JsonValue, unknown: Reason | None) -> DistanceForecast:
     """Return the quantiles of a distance in km.
 
-    Parameters
-    ----------
-    value
-        As stored.
-    unknown
-        Why nothing is known; None where missing quantiles are beyond the horizon.
+    Args:
+        unknown: Why nothing is known; None where missing quantiles are beyond the horizon.
     """
     p10, p50, p90 = (number(part(value).get(name)) for name in _QUANTILES)
     reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
@@ -101,12 +97,9 @@ def distance(value: JsonValue, unknown: Reason | None) -> DistanceForecast:
 def date(value: JsonValue, unknown: Reason | None) -> DateForecast:
     """Return the quantiles of a date.
 
-    Parameters
-    ----------
-    value
-        As stored, ns UTC.
-    unknown
-        Why nothing is known; None where missing quantiles are beyond the horizon.
+    Args:
+        value: As stored, ns UTC.
+        unknown: Why nothing is known; None where missing quantiles are beyond the horizon.
     """
     p10, p50, p90 = (moment(part(value).get(name)) for name in _QUANTILES)
     reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None

@@ -47,14 +47,9 @@ class Suspension(Representation):
 def suspension(vehicle: str, findings: Sequence[SuspensionFinding], change: SuspensionChange | None) -> Suspension:
     """Return the representation of the findings of a vehicle.
 
-    Parameters
-    ----------
-    vehicle
-        Its code.
-    findings
-        In order of time.
-    change
-        Against the past; None where too little is known.
+    Args:
+        findings: In order of time.
+        change: Against the past; None where too little is known.
     """
     key = segment(vehicle)
     return Suspension(

@@ -119,12 +119,9 @@ class Trend(Representation):
 def distance_forecast(forecast: Forecast, unknown: Reason | None) -> DistanceForecast:
     """Return the quantiles of a distance.
 
-    Parameters
-    ----------
-    forecast
-        km.
-    unknown
-        Why one is missing; None where it is beyond the horizon.
+    Args:
+        forecast: km.
+        unknown: Why one is missing; None where it is beyond the horizon.
     """
     p10, p50, p90 = finite(forecast.p10), finite(forecast.p50), finite(forecast.p90)
     reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
@@ -139,12 +136,9 @@ def _moment(t_ns: float | None) -> str | None:
 def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
     """Return the quantiles of a date.
 
-    Parameters
-    ----------
-    forecast
-        ns UTC.
-    unknown
-        Why one is missing; None where it is beyond the horizon.
+    Args:
+        forecast: ns UTC.
+        unknown: Why one is missing; None where it is beyond the horizon.
     """
     p10, p50, p90 = _moment(forecast.p10), _moment(forecast.p50), _moment(forecast.p90)
     reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
@@ -154,14 +148,9 @@ def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
 def trend(record: TrendRecord, current: GeometryRecord | None, without: WithoutEstimate | None = None) -> Trend:
     """Return the representation of a trend.
 
-    Parameters
-    ----------
-    record
-        The trend.
-    current
-        The current geometry of the wheelset; None where there is none.
-    without
-        Why there is none, by its windows; None where there is one, and of a time that has passed.
+    Args:
+        current: The current geometry of the wheelset; None where there is none.
+        without: Why there is none, by its windows; None where there is one, and of a time that has passed.
     """
     found = record.trend
     reason = found.reason if without is None else without.reason
@@ -232,18 +221,9 @@ def no_trend(
 ) -> Trend:
     """Return the representation of a wheelset that has no trend.
 
-    Parameters
-    ----------
-    serial
-        Of the wheelset.
-    baseline
-        Number of its reprofilings.
-    reason
-        Why it has none.
-    current
-        Its current geometry; None where there is none.
-    without
-        Why it has no geometry either, by its windows; None where it has one, and of a time that has passed.
+    Args:
+        current: Its current geometry; None where there is none.
+        without: Why it has no geometry either, by its windows; None where it has one, and of a time that has passed.
     """
     own = f"/v1/wheelsets/{segment(serial)}"
     unknown, nowhere = Estimate.unknown(reason), Forecast(None, None, None)

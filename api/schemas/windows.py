@@ -50,12 +50,8 @@ class Window(Representation):
 def window(record: WindowRecord, reason: Reason | None) -> Window:
     """Return the representation of a window.
 
-    Parameters
-    ----------
-    record
-        The window.
-    reason
-        Why it is refused, or what it waits for; None where it is estimated.
+    Args:
+        reason: Why it is refused, or what it waits for; None where it is estimated.
     """
     quality = record.quality
     return Window(

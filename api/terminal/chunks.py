@@ -29,17 +29,12 @@ _log = logging.getLogger(__name__)
 def work(*, once: bool) -> None:
     """Decode what is received until a stop is requested.
 
-    Parameters
-    ----------
-    once
-        Whether to end when nothing waits any more.
+    Args:
+        once: Whether to end when nothing waits any more.
 
-    Raises
-    ------
-    MigrationError
-        The database is at another migration.
-    StorageError
-        It cannot be used, and nobody brings it back.
+    Raises:
+        MigrationError: The database is at another migration.
+        StorageError: It cannot be used, and nobody brings it back.
     """
     settings = load_settings()
     logs.configure(settings)
@@ -74,21 +69,13 @@ def work(*, once: bool) -> None:
 def scrub_and_report(mb_per_s: float | None, *, resume: bool) -> None:
     """Read every raw file again and print what is damaged or missing.
 
-    Parameters
-    ----------
-    mb_per_s
-        Megabytes a second at most; None for as fast as the disk.
-    resume
-        Whether an unfinished scrub goes on.
+    Args:
+        mb_per_s: Megabytes a second at most; None for as fast as the disk.
 
-    Raises
-    ------
-    StorageError
-        The database cannot be used.
-    PassingFaultError
-        The folder of raw recordings is not mounted.
-    typer.Exit
-        Code 1: something is damaged or missing.
+    Raises:
+        StorageError: The database cannot be used.
+        PassingFaultError: The folder of raw recordings is not mounted.
+        typer.Exit: Code 1: something is damaged or missing.
     """
     settings = load_settings()
     plan = ScrubPlan(None if mb_per_s is None else mb_per_s * MEGABYTE, resume)

@@ -21,17 +21,8 @@ PREFIX = "treadwatch_consumer_"
 def serving_consumer_health(address: HealthAddress, status: ConsumerStatus) -> Iterator[int]:
     """Serve ``/healthz``, ``/readyz`` and ``/metrics`` of a consumer; yield the port.
 
-    Parameters
-    ----------
-    address
-        Where.
-    status
-        What is served.
-
-    Raises
-    ------
-    ParameterError
-        Nobody can listen there.
+    Raises:
+        ParameterError: Nobody can listen there.
     """
     health = Health(partial(_health, status), partial(_readiness, status), registered(status))
     with served(address.host, address.port, health) as port:
@@ -39,13 +30,7 @@ def serving_consumer_health(address: HealthAddress, status: ConsumerStatus) -> I
 
 
 def registered(status: ConsumerStatus) -> CollectorRegistry:
-    """Return the measures of a consumer.
-
-    Parameters
-    ----------
-    status
-        What is measured.
-    """
+    """Return the measures of a consumer."""
     registry = CollectorRegistry()
     registry.register(_Measures(status))
     return registry

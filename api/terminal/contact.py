@@ -77,21 +77,8 @@ def contact_of(
 ) -> Contact:
     """Return a wheelset on a track from the names or files of its profiles.
 
-    Parameters
-    ----------
-    wheels, rail, options
-        As `measured_shapes` takes them.
-    dimensions
-        Of wheelset and track.
-    method
-        How contact points are found.
-    speed_km_h
-        Greatest speed of the vehicle, for the limit.
-
-    Raises
-    ------
-    ProfileError, ParameterError, ContactError
-        As `measured_shapes`; an inclination or a dimension that is none.
+    Raises:
+        ProfileError, ParameterError, ContactError: As `measured_shapes`; an inclination or a dimension that is none.
     """
     shapes = measured_shapes(wheels, rail, options)
     wheelset = WheelsetOnTrack(
@@ -111,21 +98,13 @@ def contact_of(
 def measured_shapes(wheels: tuple[str, str], rail: str, options: FileOptions) -> MeasuredShapes:
     """Return the profiles of both wheels and of the rail, built-in ones or from files.
 
-    Parameters
-    ----------
-    wheels
-        Left and right: name of a built-in profile, or path of a profile file.
-    rail
-        The same, of both rails.
-    options
-        How files are read.
+    Args:
+        wheels: Left and right: name of a built-in profile, or path of a profile file.
+        rail: The same, of both rails.
 
-    Raises
-    ------
-    ProfileError
-        No such profile, or a file holds none.
-    ParameterError
-        Options for files, and no file.
+    Raises:
+        ProfileError: No such profile, or a file holds none.
+        ParameterError: Options for files, and no file.
     """
     for given, names, option in (
         (options.mirror is not None, (rail,), "--mirror"),
@@ -155,13 +134,7 @@ def _shape(name: str, kind: ProfileKind, options: FileOptions) -> SmoothedProfil
 
 
 def notes(contact: Contact) -> list[str]:
-    """Return what a user should know: points left out, flanges without play, a rail that is inclined twice.
-
-    Parameters
-    ----------
-    contact
-        Profiles and inclination.
-    """
+    """Return what a user should know: points left out, flanges without play, a rail that is inclined twice."""
     shapes = {id(shape): shape for shape in (contact.shapes.left_wheel, contact.shapes.right_wheel)}
     said = [
         f"{shape.profile.name}: {len(shape.outliers)} points far from the profile are left out"
@@ -205,10 +178,8 @@ def _play(wheelset: WheelsetOnTrack) -> float:
 def parse_inclination(text: str) -> float:
     """Return the rail inclination, as a tangent, that is written as ``1:20``, ``1/20`` or ``0.05``.
 
-    Raises
-    ------
-    ParameterError
-        ``text`` is none of these.
+    Raises:
+        ParameterError: ``text`` is none of these.
     """
     rise, _, run = text.replace("/", ":").partition(":")
     try:
@@ -220,17 +191,8 @@ def parse_inclination(text: str) -> float:
 def save_picture(contact: Contact, out: Path | None) -> None:
     """Write the contact geometry of a wheelset as PNG.
 
-    Parameters
-    ----------
-    contact
-        Wheelset, profiles and method.
-    out
-        File to write.
-
-    Raises
-    ------
-    ParameterError
-        No file is given.
+    Raises:
+        ParameterError: No file is given.
     """
     if out is None:
         raise ParameterError("a picture needs --out FILE.png", field="--format")
@@ -255,12 +217,8 @@ def refusals() -> Iterator[None]:
 def table_text(contact: Contact, *, as_json: bool) -> str:
     """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone.
 
-    Parameters
-    ----------
-    contact
-        Wheelset, profiles and method.
-    as_json
-        JSON with the conicity at every amplitude, or else CSV.
+    Args:
+        as_json: JSON with the conicity at every amplitude, or else CSV.
     """
     return _json(contact) if as_json else _csv(contact)
 

@@ -38,21 +38,14 @@ MARKER = "made-by-treadwatch-demo"
 def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> None:
     """Simulate, receive, estimate, serve, and print tables of estimate beside truth.
 
-    Parameters
-    ----------
-    scenario
-        Name of a built-in scenario, or a TOML file.
-    folder
-        The demo's own folder; emptied first.
-    port
-        Port of the API; another if it is taken.
-    keep_serving
-        Whether to serve on until a signal comes.
+    Args:
+        scenario: Name of a built-in scenario, or a TOML file.
+        folder: The demo's own folder; emptied first.
+        port: Port of the API; another if it is taken.
+        keep_serving: Whether to serve on until a signal comes.
 
-    Raises
-    ------
-    StorageError
-        ``folder`` holds files that are not the demo's, a job failed, or the API did not start.
+    Raises:
+        StorageError: ``folder`` holds files that are not the demo's, a job failed, or the API did not start.
     """
     began = time.monotonic()
     console = Console()

@@ -28,19 +28,12 @@ from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 def run_jobs_once(name: str | None, settings: Settings) -> bool:
     """Run every job, or one, print what the runs did, and return whether all succeeded.
 
-    Parameters
-    ----------
-    name
-        Of the one job; None for all.
-    settings
-        Of the deployment.
+    Args:
+        name: Of the one job; None for all.
 
-    Raises
-    ------
-    ParameterError
-        There is no job of that name.
-    StorageError
-        The database cannot be used.
+    Raises:
+        ParameterError: There is no job of that name.
+        StorageError: The database cannot be used.
     """
     logs.configure(settings)
     start_tracing()
@@ -74,16 +67,9 @@ def run_in_order(
 ) -> list[JobRun]:
     """Run the jobs one after the other, with a line of progress each; return their records.
 
-    Parameters
-    ----------
-    jobs
-        In the order in which they run.
-    context
-        What the jobs may touch.
-    console
-        Where progress is shown.
-    trigger
-        Stored with each run.
+    Args:
+        jobs: In the order in which they run.
+        context: What the jobs may touch.
     """
     runs = []
     columns = (

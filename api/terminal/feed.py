@@ -20,15 +20,11 @@ Event = dict[str, Any]
 def read_state(file: Path | None) -> str | None:
     """Return the cursor that an earlier call kept; None where there is none.
 
-    Parameters
-    ----------
-    file
-        Of the state; None for no state.
+    Args:
+        file: Of the state; None for no state.
 
-    Raises
-    ------
-    InputError
-        The file is no state of this command; nothing of it is overwritten.
+    Raises:
+        InputError: The file is no state of this command; nothing of it is overwritten.
     """
     if file is None or not file.exists():
         return None
@@ -45,14 +41,9 @@ def read_state(file: Path | None) -> str | None:
 class Lines:
     """Prints events and keeps the cursor behind what is printed.
 
-    Parameters
-    ----------
-    as_json
-        Whether a line is JSON, or for people.
-    state
-        Where the cursor is kept; None for nowhere.
-    output, errors
-        Where events and where remarks go.
+    Args:
+        as_json: Whether a line is JSON, or for people.
+        state: Where the cursor is kept; None for nowhere.
     """
 
     as_json: bool
@@ -91,13 +82,7 @@ class Lines:
 
 
 def readable(event: Event) -> str:
-    """Return the line of an event for people, with control characters shown and not sent.
-
-    Parameters
-    ----------
-    event
-        Of the feed.
-    """
+    """Return the line of an event for people, with control characters shown and not sent."""
     alert = event["alert"]
     subject = alert["wheelset"] or f"fleet {alert['fleet']}"
     line = f"{event['recorded_at']}  {event['event']:<12}  {alert['id']:>6}  {alert['severity']:<8}  {alert['kind']}"

@@ -45,17 +45,11 @@ class Health:
 def served(host: str, port: int, health: Health) -> Iterator[int]:
     """Serve ``/healthz``, ``/readyz`` and ``/metrics`` from threads of their own; yield the port.
 
-    Parameters
-    ----------
-    host, port
-        Where; port 0 takes a free one.
-    health
-        What is served.
+    Args:
+        host, port: Where; port 0 takes a free one.
 
-    Raises
-    ------
-    ParameterError
-        Nobody can listen there.
+    Raises:
+        ParameterError: Nobody can listen there.
     """
     answers: dict[str, Callable[[], Answer]] = {
         "/healthz": health.healthz,
@@ -78,12 +72,8 @@ def served(host: str, port: int, health: Health) -> Iterator[int]:
 def json_answer(well: bool, facts: Mapping[str, object]) -> Answer:  # noqa: FBT001 - the answer's first word
     """Return an answer: whether all is well, in its status too, and the facts.
 
-    Parameters
-    ----------
-    well
-        Else the status is 503.
-    facts
-        More members of the object.
+    Args:
+        well: Else the status is 503.
     """
     code = HTTPStatus.OK if well else HTTPStatus.SERVICE_UNAVAILABLE
     body = {"status": "ok" if well else "failing", **facts}

@@ -56,28 +56,18 @@ def ingest_and_report(
 ) -> None:
     """Receive recordings, and print a summary.
 
-    Parameters
-    ----------
-    source
-        Recordings and folders of them, or exchanges.
-    vehicle
-        Vehicle of all recordings; by default the part of each file name before ``__``.
-    registry
-        File of fleets, vehicles, wheelsets and sections to load first.
-    catalogues
-        Mapping files of buses of one's own; by default those of the settings.
-    take_deleted
-        Whether recordings that were deleted are taken in again.
+    Args:
+        source: Recordings and folders of them, or exchanges.
+        vehicle: Vehicle of all recordings; by default the part of each file name before ``__``.
+        registry: File of fleets, vehicles, wheelsets and sections to load first.
+        catalogues: Mapping files of buses of one's own; by default those of the settings.
+        take_deleted: Whether recordings that were deleted are taken in again.
 
-    Raises
-    ------
-    InputError
-        A path does not exist, a folder holds no recording, or the name of a file that was given does not contain its
-        vehicle; a mapping file cannot be used.
-    StorageError
-        The database cannot be used.
-    typer.Exit
-        Code 1: a recording was rejected.
+    Raises:
+        InputError: A path does not exist, a folder holds no recording, or the name of a file that was given does not
+            contain its vehicle; a mapping file cannot be used.
+        StorageError: The database cannot be used.
+        typer.Exit: Code 1: a recording was rejected.
     """
     settings = load_settings()
     logs.configure(settings)
@@ -105,19 +95,13 @@ def ingest_and_report(
 def print_outcomes(outcomes: Sequence[Outcome], console: Console, waiting: Sequence[str] = ()) -> None:
     """Print a summary, and what was not decoded or rejected.
 
-    Parameters
-    ----------
-    outcomes
-        Recordings with their receipts, or why they have none.
-    console
-        Where what is not as it should be is printed.
-    waiting
-        What windows of the vehicles wait for, as lines.
+    Args:
+        outcomes: Recordings with their receipts, or why they have none.
+        console: Where what is not as it should be is printed.
+        waiting: What windows of the vehicles wait for, as lines.
 
-    Raises
-    ------
-    typer.Exit
-        Code 1: a recording was rejected.
+    Raises:
+        typer.Exit: Code 1: a recording was rejected.
     """
     Console().print(summary(outcomes))
     for line in waiting:
@@ -136,10 +120,9 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
 
     Files in folders whose names contain no vehicle come second, with why they are left out.
 
-    Raises
-    ------
-    InputError
-        A path does not exist, a folder holds no recording, or the name of a file that was given contains no vehicle.
+    Raises:
+        InputError: A path does not exist, a folder holds no recording, or the name of a file that was given contains no
+            vehicle.
     """
     found: list[tuple[Path, str]] = []
     unnamed: list[Outcome] = []
@@ -172,10 +155,8 @@ def _say_left_out(places: Iterable[Path], console: Console) -> None:
 def vehicle_in_name(path: Path) -> str:
     """Return the vehicle in ``<vehicle>__<time>.<suffix>``.
 
-    Raises
-    ------
-    InputError
-        The name has no such part.
+    Raises:
+        InputError: The name has no such part.
     """
     vehicle, separator, _ = path.stem.partition(SEPARATOR)
     if not (vehicle and separator):
@@ -186,17 +167,7 @@ def vehicle_in_name(path: Path) -> str:
 def receive_with_progress(
     receiver: Receiver, recordings: Sequence[tuple[Path, str]], console: Console
 ) -> Iterator[Outcome]:
-    """Receive recordings under a progress bar; yield each with its receipt or its error.
-
-    Parameters
-    ----------
-    receiver
-        What stores and decodes them.
-    recordings
-        Files with their vehicles.
-    console
-        Where progress is shown.
-    """
+    """Receive recordings under a progress bar; yield each with its receipt or its error."""
     columns = (
         SpinnerColumn(),
         TextColumn("receiving recordings"),
@@ -248,13 +219,7 @@ def _waiting(storage: SqlStorage, outcomes: Sequence[Outcome]) -> list[str]:
 
 
 def registry_lines(loaded: LoadedRegistry) -> list[str]:
-    """Return what people must know of a registry that was loaded: what is estimated again, and what is not at all.
-
-    Parameters
-    ----------
-    loaded
-        What the registry file did.
-    """
+    """Return what people must know of a registry that was loaded: what is estimated again, and what is not at all."""
     lines = []
     for one in loaded.again:
         whose = ", ".join(one.subjects)
@@ -273,19 +238,8 @@ def registry_lines(loaded: LoadedRegistry) -> list[str]:
 def load_and_say(registry: Path, storage: SqlStorage, console: Console) -> None:
     """Load a registry file, and print what people must know of it.
 
-    Parameters
-    ----------
-    registry
-        The file.
-    storage
-        Where to.
-    console
-        Where it is printed.
-
-    Raises
-    ------
-    InputError
-        The file cannot be used.
+    Raises:
+        InputError: The file cannot be used.
     """
     with storage.write() as unit:
         now_ns = SystemClock().now_ns()
@@ -306,15 +260,7 @@ def _unfinished(receiver: Receiver, console: Console) -> list[Outcome]:
 
 
 def work_off(receiver: Receiver, console: Console) -> None:
-    """Assemble the windows again that something has made stale; print what changed.
-
-    Parameters
-    ----------
-    receiver
-        Of the deployment.
-    console
-        Where it is printed.
-    """
+    """Assemble the windows again that something has made stale; print what changed."""
     try:
         changes = receiver.reassembler.work_off()
     except TreadwatchError as error:  # it stays stale; what comes now does not wait for it
@@ -325,13 +271,7 @@ def work_off(receiver: Receiver, console: Console) -> None:
 
 
 def changes_line(changes: SpanChanges) -> str:
-    """Return how many windows are new, changed, removed and healed.
-
-    Parameters
-    ----------
-    changes
-        Of spans that were assembled again.
-    """
+    """Return how many windows are new, changed, removed and healed."""
     counts = {"new": changes.new, "changed": changes.changed, "removed": changes.removed, "healed": changes.healed}
     return "windows " + ", ".join(f"{name} {count:,}" for name, count in counts.items())
 

@@ -24,21 +24,13 @@ LISTED = 50
 def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) -> None:
     """Write a backup and print what it holds.
 
-    Parameters
-    ----------
-    folder
-        Of the backups.
-    windows, recordings
-        Whether with the samples of windows, and with recordings; None: with those of a folder.
+    Args:
+        windows, recordings: Whether with the samples of windows, and with recordings; None: with those of a folder.
 
-    Raises
-    ------
-    ConflictError
-        Another backup, restore or purge is running.
-    StorageError
-        Database, data folder or backup folder cannot be used.
-    typer.Exit
-        Code 1: files that the database refers to are missing or damaged; they are listed.
+    Raises:
+        ConflictError: Another backup, restore or purge is running.
+        StorageError: Database, data folder or backup folder cannot be used.
+        typer.Exit: Code 1: files that the database refers to are missing or damaged; they are listed.
     """
     settings, plan = load_settings(), BackupPlan(windows, recordings)
     raw = raw_store(settings)
@@ -56,23 +48,14 @@ def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) 
 def restore_and_report(folder: Path, name: str | None) -> None:
     """Restore a backup and print what is there now.
 
-    Parameters
-    ----------
-    folder
-        Of the backups.
-    name
-        Of the backup; None for the newest.
+    Args:
+        name: Of the backup; None for the newest.
 
-    Raises
-    ------
-    InputError
-        There is no such backup, or it is damaged.
-    ConflictError
-        The database has content.
-    StorageError
-        Database or data folder cannot be used.
-    typer.Exit
-        Code 1: files are missing; they are listed.
+    Raises:
+        InputError: There is no such backup, or it is damaged.
+        ConflictError: The database has content.
+        StorageError: Database or data folder cannot be used.
+        typer.Exit: Code 1: files are missing; they are listed.
     """
     settings = load_settings()
     with counted("restoring files") as progress:
@@ -89,14 +72,10 @@ def restore_and_report(folder: Path, name: str | None) -> None:
 def check_and_report() -> None:
     """Compare everything that is stored and print what does not belong together.
 
-    Raises
-    ------
-    MigrationError
-        The database is at another migration.
-    StorageError
-        Database or data folder cannot be used.
-    typer.Exit
-        Code 1: something is damaged or lost.
+    Raises:
+        MigrationError: The database is at another migration.
+        StorageError: Database or data folder cannot be used.
+        typer.Exit: Code 1: something is damaged or lost.
     """
     settings = load_settings()
     raw = raw_store(settings)
@@ -115,14 +94,10 @@ def check_and_report() -> None:
 def purge_and_report() -> None:
     """Delete what has been kept long enough and print how much of each kind.
 
-    Raises
-    ------
-    InputError
-        The retention file is wrong.
-    ConflictError
-        A backup, restore or other purge is running.
-    StorageError
-        Database or data folder cannot be used.
+    Raises:
+        InputError: The retention file is wrong.
+        ConflictError: A backup, restore or other purge is running.
+        StorageError: Database or data folder cannot be used.
     """
     settings = load_settings()
     with closing(open_store(settings)) as storage:
@@ -149,13 +124,7 @@ def _list(what: str, lines: tuple[str, ...]) -> None:
 
 @contextmanager
 def counted(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar; yield what moves it.
-
-    Parameters
-    ----------
-    what
-        Is being done.
-    """
+    """Show a progress bar; yield what moves it."""
     columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("", total=None)

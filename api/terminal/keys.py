@@ -27,25 +27,13 @@ def create_and_print(
 ) -> None:
     """Make a key; print it alone on standard output, and what to do with it on standard error.
 
-    Parameters
-    ----------
-    owner
-        Who it is for.
-    scopes
-        What it allows.
-    fleets
-        Codes of the fleets that it sees.
-    days
-        After which it expires; None for never.
-    all_fleets
-        Whether it sees all.
+    Args:
+        days: After which it expires; None for never.
+        all_fleets: Whether it sees all.
 
-    Raises
-    ------
-    ParameterError
-        It is not said which fleets it sees, or a value is wrong.
-    NotFoundError
-        There is no such fleet.
+    Raises:
+        ParameterError: It is not said which fleets it sees, or a value is wrong.
+        NotFoundError: There is no such fleet.
     """
     if all_fleets == bool(fleets):
         raise ParameterError("say which fleets the key sees: --fleet CODE, or --all-fleets", field="fleet")
@@ -63,17 +51,8 @@ def create_and_print(
 def make_stored_key(settings: Settings, wanted: Wanted) -> tuple[ApiKey, str]:
     """Make a key in the database of a deployment; return it with its secret.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-    wanted
-        What it is to be.
-
-    Raises
-    ------
-    ParameterError, NotFoundError
-        As :func:`api.access.making.make_key`.
+    Raises:
+        ParameterError, NotFoundError: As :func:`api.access.making.make_key`.
     """
     with closing(open_store(settings)) as storage, storage.write() as unit:
         made, token = make_key(unit, wanted, user_here(), time.time_ns())
@@ -94,17 +73,9 @@ def key_list() -> str:
 def revoke_and_print(prefix: str) -> None:
     """Revoke a key and say so.
 
-    Parameters
-    ----------
-    prefix
-        Of the key.
-
-    Raises
-    ------
-    NotFoundError
-        There is none.
-    ConflictError
-        It is revoked already.
+    Raises:
+        NotFoundError: There is none.
+        ConflictError: It is revoked already.
     """
     with closing(open_store(load_settings())) as storage, storage.write() as unit:
         revoked = unit.api_keys.revoke(prefix, time.time_ns())

@@ -57,27 +57,16 @@ def receive_and_report(
 ) -> None:
     """Receive live buses until SIGTERM or SIGINT, and print a summary.
 
-    Parameters
-    ----------
-    buses
-        Of different vehicles.
-    registry
-        File of fleets, vehicles, wheelsets and sections to load first.
-    catalogues
-        Mapping files of buses of one's own; by default those of the settings.
-    health
-        Where to serve health and metrics; None for nowhere.
+    Args:
+        registry: File of fleets, vehicles, wheelsets and sections to load first.
+        catalogues: Mapping files of buses of one's own; by default those of the settings.
+        health: Where to serve health and metrics; None for nowhere.
 
-    Raises
-    ------
-    InputError
-        The bus, the registry, a mapping file or the health port cannot be used.
-    ConflictError
-        Another process receives one of the vehicles.
-    MigrationError
-        The database is at another migration.
-    typer.Exit
-        Code 1: a recording was rejected.
+    Raises:
+        InputError: The bus, the registry, a mapping file or the health port cannot be used.
+        ConflictError: Another process receives one of the vehicles.
+        MigrationError: The database is at another migration.
+        typer.Exit: Code 1: a recording was rejected.
     """
     settings = load_settings()
     console = Console(stderr=True)

@@ -54,19 +54,13 @@ def serving_health(
 ) -> Iterator[int]:
     """Serve ``/healthz``, ``/readyz`` and ``/metrics`` from threads of their own; yield the port.
 
-    Parameters
-    ----------
-    host, port
-        Where; port 0 takes a free one.
-    statuses
-        What is served, by the vehicle.
-    more
-        Measures beside those of the vehicles.
+    Args:
+        host, port: Where; port 0 takes a free one.
+        statuses: What is served, by the vehicle.
+        more: Measures beside those of the vehicles.
 
-    Raises
-    ------
-    ParameterError
-        Nobody can listen there.
+    Raises:
+        ParameterError: Nobody can listen there.
     """
     registry = registered(statuses)
     for collector in more:
@@ -78,10 +72,8 @@ def serving_health(
 def registered(statuses: Mapping[str, LiveStatus]) -> CollectorRegistry:
     """Return the measures of a receiver.
 
-    Parameters
-    ----------
-    statuses
-        What is measured, by the vehicle.
+    Args:
+        statuses: What is measured, by the vehicle.
     """
     registry = CollectorRegistry()
     registry.register(_Measures(statuses))

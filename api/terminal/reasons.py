@@ -43,14 +43,10 @@ class Unestimated:
 class FleetReasons:
     """Why wheelsets have no estimate.
 
-    Attributes
-    ----------
-    mounted
-        Wheelsets that run under a vehicle.
-    most
-        Newest windows of each that were looked at, at most.
-    wheelsets
-        Those of them without an estimate, by serial.
+    Attributes:
+        mounted: Wheelsets that run under a vehicle.
+        most: Newest windows of each that were looked at, at most.
+        wheelsets: Those of them without an estimate, by serial.
     """
 
     mounted: int
@@ -59,13 +55,7 @@ class FleetReasons:
 
 
 def fleet_reasons(unit: SqlUnitOfWork) -> FleetReasons:
-    """Return why mounted wheelsets have no estimate.
-
-    Parameters
-    ----------
-    unit
-        A reading transaction.
-    """
+    """Return why mounted wheelsets have no estimate."""
     rows = [row_of_document(document) for document in unit.worklist.documents(WorklistFilter())]
     mounted = [row for row in rows if row.vehicle is not None]
     without = [row for row in mounted if row.state.status is Status.UNESTIMATED]
@@ -86,15 +76,8 @@ def _why(reasons: WindowReasons, row: WheelsetRow, most: int) -> WithoutEstimate
 def print_each(settings: Settings) -> None:
     """Print of every mounted wheelset without an estimate why it has none, and what to do.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-
-    Raises
-    ------
-    StorageError
-        The database cannot be used.
+    Raises:
+        StorageError: The database cannot be used.
     """
     with closing(open_store(settings)) as storage, storage.read() as unit:
         found = fleet_reasons(unit)
@@ -105,13 +88,7 @@ def print_each(settings: Settings) -> None:
 
 
 def summary_lines(found: FleetReasons) -> list[str]:
-    """Return why wheelsets have no estimate, all together: a line a reason; none where all have one.
-
-    Parameters
-    ----------
-    found
-        Of the fleets.
-    """
+    """Return why wheelsets have no estimate, all together: a line a reason; none where all have one."""
     if not found.wheelsets:
         return []
     head = f"{len(found.wheelsets)} of {found.mounted} mounted wheelsets have no conicity at 3 mm"

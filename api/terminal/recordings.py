@@ -30,17 +30,11 @@ MOST_LISTED = 10_000
 def recording_list(chosen: ChosenChunks, limit: int) -> str:
     """Return recordings as lines, the newest first.
 
-    Parameters
-    ----------
-    chosen
-        Which.
-    limit
-        At most so many.
+    Args:
+        limit: At most so many.
 
-    Raises
-    ------
-    StorageError
-        The database cannot be used.
+    Raises:
+        StorageError: The database cannot be used.
     """
     with closing(open_store(load_settings())) as storage, storage.read() as unit:
         found = unit.chunks.page(chosen, limit)
@@ -51,17 +45,9 @@ def recording_list(chosen: ChosenChunks, limit: int) -> str:
 def recording_text(digest: str) -> str:
     """Return the receipt of a recording and the record of what was done to it.
 
-    Parameters
-    ----------
-    digest
-        Or the begin of it.
-
-    Raises
-    ------
-    NotFoundError, ConflictError
-        None or several have it.
-    StorageError
-        The database cannot be used.
+    Raises:
+        NotFoundError, ConflictError: None or several have it.
+        StorageError: The database cannot be used.
     """
     with closing(open_store(load_settings())) as storage, storage.read() as unit:
         record = receipt_of(unit, digest)
@@ -96,27 +82,15 @@ def correct_and_report(
 ) -> None:
     """Correct a recording, decode what has to be, make the windows again, and print how it stands.
 
-    Parameters
-    ----------
-    action
-        What is done.
-    digest
-        Of the recording, or the begin of it.
-    actor, why
-        Who, by default the user of the system, and why.
-    vehicle
-        That it is given to.
-    our_clock_was_behind
-        When it was received: for one that is tried again.
+    Args:
+        digest: Of the recording, or the begin of it.
+        actor, why: Who, by default the user of the system, and why.
+        our_clock_was_behind: When it was received: for one that is tried again.
 
-    Raises
-    ------
-    NotFoundError, ConflictError
-        There is none such, or it is not in a state for that.
-    StorageError
-        The database cannot be used.
-    typer.Exit
-        Code 1: it could not be decoded.
+    Raises:
+        NotFoundError, ConflictError: There is none such, or it is not in a state for that.
+        StorageError: The database cannot be used.
+        typer.Exit: Code 1: it could not be decoded.
     """
     settings, clock = load_settings(), SystemClock()
     logs.configure(settings)
@@ -145,15 +119,8 @@ def correct_and_report(
 def quarantine_list(*, everything: bool) -> str:
     """Return what is in quarantine as lines, by last failure.
 
-    Parameters
-    ----------
-    everything
-        Also what has succeeded since.
-
-    Raises
-    ------
-    StorageError
-        The database cannot be used.
+    Raises:
+        StorageError: The database cannot be used.
     """
     with closing(open_store(load_settings())) as storage, storage.read() as unit:
         found = unit.quarantine.all(MOST_LISTED) if everything else unit.quarantine.held()
@@ -164,17 +131,12 @@ def quarantine_list(*, everything: bool) -> str:
 def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
     """Let what is in quarantine be tried again: recordings now, the rest at the next run of the jobs.
 
-    Parameters
-    ----------
-    kind, key
-        Only these; None for all.
+    Args:
+        kind, key: Only these; None for all.
 
-    Raises
-    ------
-    StorageError
-        The database cannot be used.
-    typer.Exit
-        Code 1: a recording could not be decoded.
+    Raises:
+        StorageError: The database cannot be used.
+        typer.Exit: Code 1: a recording could not be decoded.
     """
     settings, clock = load_settings(), SystemClock()
     logs.configure(settings)

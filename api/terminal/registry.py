@@ -25,27 +25,16 @@ def decide_and_report(
 ) -> None:
     """Void or restore a record and print what it is.
 
-    Parameters
-    ----------
-    action
-        ``voided`` or ``restored``.
-    kind, subject, at
-        The record; its time is of RFC 3339.
-    actor
-        Who; empty is the user of the system.
-    why
-        Kept with the decision.
+    Args:
+        action: ``voided`` or ``restored``.
+        kind, subject, at: The record; its time is of RFC 3339.
+        actor: Who; empty is the user of the system.
 
-    Raises
-    ------
-    NotFoundError
-        There is no such record, or none was voided.
-    ConflictError
-        It cannot be taken out or put back as things are.
-    ParameterError
-        A time is missing or none, or no reason is given.
-    RegistryRefusedError
-        What is put back contradicts what is on file now.
+    Raises:
+        NotFoundError: There is no such record, or none was voided.
+        ConflictError: It cannot be taken out or put back as things are.
+        ParameterError: A time is missing or none, or no reason is given.
+        RegistryRefusedError: What is put back contradicts what is on file now.
     """
     key = RecordKey(kind, subject, _at(kind, at))
     decision = Decision(actor or user_name(), why, SystemClock().now_ns())
@@ -70,15 +59,11 @@ def user_name() -> str:
 def history_lines(subject: str | None) -> list[str]:
     """Return what was decided on records, a line each, the oldest first.
 
-    Parameters
-    ----------
-    subject
-        Wheelset or section; None is all.
+    Args:
+        subject: Wheelset or section; None is all.
 
-    Raises
-    ------
-    StorageError
-        The database cannot be used.
+    Raises:
+        StorageError: The database cannot be used.
     """
     with closing(open_store(load_settings())) as storage, storage.read() as unit:
         return [_line(event) for event in unit.registry_history.list(subject)]
@@ -112,11 +97,5 @@ def _text(record: Mapping[str, JsonValue]) -> str:
 
 
 def spans_line(spans: int) -> str:
-    """Return what follows from stale spans.
-
-    Parameters
-    ----------
-    spans
-        How many there are.
-    """
+    """Return what follows from stale spans."""
     return f"spans of windows to be assembled again, by an ingest or by the jobs: {spans}"

@@ -31,23 +31,13 @@ class _NothingStoredError(TreadwatchError):
 def load_and_report(file: Path, confirmed: Sequence[Rule], actor: str, why: str) -> None:
     """Load a registry file and print what people must know of it; exit 2 and print all that is wrong, if anything is.
 
-    Parameters
-    ----------
-    file
-        The registry.
-    confirmed
-        Rules whose doubts are unfounded.
-    actor
-        Who; empty is the user of the system.
-    why
-        Kept with every record that changes.
+    Args:
+        actor: Who; empty is the user of the system.
+        why: Kept with every record that changes.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is no registry.
-    StorageError
-        The database cannot be used.
+    Raises:
+        InputError: The file cannot be read, or is no registry.
+        StorageError: The database cannot be used.
     """
     entry = _entry(confirmed, actor or user_name(), why)
     try:
@@ -68,17 +58,8 @@ def check_and_report(file: Path, confirmed: Sequence[Rule]) -> None:
 
     The file is loaded as :func:`load_and_report` does, in a transaction that is rolled back: nothing is stored.
 
-    Parameters
-    ----------
-    file
-        The registry.
-    confirmed
-        Rules whose doubts are unfounded.
-
-    Raises
-    ------
-    StorageError
-        The database cannot be used.
+    Raises:
+        StorageError: The database cannot be used.
     """
     with closing(open_store(load_settings())) as storage:
         lines = _problems(file, storage, _entry(confirmed, "", ""))
@@ -109,17 +90,12 @@ def _roll_back() -> None:
 def export_and_report(file: Path) -> None:
     """Write the registry as a file, and print how much it holds.
 
-    Parameters
-    ----------
-    file
-        To be written.
+    Args:
+        file: To be written.
 
-    Raises
-    ------
-    InputError
-        It exists, or cannot be written.
-    StorageError
-        The database cannot be used.
+    Raises:
+        InputError: It exists, or cannot be written.
+        StorageError: The database cannot be used.
     """
     with closing(open_store(load_settings())) as storage, storage.read() as unit:
         found = write_export(file, unit)
@@ -127,13 +103,7 @@ def export_and_report(file: Path) -> None:
 
 
 def refusal_lines(error: RegistryRefusedError) -> list[str]:
-    """Return everything that is wrong, a line each, in the order of the file.
-
-    Parameters
-    ----------
-    error
-        The refusal.
-    """
+    """Return everything that is wrong, a line each, in the order of the file."""
     return [str(one.error) for one in error.refusals]
 
 

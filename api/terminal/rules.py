@@ -20,10 +20,8 @@ _Settings = dict[tuple[str, str], str]
 def print_rules(book: RuleBook) -> None:
     """Print the rules of all fleets and classes, and for every scope what it has of its own.
 
-    Parameters
-    ----------
-    book
-        Of a file, or the shipped one.
+    Args:
+        book: Of a file, or the shipped one.
     """
     console = Console()
     console.print(f"version: {book.version}", highlight=False)

@@ -29,36 +29,18 @@ def print_settings() -> None:
 
 
 def variable_of(name: str) -> str:
-    """Return the environment variable of a setting.
-
-    Parameters
-    ----------
-    name
-        Of the field.
-    """
+    """Return the environment variable of a setting."""
     return f"{PREFIX}{name.upper()}"
 
 
 def default_of(name: str) -> str:
-    """Return what holds where a setting is left out, as it would be written.
-
-    Parameters
-    ----------
-    name
-        Of the field.
-    """
+    """Return what holds where a setting is left out, as it would be written."""
     default = Settings.model_fields[name].default
     return NOTHING if default is None else str(default)
 
 
 def described(documentation: str) -> Iterator[tuple[Sequence[str], str]]:
-    """Yield the names of settings and what they mean, as the class documents its parameters.
-
-    Parameters
-    ----------
-    documentation
-        Of the class.
-    """
+    """Yield the names of settings and what they mean, as the class documents its parameters."""
     _, _, parameters = documentation.partition("----------\n")
     for names, meaning in re.findall(r"^(\S.*)\n((?:    .*\n?)+)", parameters, re.MULTILINE):
         yield names.split(", "), " ".join(meaning.split()).replace("``", "")

@@ -22,10 +22,8 @@ from ingest.simulator.scenario_file import builtin_scenarios, load_scenario
 def load(scenario: str, seed: int | None) -> Scenario:
     """Return a built-in scenario or that of a file, with another seed where one is given.
 
-    Raises
-    ------
-    ScenarioError
-        There is no such scenario, or the file is wrong; names the line and the field.
+    Raises:
+        ScenarioError: There is no such scenario, or the file is wrong; names the line and the field.
     """
     plan = load_scenario(scenario)
     return plan if seed is None else with_seed(plan, seed)
@@ -44,16 +42,10 @@ def write_registry(scenario: Scenario, out: Path) -> None:
 def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, workers: int | None) -> None:
     """Simulate a scenario, or some of its ``vehicles``, into the folder ``out`` in ``workers`` processes.
 
-    Parameters
-    ----------
-    scenario
-        What is simulated.
-    out
-        Folder of the recordings, the registry and the truth.
-    vehicles
-        Codes; None is all.
-    workers
-        Processes; None is as many as cores.
+    Args:
+        out: Folder of the recordings, the registry and the truth.
+        vehicles: Codes; None is all.
+        workers: Processes; None is as many as cores.
     """
     console = Console(stderr=True)
     report = simulate_with_progress(scenario, out, console, vehicles=vehicles, workers=workers)
@@ -75,18 +67,10 @@ def simulate_with_progress(
 ) -> FleetReport:
     """Simulate a scenario into ``out`` under a progress bar; arguments and errors as ``run_fleet``.
 
-    Parameters
-    ----------
-    scenario
-        What is simulated.
-    out
-        Folder of the recordings, the registry and the truth.
-    console
-        Where progress is shown.
-    vehicles
-        Codes; None is all.
-    workers
-        Processes; None is as many as cores.
+    Args:
+        out: Folder of the recordings, the registry and the truth.
+        vehicles: Codes; None is all.
+        workers: Processes; None is as many as cores.
     """
     columns = (
         SpinnerColumn(),
@@ -131,21 +115,12 @@ def transmit_live(
 ) -> None:
     """Transmit one vehicle of a scenario on a live bus until its last campaign ends or a signal comes.
 
-    Parameters
-    ----------
-    scenario
-        What is simulated.
-    interface, channel
-        Of python-can.
-    vehicles
-        The one vehicle; may be left out where the scenario has only one.
-    speed_up
-        Simulated seconds per second.
+    Args:
+        vehicles: The one vehicle; may be left out where the scenario has only one.
+        speed_up: Simulated seconds per second.
 
-    Raises
-    ------
-    ParameterError
-        A channel or the choice of one vehicle is missing, or the bus cannot be opened.
+    Raises:
+        ParameterError: A channel or the choice of one vehicle is missing, or the bus cannot be opened.
     """
     console = Console(stderr=True)
     if channel is None:

@@ -20,17 +20,11 @@ THOUSAND = 1000.0
 def print_stored_bytes(*, as_json: bool, hours_per_day: float | None) -> None:
     """Print what is stored by kind, most first.
 
-    Parameters
-    ----------
-    as_json
-        Whether as JSON.
-    hours_per_day
-        Running of a wheelset to reckon with; None: as in the last days of data.
+    Args:
+        hours_per_day: Running of a wheelset to reckon with; None: as in the last days of data.
 
-    Raises
-    ------
-    StorageError
-        The database or the data folder cannot be read.
+    Raises:
+        StorageError: The database or the data folder cannot be read.
     """
     settings = load_settings()
     with closing(open_store(settings)) as storage:
@@ -84,13 +78,7 @@ def _each(of_all: int, found: StoredBytes) -> str:
 
 
 def size(count: float) -> str:
-    """Return a number of bytes with the unit that gives it two or three digits before the point.
-
-    Parameters
-    ----------
-    count
-        Bytes.
-    """
+    """Return a number of bytes with the unit that gives it two or three digits before the point."""
     for unit in UNITS:
         if abs(count) < THOUSAND or unit == UNITS[-1]:
             break

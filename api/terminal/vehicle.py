@@ -26,15 +26,11 @@ def class_list() -> str:
 def named_class(name: str) -> VehicleClass:
     """Return the class of a file, or a shipped one.
 
-    Parameters
-    ----------
-    name
-        A path, or the name of a shipped class that is no file here.
+    Args:
+        name: A path, or the name of a shipped class that is no file here.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, or something in it is wrong.
+    Raises:
+        InputError: The file cannot be read, or something in it is wrong.
     """
     path = Path(name)
     return shipped_class(name) if name in shipped_classes() and not path.is_file() else read_vehicle_class(path)
@@ -43,14 +39,9 @@ def named_class(name: str) -> VehicleClass:
 def check_report(vehicle_class: VehicleClass, speed: float, conicity: float) -> str:
     """Return modes, critical speeds, and what the sensors see.
 
-    Parameters
-    ----------
-    vehicle_class
-        A plausible class.
-    speed
-        m/s.
-    conicity
-        Of all wheelsets.
+    Args:
+        speed: m/s.
+        conicity: Of all wheelsets.
     """
     contact = LinearContact(conicity)
     running = Running(speed=speed, contact=contact)

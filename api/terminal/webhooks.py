@@ -35,19 +35,12 @@ def add_and_print(
 ) -> None:
     """Make a webhook; print its secret alone on standard output.
 
-    Parameters
-    ----------
-    url, description
-        Where to, and what it is for.
-    fleets, kinds, severities
-        Which events; none is no filter.
+    Args:
+        fleets, kinds, severities: Which events; none is no filter.
 
-    Raises
-    ------
-    ParameterError
-        The URL leads where nothing may be sent, or a filter names nothing.
-    NotFoundError
-        There is no such fleet.
+    Raises:
+        ParameterError: The URL leads where nothing may be sent, or a filter names nothing.
+        NotFoundError: There is no such fleet.
     """
     _require(kinds, LIMIT_UNITS, "--kind")
     _require(severities, [one.value for one in Severity], "--severity")
@@ -80,15 +73,8 @@ def webhook_list() -> str:
 def try_and_print(number: int) -> bool:
     """Send one event that only tries a webhook out, say what came back, and return whether it was taken.
 
-    Parameters
-    ----------
-    number
-        Of the webhook.
-
-    Raises
-    ------
-    NotFoundError
-        There is none.
+    Raises:
+        NotFoundError: There is none.
     """
     settings = load_settings()
     with closing(open_store(settings)) as storage:
@@ -102,17 +88,8 @@ def try_and_print(number: int) -> bool:
 def put_and_print(number: int, *, active: bool) -> None:
     """Make a webhook active, or pause it, and say so.
 
-    Parameters
-    ----------
-    number
-        Of the webhook.
-    active
-        Whether it is sent to.
-
-    Raises
-    ------
-    NotFoundError
-        There is none.
+    Raises:
+        NotFoundError: There is none.
     """
     state = WebhookState.ACTIVE if active else WebhookState.PAUSED
     with _writing() as unit:
@@ -124,19 +101,12 @@ def put_and_print(number: int, *, active: bool) -> None:
 def replay_and_print(number: int, after: str | None, from_time: str | None) -> None:
     """Let a webhook go on from another place of the feed and say so.
 
-    Parameters
-    ----------
-    number
-        Of the webhook.
-    after, from_time
-        Behind which cursor or event, or from when on.
+    Args:
+        after, from_time: Behind which cursor or event, or from when on.
 
-    Raises
-    ------
-    ParameterError
-        Neither or both are given, or it is no place of the feed.
-    NotFoundError
-        There is no such webhook.
+    Raises:
+        ParameterError: Neither or both are given, or it is no place of the feed.
+        NotFoundError: There is no such webhook.
     """
     if (after is None) == (from_time is None):
         raise ParameterError("give either --after or --from", field="--after")
@@ -157,15 +127,8 @@ def replay_and_print(number: int, after: str | None, from_time: str | None) -> N
 def delete_and_print(number: int) -> None:
     """Delete a webhook and say so.
 
-    Parameters
-    ----------
-    number
-        Of the webhook.
-
-    Raises
-    ------
-    NotFoundError
-        There is none.
+    Raises:
+        NotFoundError: There is none.
     """
     with _writing() as unit:
         known = unit.webhooks.locked(number)

@@ -32,17 +32,11 @@ class BodyLimits:
 class UploadBody:
     """The body of one request.
 
-    Parameters
-    ----------
-    headers, receive
-        Of the request; the server holds back the sender while nobody asks for more.
-    limits
-        Of size and time.
+    Args:
+        headers, receive: Of the request; the server holds back the sender while nobody asks for more.
 
-    Attributes
-    ----------
-    whole
-        Whether all of it has come.
+    Attributes:
+        whole: Whether all of it has come.
     """
 
     def __init__(self, headers: Headers, receive: Receive, limits: BodyLimits) -> None:
@@ -54,10 +48,8 @@ class UploadBody:
     def announced_bytes(self) -> int:
         """Return how large it may get: what its sender says, or the limit where it does not.
 
-        Raises
-        ------
-        ProblemError
-            413: it is larger than the limit.
+        Raises:
+            ProblemError: 413: it is larger than the limit.
         """
         announced = self._headers.get("content-length", "")
         if not announced.isdecimal():
@@ -69,10 +61,8 @@ class UploadBody:
     async def pieces(self) -> AsyncIterator[bytearray]:
         """Yield it.
 
-        Raises
-        ------
-        ProblemError
-            413: it is too large; 408: it is late, or its sender left.
+        Raises:
+            ProblemError: 413: it is too large; 408: it is late, or its sender left.
         """
         held, size, until = bytearray(), 0, time.monotonic() + self._limits.total_s
         while not self.whole:
@@ -112,12 +102,6 @@ class UploadBody:
 
 
 def too_large(most_bytes: int) -> ProblemError:
-    """Return the refusal of a body that is too large.
-
-    Parameters
-    ----------
-    most_bytes
-        The limit.
-    """
+    """Return the refusal of a body that is too large."""
     detail = f"limit max_chunk_mb: a chunk has at most {most_bytes} bytes"
     return ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "content-too-large", detail, headers=CLOSING)

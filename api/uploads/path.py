@@ -8,11 +8,5 @@ FOLDER = "/v1/chunks/"
 
 
 def is_upload(scope: Scope) -> bool:
-    """Return whether a request sends a chunk.
-
-    Parameters
-    ----------
-    scope
-        Of the request.
-    """
+    """Return whether a request sends a chunk."""
     return bool(scope["method"] == "PUT" and scope["path"].startswith(FOLDER))

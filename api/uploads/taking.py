@@ -55,14 +55,10 @@ class UploadLimits:
 class Uploads:
     """Takes uploads.
 
-    Parameters
-    ----------
-    raw, storage
-        Where bytes and receipts go.
-    backlog
-        Says whether more may come.
-    limits
-        Of one upload, and of all together.
+    Args:
+        raw, storage: Where bytes and receipts go.
+        backlog: Says whether more may come.
+        limits: Of one upload, and of all together.
     """
 
     def __init__(self, raw: RawStore, storage: ChunkStorage, backlog: BacklogWatch, limits: UploadLimits) -> None:
@@ -85,23 +81,13 @@ class Uploads:
     async def take(self, headers: Headers, receive: Receive, digest: str, chunk: Chunk) -> Stored:
         """Store the body of a request as a chunk and return its committed receipt.
 
-        Parameters
-        ----------
-        headers, receive
-            Of the request.
-        digest
-            That the body must have.
-        chunk
-            What the sender says of it.
+        Args:
+            digest: That the body must have.
 
-        Raises
-        ------
-        ProblemError
-            413, 408, 422 (another digest), 503 (too much waits, or the raw store takes nothing now).
-        ConflictError
-            The same chunk was received from another vehicle, or deleted.
-        StorageError
-            The database cannot be reached: nothing is stored.
+        Raises:
+            ProblemError: 413, 408, 422 (another digest), 503 (too much waits, or the raw store takes nothing now).
+            ConflictError: The same chunk was received from another vehicle, or deleted.
+            StorageError: The database cannot be reached: nothing is stored.
         """
         body = UploadBody(headers, receive, self._body)
         self.running += 1

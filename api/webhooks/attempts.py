@@ -21,16 +21,8 @@ class Verdict:
 def begun(webhook: Webhook, event: AlertEvent, identity: str, now_ns: int) -> Delivery:
     """Return the delivery of an event that is about to be sent for the first time.
 
-    Parameters
-    ----------
-    webhook
-        To which.
-    event
-        Of the feed.
-    identity
-        Of the event, for receivers.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        now_ns: Our time, ns UTC.
     """
     return Delivery(
         delivery_id=0,
@@ -54,18 +46,9 @@ def begun(webhook: Webhook, event: AlertEvent, identity: str, now_ns: int) -> De
 def after_attempt(delivery: Delivery, outcome: Outcome, schedule: Schedule, now_ns: int, chance_1: float) -> Verdict:
     """Return what follows from an attempt.
 
-    Parameters
-    ----------
-    delivery
-        Before it.
-    outcome
-        Of it.
-    schedule
-        Of attempts.
-    now_ns
-        Our time, ns UTC.
-    chance_1
-        Of a fair draw from 0 to 1, for the jitter.
+    Args:
+        now_ns: Our time, ns UTC.
+        chance_1: Of a fair draw from 0 to 1, for the jitter.
     """
     tried = replace(
         delivery,

@@ -23,14 +23,8 @@ def event_id(visible: frozenset[str] | None, branches: Sequence[FeedBranch], eve
 
     It is of the branch in which the event happened, so that it stays the same when the database is restored.
 
-    Parameters
-    ----------
-    visible
-        Codes of the fleets that the receiver may see; None for all.
-    branches
-        Of the feed, the current one last.
-    event
-        Of the feed.
+    Args:
+        visible: Codes of the fleets that the receiver may see; None for all.
     """
     of = next((one for one in reversed(branches) if one.after_sequence < event.sequence), branches[0])
     return cursors.encode(FeedFilter(visible=visible), of, event)
@@ -39,14 +33,8 @@ def event_id(visible: frozenset[str] | None, branches: Sequence[FeedBranch], eve
 def cloud_event(branches: Sequence[FeedBranch], identity: str, event: AlertEvent) -> bytes:
     """Return what is sent for an event; its ``data`` is byte for byte the event of the feed.
 
-    Parameters
-    ----------
-    branches
-        Of the feed; the first one names the database.
-    identity
-        From :func:`event_id`.
-    event
-        Of the feed.
+    Args:
+        branches: Of the feed; the first one names the database.
     """
     envelope = {
         "specversion": "1.0",
@@ -63,14 +51,8 @@ def cloud_event(branches: Sequence[FeedBranch], identity: str, event: AlertEvent
 def trial_event(branches: Sequence[FeedBranch], webhook_id: int, now_ns: int) -> tuple[str, bytes]:
     """Return identity and body of an event that only tries out a webhook.
 
-    Parameters
-    ----------
-    branches
-        Of the feed.
-    webhook_id
-        Number of the webhook.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        now_ns: Our time, ns UTC.
     """
     identity = f"test-{uuid.uuid4().hex}"
     path = f"/v1/webhooks/{webhook_id}"

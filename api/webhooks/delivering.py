@@ -48,18 +48,9 @@ class _Next:
 class Deliveries:
     """Sends what is due; one in all processes, see :func:`fleet_db.sole_sender.sending_alone`.
 
-    Parameters
-    ----------
-    storage
-        Of all fleets.
-    sender
-        Hands a body to a receiver.
-    clock
-        Ours.
-    schedule
-        Of attempts.
-    chance
-        Returns a fair draw from 0 to 1, for the jitter.
+    Args:
+        storage: Of all fleets.
+        chance: Returns a fair draw from 0 to 1, for the jitter.
     """
 
     storage: SqlStorage
@@ -75,10 +66,8 @@ class Deliveries:
     async def look(self) -> None:
         """Begin to send to every webhook for which something may be due, and to which nothing is being sent.
 
-        Raises
-        ------
-        StorageError
-            The database cannot be read.
+        Raises:
+            StorageError: The database cannot be read.
         """
         for webhook_id in await asyncio.to_thread(self._due):
             if webhook_id not in self._under_way and not self._ending:
@@ -92,10 +81,8 @@ class Deliveries:
     async def end(self, patience_s: float) -> None:
         """Begin nothing more, wait for what is being sent, and give up what takes longer.
 
-        Parameters
-        ----------
-        patience_s
-            How long, s.
+        Args:
+            patience_s: How long, s.
         """
         self._ending = True
         if self._under_way:

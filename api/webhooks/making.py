@@ -21,14 +21,9 @@ MOST_WEBHOOKS = 200
 class Wanted:
     """A webhook that is to be made.
 
-    Parameters
-    ----------
-    url, description
-        Where to, and what it is for.
-    fleets, kinds, severities
-        Which events; an empty set is no filter.
-    bound
-        Codes of the fleets of who makes it; None for all.
+    Args:
+        fleets, kinds, severities: Which events; an empty set is no filter.
+        bound: Codes of the fleets of who makes it; None for all.
     """
 
     url: str
@@ -42,23 +37,13 @@ class Wanted:
 def make_webhook(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple[Webhook, str]:
     """Make a webhook that begins with what happens from now on; return it with its secret.
 
-    Parameters
-    ----------
-    unit
-        A transaction that writes.
-    wanted
-        What it is to be; its URL has been looked up.
-    by
-        Who makes it.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        wanted: What it is to be; its URL has been looked up.
+        now_ns: Our time, ns UTC.
 
-    Raises
-    ------
-    ConflictError
-        There are too many.
-    NotFoundError
-        There is no such fleet.
+    Raises:
+        ConflictError: There are too many.
+        NotFoundError: There is no such fleet.
     """
     if len(unit.webhooks.page(None, MOST_WEBHOOKS)) == MOST_WEBHOOKS:
         raise ConflictError(f"there are {MOST_WEBHOOKS} webhooks, which is the most", kind="webhook")
@@ -86,14 +71,9 @@ def make_webhook(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> t
 def in_state(webhook: Webhook, state: WebhookState, now_ns: int) -> Webhook:
     """Return a webhook as a person puts it: one that is active again is no longer disabled.
 
-    Parameters
-    ----------
-    webhook
-        As it is.
-    state
-        Active or paused.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        state: Active or paused.
+        now_ns: Our time, ns UTC.
     """
     if state is webhook.state:
         return webhook
@@ -103,23 +83,13 @@ def in_state(webhook: Webhook, state: WebhookState, now_ns: int) -> Webhook:
 def place_of(unit: SqlUnitOfWork, webhook: Webhook, after: str | None, from_ns: int | None, path: str) -> int:
     """Return the number of the event behind which a webhook is to go on.
 
-    Parameters
-    ----------
-    unit
-        One snapshot of the database.
-    webhook
-        That is to go on.
-    after
-        A cursor of the feed of the webhook's filter or of all that it may carry, the id of an event, or ``latest``.
-    from_ns
-        From the first event on that was recorded at or after this time, ns UTC; wins over ``after``.
-    path
-        Of the request, for where to go on.
+    Args:
+        after: A cursor of the feed of the webhook's filter or of all that it may carry, the id of an event, or
+            ``latest``.
+        from_ns: From the first event on that was recorded at or after this time, ns UTC; wins over ``after``.
 
-    Raises
-    ------
-    ProblemError
-        400: it is no such cursor; 409: it is of another history of the database.
+    Raises:
+        ProblemError: 400: it is no such cursor; 409: it is of another history of the database.
     """
     if from_ns is not None:
         return unit.webhooks.last_before(from_ns)
@@ -140,12 +110,9 @@ def handled_up_to(unit: SqlUnitOfWork, webhook: Webhook) -> int:
 
     Another filter must not bring what this one has left out.
 
-    Parameters
-    ----------
-    unit
-        A transaction that sees all fleets.
-    webhook
-        As it is before its filter is changed.
+    Args:
+        unit: A transaction that sees all fleets.
+        webhook: As it is before its filter is changed.
     """
     fleets = webhook.fleets or webhook.bound or frozenset()
     waits = unit.alerts.feed(webhook.position, 1, fleets=fleets, kinds=webhook.kinds, severities=webhook.severities)

@@ -14,10 +14,8 @@ from fleet_db.webhook_records import Webhook, WebhookCount, WebhookState
 def webhook_measures(storage: SqlStorage) -> list[Metric]:
     """Return how many webhooks are in which state, how their attempts ended, and since when the oldest event waits.
 
-    Parameters
-    ----------
-    storage
-        Of all fleets.
+    Args:
+        storage: Of all fleets.
     """
     with storage.read() as unit:
         found = unit.webhooks.counts()

@@ -14,18 +14,13 @@ LONGEST_DIGITS = 9
 class Schedule:
     """Delays that grow from attempt to attempt; an event is given up when it was tried for long and often enough.
 
-    Attributes
-    ----------
-    first_s, factor, longest_s
-        First delay, what each is times the one before, and the longest, s.
-    jitter_1
-        Share by which a delay is made shorter or longer at random: receivers that failed together are not asked
-        together.
-    span_s, least_attempts
-        An event is given up after an attempt that fails so long after the first, s, and only after so many: a service
-        that was off for days does not give up what it has hardly tried.
-    longest_asked_s
-        What a receiver may ask for by ``Retry-After``, s.
+    Attributes:
+        first_s, factor, longest_s: First delay, what each is times the one before, and the longest, s.
+        jitter_1: Share by which a delay is made shorter or longer at random: receivers that failed together are not
+            asked together.
+        span_s, least_attempts: An event is given up after an attempt that fails so long after the first, s, and only
+            after so many: a service that was off for days does not give up what it has hardly tried.
+        longest_asked_s: What a receiver may ask for by ``Retry-After``, s.
     """
 
     first_s: float = 5.0
@@ -41,18 +36,12 @@ class Schedule:
     ) -> int | None:
         """Return when an event is sent again; None where it is given up.
 
-        Parameters
-        ----------
-        first_ns
-            When it was sent first, ns UTC.
-        attempts
-            How often it was sent, at least once; all failed.
-        now_ns
-            Our time, ns UTC.
-        chance_1
-            Of a fair draw from 0 to 1, for the jitter.
-        asked_s
-            How long the receiver asked to wait, s; None where it did not.
+        Args:
+            first_ns: When it was sent first, ns UTC.
+            attempts: How often it was sent, at least once; all failed.
+            now_ns: Our time, ns UTC.
+            chance_1: Of a fair draw from 0 to 1, for the jitter.
+            asked_s: How long the receiver asked to wait, s; None where it did not.
         """
         end_ns = first_ns + round(self.span_s * SECOND_NS)
         if now_ns >= end_ns and attempts >= self.least_attempts:
@@ -68,12 +57,9 @@ class Schedule:
 def asked_delay_s(retry_after: str | None, now_ns: int) -> float | None:
     """Return how long a receiver asks to wait, in seconds; None where it says nothing that can be understood.
 
-    Parameters
-    ----------
-    retry_after
-        The header ``Retry-After`` (RFC 9110): seconds or a date.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        retry_after: The header ``Retry-After`` (RFC 9110): seconds or a date.
+        now_ns: Our time, ns UTC.
     """
     text = (retry_after or "").strip()
     if text.isascii() and text.isdecimal():

@@ -35,16 +35,10 @@ ANSWER_S = 1.0
 class Outcome:
     """What came back.
 
-    Parameters
-    ----------
-    status_code
-        Of the answer; None without one.
-    failure, detail
-        Why the event was not taken, as code and sentence; None where it was.
-    retry_after
-        Header of the answer.
-    took_s
-        How long it took, s.
+    Args:
+        status_code: Of the answer; None without one.
+        failure, detail: Why the event was not taken, as code and sentence; None where it was.
+        took_s: How long it took, s.
     """
 
     status_code: int | None
@@ -58,12 +52,8 @@ class Outcome:
 class Sender:
     """Sends to receivers.
 
-    Parameters
-    ----------
-    targets
-        Looks names up and checks addresses.
-    timeout_s
-        For all of an attempt, s.
+    Args:
+        timeout_s: For all of an attempt, s.
     """
 
     targets: Targets
@@ -76,14 +66,8 @@ class Sender:
     async def send(self, url: str, headers: Mapping[str, str], body: bytes) -> Outcome:
         """Return what came back of one attempt; it never raises for what a receiver does.
 
-        Parameters
-        ----------
-        url
-            Of the webhook.
-        headers
-            That sign the body, and its media type.
-        body
-            The event.
+        Args:
+            headers: That sign the body, and its media type.
         """
         began_s = time.monotonic()
         status: int | None = None
@@ -110,15 +94,8 @@ class Sender:
     async def look_up(self, url: str) -> Target:
         """Return where a URL leads now, for who wants to know it before anything is sent.
 
-        Parameters
-        ----------
-        url
-            Of a webhook.
-
-        Raises
-        ------
-        ParameterError, RefusedTargetError
-            As :meth:`api.webhooks.targets.Targets.look_up`.
+        Raises:
+            ParameterError, RefusedTargetError: As :meth:`api.webhooks.targets.Targets.look_up`.
         """
         try:
             async with asyncio.timeout(LOOK_UP_S):
@@ -169,15 +146,8 @@ class Sender:
 def sender_of(settings: Settings) -> Sender:
     """Return what sends to the webhooks of a deployment.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-
-    Raises
-    ------
-    ParameterError
-        A network that they may lead to is none; names the environment variable.
+    Raises:
+        ParameterError: A network that they may lead to is none; names the environment variable.
     """
     return Sender(Targets(networks_of(settings.webhook_networks)), settings.webhook_timeout_s)
 
@@ -194,13 +164,7 @@ async def _read_a_little(response: httpx.Response) -> None:
 
 
 def judged(status: int) -> tuple[Failure | None, str | None]:
-    """Return what the status of an answer means: why the event was not taken, or nothing where it was.
-
-    Parameters
-    ----------
-    status
-        Of HTTP.
-    """
+    """Return what the status of an answer means: why the event was not taken, or nothing where it was."""
     if HTTPStatus.OK <= status < HTTPStatus.MULTIPLE_CHOICES:
         return None, None
     if status == HTTPStatus.GONE:

@@ -22,16 +22,8 @@ def new_secret() -> str:
 def signature(secret: str, event_id: str, timestamp: int, body: bytes) -> str:
     """Return one signature.
 
-    Parameters
-    ----------
-    secret
-        As the receiver was given it.
-    event_id
-        Of the event.
-    timestamp
-        When it is sent, in whole seconds since the Unix epoch.
-    body
-        As it is sent.
+    Args:
+        timestamp: When it is sent, in whole seconds since the Unix epoch.
     """
     key = base64.b64decode(secret.removeprefix(PREFIX), validate=True)
     signed = hmac.new(key, f"{event_id}.{timestamp}.".encode() + body, hashlib.sha256)
@@ -41,21 +33,13 @@ def signature(secret: str, event_id: str, timestamp: int, body: bytes) -> str:
 def signed_headers(secrets_of: Sequence[str], event_id: str, now_ns: int, body: bytes) -> Mapping[str, str]:
     """Return the headers of an event: its media type, and what lets a receiver know that it is ours.
 
-    Parameters
-    ----------
-    secrets_of
-        Of the webhook, the newest first; each signs.
-    event_id
-        Of the event; the same at every attempt.
-    now_ns
-        Our time, ns UTC.
-    body
-        As it is sent.
+    Args:
+        secrets_of: Of the webhook, the newest first; each signs.
+        event_id: Of the event; the same at every attempt.
+        now_ns: Our time, ns UTC.
 
-    Raises
-    ------
-    ValueError
-        There is no secret: nothing is sent that nobody can verify.
+    Raises:
+        ValueError: There is no secret: nothing is sent that nobody can verify.
     """
     if not secrets_of:
         raise ValueError("the webhook has no secret")

@@ -63,15 +63,8 @@ class Target:
 def parsed(text: str) -> httpx.URL:
     """Return a URL to which a webhook may lead, as far as that can be read from it.
 
-    Parameters
-    ----------
-    text
-        As it was given.
-
-    Raises
-    ------
-    ParameterError
-        It is none: names the field ``url``.
+    Raises:
+        ParameterError: It is none: names the field ``url``.
     """
     try:
         url = httpx.URL(text)
@@ -97,19 +90,8 @@ def parsed(text: str) -> httpx.URL:
 def check(url: httpx.URL, addresses: Sequence[Address], networks: Sequence[Network]) -> None:
     """Refuse a URL one of whose addresses is not public and of no network that is allowed.
 
-    Parameters
-    ----------
-    url
-        From :func:`parsed`.
-    addresses
-        Of its host.
-    networks
-        Private networks that are allowed.
-
-    Raises
-    ------
-    RefusedTargetError
-        It leads where nothing may be sent.
+    Raises:
+        RefusedTargetError: It leads where nothing may be sent.
     """
     if not addresses:
         raise RefusedTargetError(Failure.UNKNOWN_HOST, "the host has no address")
@@ -122,13 +104,7 @@ def check(url: httpx.URL, addresses: Sequence[Address], networks: Sequence[Netwo
 
 
 def is_public(address: Address) -> bool:
-    """Return whether an address is of the public network, also where it carries another one.
-
-    Parameters
-    ----------
-    address
-        Of either version.
-    """
+    """Return whether an address is of the public network, also where it carries another one."""
     plain = _plain(address)
     if any(plain in network for network in _NEVER) or plain.is_multicast:
         return False
@@ -138,15 +114,11 @@ def is_public(address: Address) -> bool:
 def networks_of(setting: str | None) -> tuple[Network, ...]:
     """Return the private networks that a deployment allows.
 
-    Parameters
-    ----------
-    setting
-        CIDRs with commas between them; None for none.
+    Args:
+        setting: CIDRs with commas between them; None for none.
 
-    Raises
-    ------
-    ParameterError
-        One is no network; names the environment variable.
+    Raises:
+        ParameterError: One is no network; names the environment variable.
     """
     parts = [part for one in (setting or "").split(",") if (part := one.strip())]
     try:
@@ -157,13 +129,7 @@ def networks_of(setting: str | None) -> tuple[Network, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Looks names up, in threads of its own: a slow name server keeps nobody else waiting.
-
-    Parameters
-    ----------
-    networks
-        Private networks that are allowed.
-    """
+    """Looks names up, in threads of its own: a slow name server keeps nobody else waiting."""
 
     networks: tuple[Network, ...] = ()
     _threads: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(LOOK_UPS, "webhook-names"))
@@ -171,17 +137,9 @@ class Targets:
     async def look_up(self, text: str) -> Target:
         """Return where a URL leads now.
 
-        Parameters
-        ----------
-        text
-            The URL.
-
-        Raises
-        ------
-        ParameterError
-            It is none to which a webhook may lead.
-        RefusedTargetError
-            Its host has no address, or one where nothing may be sent.
+        Raises:
+            ParameterError: It is none to which a webhook may lead.
+            RefusedTargetError: Its host has no address, or one where nothing may be sent.
         """
         url = parsed(text)
         port = _port(url)

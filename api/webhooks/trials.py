@@ -23,19 +23,11 @@ class Trial:
 def trial_of(storage: SqlStorage, webhook_id: int, now_ns: int) -> Trial:
     """Return what tries out a webhook, of whatever state.
 
-    Parameters
-    ----------
-    storage
-        As the one who asks sees it.
-    webhook_id
-        Number of the webhook.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        now_ns: Our time, ns UTC.
 
-    Raises
-    ------
-    NotFoundError
-        There is none of that number.
+    Raises:
+        NotFoundError: There is none of that number.
     """
     with storage.read() as unit:
         webhook, branches = unit.webhooks.get(webhook_id), unit.feed_branches.all()

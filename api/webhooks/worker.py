@@ -29,12 +29,8 @@ _log = logging.getLogger(__name__)
 class WebhookWorker:
     """Delivers from :meth:`start` to :meth:`stop`, while no other process does.
 
-    Parameters
-    ----------
-    services
-        Of the app, where it has them by now.
-    sender
-        Hands a body to a receiver.
+    Args:
+        services: Of the app, where it has them by now.
     """
 
     def __init__(self, services: Callable[[], Services | None], sender: Sender) -> None:

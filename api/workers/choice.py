@@ -13,13 +13,7 @@ from estimation.jobs.job import WorkExecutor
 
 @contextmanager
 def executor_of(settings: Settings) -> Iterator[WorkExecutor | None]:
-    """Yield what does the units of work of this deployment: None for this process itself.
-
-    Parameters
-    ----------
-    settings
-        Of the deployment.
-    """
+    """Yield what does the units of work of this deployment: None for this process itself."""
     if settings.dask_scheduler is None and settings.worker_count == 1:
         yield None
         return

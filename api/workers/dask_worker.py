@@ -24,19 +24,13 @@ _log = logging.getLogger(__name__)
 def serve_dask(address: str, settings: Settings, stopping: Event) -> None:
     """Run Dask's program for workers until a stop is asked for; it ends when its scheduler does, and is started again.
 
-    Parameters
-    ----------
-    address
-        Of the scheduler.
-    settings
-        Of the deployment: how many workers, and their memory; Dask starts a worker again that has twice as much.
-    stopping
-        Set by whoever ends the service.
+    Args:
+        settings: Of the deployment: how many workers, and their memory; Dask starts a worker again that has twice as
+            much.
+        stopping: Set by whoever ends the service.
 
-    Raises
-    ------
-    PassingFaultError
-        Dask is not installed.
+    Raises:
+        PassingFaultError: Dask is not installed.
     """
     if importlib.util.find_spec("distributed") is None:
         missing = "Dask is not installed: pip install 'treadwatch[dask]'"

@@ -37,10 +37,8 @@ WITHOUT_WORKERS_S = 30.0
 class DaskExecutor:
     """Does units of work on the workers of a Dask scheduler. Implements ``estimation.jobs.job.WorkExecutor``.
 
-    Parameters
-    ----------
-    address
-        Of the scheduler, such as ``tcp://scheduler:8786``.
+    Args:
+        address: Of the scheduler, such as ``tcp://scheduler:8786``.
     """
 
     address: str
@@ -51,10 +49,8 @@ class DaskExecutor:
     def width(self) -> int:
         """Number of threads of all workers.
 
-        Raises
-        ------
-        WorkFailedError
-            The scheduler does not answer, or has no workers.
+        Raises:
+            WorkFailedError: The scheduler does not answer, or has no workers.
         """
         threads = self.threads()
         if threads == 0:
@@ -72,17 +68,12 @@ class DaskExecutor:
     def submit(self, context: JobContext, stage: Stage, keys: Sequence[str]) -> Future[Mapping[str, int]]:
         """Return what will hold the counts of a unit.
 
-        Parameters
-        ----------
-        context
-            Of the job that hands the unit out.
-        stage, keys
-            The unit.
+        Args:
+            context: Of the job that hands the unit out.
+            stage, keys: The unit.
 
-        Raises
-        ------
-        WorkFailedError
-            The scheduler does not answer.
+        Raises:
+            WorkFailedError: The scheduler does not answer.
         """
         name = f"{stage.name}-{uuid.uuid4().hex}"  # another one each time: Dask keeps no result for later
         unit = UnitOfWork(stage.name, tuple(keys))
@@ -143,10 +134,8 @@ def _hand_over(client: Any, sent: Any, future: Future[Mapping[str, int]]) -> Non
 def _waited_for(client: Any, sent: Any) -> UnitDone:  # noqa: ANN401 - the same
     """Return what comes of a unit.
 
-    Raises
-    ------
-    WorkFailedError
-        There have been no workers for a while.
+    Raises:
+        WorkFailedError: There have been no workers for a while.
     """
     alone_s: float | None = None
     while True:
@@ -162,13 +151,7 @@ def _waited_for(client: Any, sent: Any) -> UnitDone:  # noqa: ANN401 - the same
 
 
 def estimated_with(context: JobContext) -> str:
-    """Return a digest of everything in the settings that shapes an estimate, and of the numerics.
-
-    Parameters
-    ----------
-    context
-        Of a process.
-    """
+    """Return a digest of everything in the settings that shapes an estimate, and of the numerics."""
     text = f"{context.code_version} {context.settings.estimation!r} {context.settings.alignment!r}"
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -176,12 +159,8 @@ def estimated_with(context: JobContext) -> str:
 def work(unit: UnitOfWork, wanted: str) -> UnitDone:
     """Do a unit on a worker of Dask, with the settings of its own environment.
 
-    Parameters
-    ----------
-    unit
-        What is to be done.
-    wanted
-        What :func:`estimated_with` returns where the unit comes from.
+    Args:
+        wanted: What :func:`estimated_with` returns where the unit comes from.
     """
     try:
         context = context_of(load_settings())

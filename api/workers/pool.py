@@ -59,12 +59,8 @@ class Worker:
 class ProcessPool:
     """Does units of work in processes of its own. Implements ``estimation.jobs.job.WorkExecutor``.
 
-    Parameters
-    ----------
-    settings
-        Of the deployment, for the workers.
-    count
-        How many workers there are; started when the first unit comes.
+    Args:
+        count: How many workers there are; started when the first unit comes.
     """
 
     settings: Settings
@@ -88,12 +84,9 @@ class ProcessPool:
     def submit(self, context: JobContext, stage: Stage, keys: Sequence[str]) -> Future[Mapping[str, int]]:
         """Return what will hold the counts of a unit.
 
-        Parameters
-        ----------
-        context
-            Of the job that hands the unit out.
-        stage, keys
-            The unit.
+        Args:
+            context: Of the job that hands the unit out.
+            stage, keys: The unit.
         """
         storage = context.storage
         assert isinstance(storage, SqlStorage)

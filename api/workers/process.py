@@ -32,12 +32,9 @@ _log = logging.getLogger(__name__)
 class UnitOfWork:
     """A unit as it is sent to a worker.
 
-    Attributes
-    ----------
-    stage, keys
-        What is to be done.
-    owner
-        Token of the process that runs the job, with which claims end; None where the worker goes on without it.
+    Attributes:
+        stage, keys: What is to be done.
+        owner: Token of the process that runs the job, with which claims end; None where the worker goes on without it.
     """
 
     stage: str
@@ -54,15 +51,7 @@ class UnitDone:
 
 
 def work_on(context: JobContext, unit: UnitOfWork) -> UnitDone:
-    """Do a unit; whatever is raised is handed back as its message.
-
-    Parameters
-    ----------
-    context
-        Of this process.
-    unit
-        What is to be done.
-    """
+    """Do a unit; whatever is raised is handed back as its message."""
     storage = context.storage
     assert isinstance(storage, SqlStorage)
     working = replace(context, storage=replace(storage, works_for=unit.owner))
@@ -82,10 +71,8 @@ def work_on(context: JobContext, unit: UnitOfWork) -> UnitDone:
 def context_of(settings: Settings) -> JobContext:
     """Return what units of this process may touch; opened once.
 
-    Raises
-    ------
-    TreadwatchError
-        The database cannot be reached or used, or the settings are wrong.
+    Raises:
+        TreadwatchError: The database cannot be reached or used, or the settings are wrong.
     """
     return job_context(settings, open_store(settings))
 
@@ -101,14 +88,9 @@ def memory_mb() -> float:
 def run_worker(connection: Connection, settings: Settings, alive_s: float) -> None:
     """Do what comes through a connection until it ends; the entry of a worker process.
 
-    Parameters
-    ----------
-    connection
-        Units come in; what came of them goes out, and between that the memory in MB as a sign of life.
-    settings
-        Of the deployment.
-    alive_s
-        Interval of the signs of life, s.
+    Args:
+        connection: Units come in; what came of them goes out, and between that the memory in MB as a sign of life.
+        alive_s: Interval of the signs of life, s.
     """
     for number in (signal.SIGINT, signal.SIGTERM):  # whoever started it ends it, when its unit is done
         signal.signal(number, signal.SIG_IGN)

@@ -72,16 +72,9 @@ class _Course:
 def populate(storage: SqlStorage, size: FleetSize, seed: int, now_ns: int) -> float:
     """Fill an empty database with the fleet; return how long it took, in seconds.
 
-    Parameters
-    ----------
-    storage
-        Of a migrated, empty database.
-    size
-        Of the fleet.
-    seed
-        Of the courses of wear, of mileages and of what has an alert.
-    now_ns
-        The last day.
+    Args:
+        storage: Of a migrated, empty database.
+        seed: Of the courses of wear, of mileages and of what has an alert.
     """
     began = time.perf_counter()
     random = np.random.default_rng(seed)

@@ -22,14 +22,8 @@ CONFIGURATION = Path(__file__).with_name("schemathesis.toml")
 def fuzz(seconds: int, seed: int, report: Path) -> int:
     """Ask whatever the document allows and forbids; return how schemathesis ended, 0 where it found nothing.
 
-    Parameters
-    ----------
-    seconds
-        For how long.
-    seed
-        Of the cases.
-    report
-        Folder of its report, for what it has found.
+    Args:
+        report: Folder of its report, for what it has found.
     """
     with _service() as (url, key):
         command = [sys.executable, "-m", "schemathesis.cli", "--config-file", str(CONFIGURATION)]

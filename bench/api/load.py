@@ -98,16 +98,10 @@ def ask(
     All endpoints are asked over the same connections, so that they share how these fell to the worker processes: a
     worker that got 30 of 50 answers each half as often again, whatever it is asked for.
 
-    Parameters
-    ----------
-    url
-        Of the server.
-    wanted
-        What to ask for, under the name of the endpoint.
-    clients
-        Connections at the same time.
-    headers
-        Lines that every request has.
+    Args:
+        wanted: What to ask for, under the name of the endpoint.
+        clients: Connections at the same time.
+        headers: Lines that every request has.
     """
     return asyncio.run(_ask_all(url, wanted, clients, headers))
 

@@ -22,13 +22,7 @@ START_S = 60.0
 
 
 def new_key(storage: SqlStorage) -> str:
-    """Make a key that may everything, and return the header line that carries it.
-
-    Parameters
-    ----------
-    storage
-        Of the service.
-    """
+    """Make a key that may everything, and return the header line that carries it."""
     wanted = Wanted(owner="bench", scopes=EVERYTHING, fleets=None, expires_ns=None)
     with storage.write() as unit:
         _, token = make_key(unit, wanted, "bench", time.time_ns())
@@ -39,14 +33,9 @@ def new_key(storage: SqlStorage) -> str:
 def served(folder: Path, database_url: str | None, workers: int = WORKERS) -> Iterator[str]:
     """Yield the URL of a running service.
 
-    Parameters
-    ----------
-    folder
-        Its data folder; the log goes beside it.
-    database_url
-        Of a migrated database; None for SQLite in the folder.
-    workers
-        Processes.
+    Args:
+        folder: Its data folder; the log goes beside it.
+        database_url: Of a migrated database; None for SQLite in the folder.
     """
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

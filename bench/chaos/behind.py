@@ -18,10 +18,8 @@ SHORT_VEHICLES = 12
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield what services do that are behind: refuse or keep, never drop silently, at the same memory.
 
-    Parameters
-    ----------
-    settings
-        ``size`` is the length of the backlog in minutes; it is sent faster than it would come.
+    Args:
+        settings: ``size`` is the length of the backlog in minutes; it is sent faster than it would come.
     """
     with databases(settings.folder) as both:
         if settings.size <= SHORT:

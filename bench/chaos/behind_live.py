@@ -26,14 +26,8 @@ EACH_S = 5.0
 def rows(both: Databases, folder: Path, minutes: float) -> Iterator[BenchRow]:
     """Yield what a receiver did with the frames of an outage of its database.
 
-    Parameters
-    ----------
-    both
-        The databases; PostgreSQL is taken away.
-    folder
-        Of the logs.
-    minutes
-        Of the bus at its usual rate, in an eighth of the time.
+    Args:
+        minutes: Of the bus at its usual rate, in an eighth of the time.
     """
     yield from _outage(both, folder, f"live receiver, {minutes:g} min of a bus behind", 60.0 * minutes / SPED_UP, {})
     small = {"spool_mb": FULL_MB, "spool_memory_mb": FULL_MB}

@@ -18,12 +18,8 @@ def resident_mb(pid: int) -> float:
 def grown(what: str, early_mb: float, late_mb: float) -> BenchRow:
     """Return the row of memory that is to stay flat.
 
-    Parameters
-    ----------
-    what
-        Of which process.
-    early_mb, late_mb
-        At a tenth, and at the end.
+    Args:
+        early_mb, late_mb: At a tenth, and at the end.
     """
     measured = f"{early_mb:.0f} MB at a tenth, {late_mb:.0f} MB at the end"
     return BenchRow(what, measured, f"{MOST_GROWTH_MB:g} MB more at most", late_mb - early_mb <= MOST_GROWTH_MB)

@@ -80,12 +80,8 @@ class _Answers:
 def rows(both: Databases, kind: str, vehicles: int, minutes: int) -> Iterator[BenchRow]:
     """Yield what an API did with more chunks than it may take, and what came of them.
 
-    Parameters
-    ----------
-    both, kind
-        The databases, and which one.
-    vehicles, minutes
-        Of the backlog: a chunk a minute of each vehicle.
+    Args:
+        vehicles, minutes: Of the backlog: a chunk a minute of each vehicle.
     """
     settings = both.new(kind)
     chunks = _chunks(both.folder / f"chunks-{kind}", vehicles, minutes)

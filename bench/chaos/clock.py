@@ -61,10 +61,8 @@ class _Clock:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield what each wrong clock did on each database.
 
-    Parameters
-    ----------
-    settings
-        ``size`` is the number of rounds: clocks and databases in turn.
+    Args:
+        settings: ``size`` is the number of rounds: clocks and databases in turn.
     """
     compiler = shutil.which("cc")
     if compiler is None:

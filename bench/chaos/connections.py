@@ -53,10 +53,8 @@ class _Server:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield what clients that wait for nothing do to those that ask something.
 
-    Parameters
-    ----------
-    settings
-        ``size`` is the number of connections.
+    Args:
+        settings: ``size`` is the number of connections.
     """
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = settings.size + 100

@@ -39,13 +39,7 @@ class _Connection:
 
 
 class CuttableLink:
-    """Listens on loopback and hands on what comes to the socket file of a server.
-
-    Parameters
-    ----------
-    server
-        The socket file.
-    """
+    """Listens on loopback and hands on what comes to the socket file of a server."""
 
     def __init__(self, server: Path) -> None:
         self._server = server
@@ -63,12 +57,8 @@ class CuttableLink:
     def cut_off(self, pid: int, how: Cut) -> int:
         """Cut a process off until it is restored; return how many connections it had.
 
-        Parameters
-        ----------
-        pid
-            Of the process.
-        how
-            Closed or silent.
+        Args:
+            how: Closed or silent.
         """
         with self._lock:
             self._cut[pid] = how

@@ -40,10 +40,8 @@ OF_HISTORY = frozenset({"fleet alerts"})
 def final_state(storage: SqlStorage) -> Mapping[str, str]:
     """Return a digest for each kind of what is stored.
 
-    Parameters
-    ----------
-    storage
-        Whose jobs have nothing left to do.
+    Args:
+        storage: Whose jobs have nothing left to do.
     """
     with storage.read() as unit:
         found = {name: [repr(tuple(row)) for row in unit.connection.execute(text(sql))] for name, sql in ROWS.items()}

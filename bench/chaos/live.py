@@ -35,10 +35,8 @@ SHORT = 4
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield what kills and outages cost a live receiver.
 
-    Parameters
-    ----------
-    settings
-        ``size`` is the number of kills; more than a few come with outages of up to 5 min and full disks.
+    Args:
+        settings: ``size`` is the number of kills; more than a few come with outages of up to 5 min and full disks.
     """
     draw = random.Random(settings.seed)  # noqa: S311 - no secret
     with databases(settings.folder) as both:

@@ -36,10 +36,8 @@ OTHERS = 0x500
 class LiveRound:
     """One deployment with its receiver, and what was transmitted to it.
 
-    Attributes
-    ----------
-    away_ns
-        When no process received.
+    Attributes:
+        away_ns: When no process received.
     """
 
     settings: Settings
@@ -95,12 +93,8 @@ class LiveRound:
 def transmitting(one: LiveRound, busy: int = 1) -> Iterator[None]:
     """Transmit without an end, a second at a time; every payload is known by its batch.
 
-    Parameters
-    ----------
-    one
-        The receiver.
-    busy
-        How many times the acceleration frames are on the bus: again under identifiers of other devices.
+    Args:
+        busy: How many times the acceleration frames are on the bus: again under identifiers of other devices.
     """
     stop = Event()
 

@@ -65,10 +65,8 @@ class Sound:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Damage files of each format and read them; yield what was found.
 
-    Parameters
-    ----------
-    settings
-        ``size`` is the number of files of each format.
+    Args:
+        settings: ``size`` is the number of files of each format.
     """
     batch = small_recording()
     for name in FORMATS:

@@ -169,10 +169,8 @@ def _by_campaign(case: _Case) -> list[list[tuple[Window, float]]]:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield how many final states there are, and how many epochs were computed for data that came in order.
 
-    Parameters
-    ----------
-    settings
-        Rounds are shared by the surveyed and the unsurveyed fleet.
+    Args:
+        settings: Rounds are shared by the surveyed and the unsurveyed fleet.
     """
     for surveyed in (False, True):
         case = _case(settings, surveyed=surveyed)

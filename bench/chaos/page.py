@@ -16,18 +16,9 @@ def write_section(
 ) -> Path:
     """Put what a part measured in its section of the page, in place of what it measured before; return the page.
 
-    Parameters
-    ----------
-    name, summary
-        Of the part.
-    command
-        What ran, as it is typed.
-    seconds
-        How long it took.
-    cells
-        (n, 4) what, measured, reach and met of each row.
-    folder
-        Where the page is; made if missing.
+    Args:
+        cells: (n, 4) what, measured, reach and met of each row.
+        folder: Where the page is; made if missing.
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "chaos.md"

@@ -13,14 +13,10 @@ from bench.report import BenchRow
 class ChaosSettings:
     """How a part runs.
 
-    Attributes
-    ----------
-    size
-        Number of rounds, kills, files or connections.
-    seed
-        Of all that is drawn.
-    folder
-        An empty folder of its own.
+    Attributes:
+        size: Number of rounds, kills, files or connections.
+        seed: Of all that is drawn.
+        folder: An empty folder of its own.
     """
 
     size: int
@@ -32,18 +28,12 @@ class ChaosSettings:
 class ChaosPart:
     """A part of the chaos run.
 
-    Attributes
-    ----------
-    name
-        On the command line.
-    summary
-        What happens in it.
-    size
-        Of the full run.
-    short
-        Size of the form that the tests run.
-    rows
-        Runs it and yields what was measured beside what is to be reached.
+    Attributes:
+        name: On the command line.
+        summary: What happens in it.
+        size: Of the full run.
+        short: Size of the form that the tests run.
+        rows: Runs it and yields what was measured beside what is to be reached.
     """
 
     name: str

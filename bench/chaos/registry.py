@@ -124,14 +124,8 @@ class Deployment:
 def deployment(folder: Path, url: str, report: FleetReport) -> Deployment:
     """Return a deployment that knows the registry, with the recordings of a fleet received and estimated.
 
-    Parameters
-    ----------
-    folder
-        Its own.
-    url
-        Its empty database.
-    report
-        What the simulator wrote.
+    Args:
+        url: Its empty database.
     """
     folder.mkdir()
     upgrade(url)
@@ -160,11 +154,6 @@ def derived(storage: SqlStorage) -> Mapping[str, object]:
     """Return all that is derived and served: windows, tables, positions, geometries, trends, open alerts.
 
     Times of recording and numbers of versions are left out, and a result of no window counts as none.
-
-    Parameters
-    ----------
-    storage
-        Of a deployment at rest.
     """
     found: dict[str, object] = {}
     with storage.read() as unit:
@@ -213,29 +202,16 @@ class Corrected:
 
 
 def differing(expected: Mapping[str, object], now: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the names of what is derived and not the same.
-
-    Parameters
-    ----------
-    expected, now
-        What :func:`derived` returned of two deployments.
-    """
+    """Return the names of what is derived and not the same."""
     return tuple(sorted(name for name in expected.keys() | now.keys() if expected.get(name) != now.get(name)))
 
 
 def corrected(found: Deployment, number: int, rng: np.random.Generator, expected: Mapping[str, object]) -> Corrected:
     """Make one mistake, correct it, and return what is not as before.
 
-    Parameters
-    ----------
-    found
-        A deployment at rest.
-    number
-        Of the round, from 0; it decides which mistake.
-    rng
-        The rest is drawn from it.
-    expected
-        What is derived where it was never made.
+    Args:
+        number: Of the round, from 0; it decides which mistake.
+        expected: What is derived where it was never made.
     """
     mistake = MISTAKES[number % len(MISTAKES)]
     with found.storage.write() as unit:
@@ -258,16 +234,8 @@ def rounds(
 ) -> Iterator[Corrected]:
     """Make mistakes one after another; one that leaves something wrong is followed by another deployment.
 
-    Parameters
-    ----------
-    settings
-        Seed and folder, which is made.
-    numbers
-        Of the rounds.
-    report
-        What the simulator wrote.
-    server
-        Where the databases are; without one they are SQLite files.
+    Args:
+        server: Where the databases are; without one they are SQLite files.
     """
     settings.folder.mkdir()
     never = settings.folder / "never"
@@ -306,10 +274,8 @@ def _new_database(folder: Path, server: PostgresServer | None, template: str) ->
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Make mistakes, correct them, and compare with a state in which they were never made.
 
-    Parameters
-    ----------
-    settings
-        ``size`` is the number of mistakes, half of them on each database; few are made on SQLite alone.
+    Args:
+        settings: ``size`` is the number of mistakes, half of them on each database; few are made on SQLite alone.
     """
     scenario = settings.folder / "scenario.toml"
     scenario.write_text(SCENARIO, encoding="utf-8")

@@ -21,13 +21,7 @@ COLUMNS = ("part", *PAGE_COLUMNS)
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the parts that are named, or all; return 1 when a row falls short.
-
-    Parameters
-    ----------
-    arguments
-        Of the command line.
-    """
+    """Run the parts that are named, or all; return 1 when a row falls short."""
     options = _options(arguments)
     chosen = [part for part in parts() if not options.part or part.name in options.part]
     console, cells = Console(), []

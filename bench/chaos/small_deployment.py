@@ -98,16 +98,9 @@ PASSWORD = "not-for-the-log-4711"  # noqa: S105 - the server trusts everybody; i
 def recordings(folder: Path, cuts: Sequence[float], seconds: float, start_ns: int = START_NS) -> list[Path]:
     """Write one journey of the vehicle as recordings that follow each other.
 
-    Parameters
-    ----------
-    folder
-        Where to.
-    cuts
-        Where it is cut, as shares of its frames.
-    seconds
-        Its length.
-    start_ns
-        When it begins, ns UTC.
+    Args:
+        cuts: Where it is cut, as shares of its frames.
+        start_ns: When it begins, ns UTC.
     """
     frames = Run(seconds=seconds, start_ns=start_ns).frames()
     edges = [0, *sorted(round(cut * len(frames)) for cut in cuts), len(frames)]
@@ -130,15 +123,7 @@ def ingest(settings: Settings, paths: Sequence[Path]) -> list[object]:
 
 
 def fork(work: Callable[[], object], log: Path) -> int:
-    """Run ``work`` in a process of its own, which imports nothing again; return its number.
-
-    Parameters
-    ----------
-    work
-        What it does; it opens its own connections.
-    log
-        Where its output goes.
-    """
+    """Run ``work`` in a process of its own, which imports nothing again; return its number."""
     pid = os.fork()
     if pid:
         return pid

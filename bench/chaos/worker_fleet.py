@@ -119,14 +119,9 @@ class WorkerFleet:
 def worker_fleet(folder: Path, vehicles: int, campaigns: int, server: str | None = None) -> WorkerFleet:
     """Return the fleet, with what one process makes of its recordings when nobody disturbs it.
 
-    Parameters
-    ----------
-    folder
-        Recordings that are there already are used.
-    vehicles, campaigns
-        How many vehicles of four wheelsets, and journeys of each.
-    server
-        URL of a PostgreSQL server; None for SQLite.
+    Args:
+        vehicles, campaigns: How many vehicles of four wheelsets, and journeys of each.
+        server: URL of a PostgreSQL server; None for SQLite.
     """
     parts = [FLEET.format(campaigns=campaigns)]
     for number, vehicle in enumerate("ABCDEF"[:vehicles]):
@@ -170,10 +165,8 @@ def stored_twice(storage: SqlStorage) -> int:
 def come_to_rest(storage: SqlStorage, context: JobContext) -> None:
     """Run the jobs here until nothing changes any more.
 
-    Raises
-    ------
-    TreadwatchError
-        A job failed, or they do not come to rest.
+    Raises:
+        TreadwatchError: A job failed, or they do not come to rest.
     """
     for _ in range(MOST_RUNS):
         before = compared_state(storage)

@@ -41,18 +41,12 @@ CLAIMS, LEASES = table_of(WorkClaimRow), table_of(WorkLeaseRow)
 class Services:
     """The scheduler of a deployment and its workers.
 
-    Attributes
-    ----------
-    storage
-        Of the deployment, which nothing cuts off.
-    settings
-        Of the processes.
-    log
-        Of the scheduler.
-    link
-        To the database; None with SQLite.
-    cluster
-        Of Dask; None with processes of this machine.
+    Attributes:
+        storage: Of the deployment, which nothing cuts off.
+        settings: Of the processes.
+        log: Of the scheduler.
+        link: To the database; None with SQLite.
+        cluster: Of Dask; None with processes of this machine.
     """
 
     storage: SqlStorage
@@ -118,14 +112,9 @@ class Services:
 def services(storage: SqlStorage, settings: Settings, folder: Path, *, dask: bool) -> Iterator[Services]:
     """Yield the running services of a deployment; none is left at the end.
 
-    Parameters
-    ----------
-    storage, settings
-        Of the deployment.
-    folder
-        Of the logs; the database of a server is reached through a link.
-    dask
-        Whether workers of Dask work, in place of processes of the scheduler.
+    Args:
+        folder: Of the logs; the database of a server is reached through a link.
+        dask: Whether workers of Dask work, in place of processes of the scheduler.
     """
     kept = folder / "retention.toml"
     kept.write_text(KEPT, encoding="utf-8")

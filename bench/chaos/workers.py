@@ -56,10 +56,8 @@ class _Tally:
 def rows(settings: ChaosSettings) -> Iterator[BenchRow]:
     """Yield for each kind of workers what faults did to their results.
 
-    Parameters
-    ----------
-    settings
-        ``size`` is the number of faults, of all kinds of workers together.
+    Args:
+        settings: ``size`` is the number of faults, of all kinds of workers together.
     """
     rng = random.Random(settings.seed)  # noqa: S311 - drawn moments, not secrets
     short = settings.size <= SHORT

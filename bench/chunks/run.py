@@ -69,14 +69,9 @@ def measure(
 ) -> tuple[Uploaded, float]:
     """Return the uploads of one run, and the p99 in ms of files that are only written and forced to the same disk.
 
-    Parameters
-    ----------
-    database
-        ``sqlite`` or ``postgresql``.
-    workers
-        Processes of the service.
-    clients, size, count
-        Senders at the same time, bytes of a chunk, chunks in all.
+    Args:
+        database: ``sqlite`` or ``postgresql``.
+        clients, size, count: Senders at the same time, bytes of a chunk, chunks in all.
     """
     with _database(database) as (folder, url):
         settings = Settings(data_dir=folder, database_url=url, _env_file=None)

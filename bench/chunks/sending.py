@@ -36,12 +36,8 @@ class Uploaded:
 def chunk(number: int, size_bytes: int) -> bytes:
     """Return the bytes of a chunk; those of every number are others.
 
-    Parameters
-    ----------
-    number
-        Of the chunk.
-    size_bytes
-        At least 8.
+    Args:
+        size_bytes: At least 8.
     """
     return number.to_bytes(8, "little") + np.random.default_rng(size_bytes).bytes(size_bytes - 8)
 
@@ -49,16 +45,8 @@ def chunk(number: int, size_bytes: int) -> bytes:
 def upload_all(address: str, header: str, chunks: Sequence[bytes], clients: int) -> Uploaded:
     """Send chunks from several clients at the same time, each chunk once.
 
-    Parameters
-    ----------
-    address
-        URL of the service.
-    header
-        Line with the key.
-    chunks
-        Contents.
-    clients
-        How many send at the same time.
+    Args:
+        clients: How many send at the same time.
     """
     requests = [_request(content, header) for content in chunks]  # digests are made before the clock starts
     return asyncio.run(_upload_all(address, requests, clients))
@@ -67,16 +55,9 @@ def upload_all(address: str, header: str, chunks: Sequence[bytes], clients: int)
 def forced_writes_ms(folder: Path, content: bytes, writers: int, count: int) -> tuple[float, float]:
     """Return median and p99, ms, of writing files of this content and forcing them to the disk, without a service.
 
-    Parameters
-    ----------
-    folder
-        On the disk in question.
-    content
-        Of each file.
-    writers
-        Threads that write at the same time.
-    count
-        Files in all.
+    Args:
+        writers: Threads that write at the same time.
+        count: Files in all.
     """
 
     def write(_number: int) -> float:

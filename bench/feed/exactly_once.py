@@ -38,19 +38,7 @@ def run(
     pollers: int,
     steps: int,
 ) -> Outcome:
-    """Let writers commit while pollers are killed, and compare.
-
-    Parameters
-    ----------
-    url, folder, database_url, storage
-        Of the running service.
-    key
-        Header line with a key.
-    writers, pollers
-        How many processes of each.
-    steps
-        Events of each writer.
-    """
+    """Let writers commit while pollers are killed, and compare."""
     begin = ["-m", "bench.feed.events", str(folder), database_url or ""]
     writing = [_started([*begin, str(one), str(steps), "0.005"], quiet=True) for one in range(writers)]
     files = [folder / f"poller-{one}" for one in range(pollers)]

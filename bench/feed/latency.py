@@ -21,18 +21,9 @@ def measured_s(
 ) -> list[float]:
     """Return the delay of every event at every client, s; raises where one is missing.
 
-    Parameters
-    ----------
-    url, folder, database_url
-        Of the running service.
-    key
-        Header line with a key.
-    clients
-        Open streams.
-    writer
-        Number of the one who commits; no other part of the bench has it, for notes are to differ.
-    events
-        Commits, one by one.
+    Args:
+        writer: Number of the one who commits; no other part of the bench has it, for notes are to differ.
+        events: Commits, one by one.
     """
     return asyncio.run(_measure(url, key, folder, database_url, clients, writer, events))
 

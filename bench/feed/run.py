@@ -56,12 +56,8 @@ def _of(database: str) -> Iterator[BenchRow]:
 def rows(folder: Path, database_url: str | None) -> Iterator[BenchRow]:
     """Yield what was measured on one database.
 
-    Parameters
-    ----------
-    folder
-        Of the data.
-    database_url
-        An empty database; None for SQLite in the folder.
+    Args:
+        database_url: An empty database; None for SQLite in the folder.
     """
     settings = settings_of(folder, database_url)
     upgrade(settings.url)

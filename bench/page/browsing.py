@@ -32,12 +32,9 @@ requestAnimationFrame(frame);
 class Visit:
     """A visit from a cold cache.
 
-    Parameters
-    ----------
-    content_ms
-        From the beginning of the navigation to the frame with the first rows.
-    sent_bytes
-        What came over the network until then, compressed, with headers, by the last part of its path.
+    Args:
+        content_ms: From the beginning of the navigation to the frame with the first rows.
+        sent_bytes: What came over the network until then, compressed, with headers, by the last part of its path.
     """
 
     content_ms: float
@@ -46,15 +43,7 @@ class Visit:
 
 @contextmanager
 def visited(browser: Browser, address: str) -> Iterator[tuple[Page, Visit]]:
-    """Open the page in a fresh profile; yield it, and what was measured until its rows were there.
-
-    Parameters
-    ----------
-    browser
-        Chromium.
-    address
-        Of the page, with a key.
-    """
+    """Open the page in a fresh profile; yield it, and what was measured until its rows were there."""
     context = browser.new_context(viewport={"width": 1440, "height": 900})
     context.set_default_timeout(PATIENCE_MS)
     page = context.new_page()
@@ -91,14 +80,8 @@ def _counted(session: CDPSession) -> Mapping[str, int]:
 def scrolled(page: Page, rows: int, pause_ms: float) -> list[float]:
     """Scroll through all rows; return how long each frame took, in ms.
 
-    Parameters
-    ----------
-    page
-        With the overview.
-    rows
-        How many there are; scrolling ends at the last.
-    pause_ms
-        Between two turns of the wheel.
+    Args:
+        rows: How many there are; scrolling ends at the last.
     """
     page.mouse.move(700, 500)
     page.evaluate("window.seen.frames = []")
@@ -114,15 +97,7 @@ def _at_the_end(page: Page, rows: int) -> bool:
 
 
 def sorted_by(page: Page, column: str) -> list[float]:
-    """Sort by a column; return how long each frame took until other rows were there, in ms.
-
-    Parameters
-    ----------
-    page
-        With the overview.
-    column
-        Its name in the class of a cell.
-    """
+    """Sort by a column; return how long each frame took until other rows were there, in ms."""
     page.evaluate("window.seen.frames = []")
     head = page.locator(f"thead .c-{column} button")
     before = page.locator(FIRST_ROW).first.get_attribute("data-key")

@@ -83,16 +83,8 @@ def _browser() -> Iterator[Browser]:
 def measured(browser: Browser, address: str, wheelsets: int, loads: int) -> Iterator[BenchRow]:
     """Yield what was measured in a browser.
 
-    Parameters
-    ----------
-    browser
-        Chromium.
-    address
-        Of the page, with a key.
-    wheelsets
-        How many rows the overview has.
-    loads
-        How often it is loaded from a cold cache, after one that warms the service.
+    Args:
+        loads: How often it is loaded from a cold cache, after one that warms the service.
     """
     visits: list[Visit] = []
     for number in range(loads + 1):

@@ -70,16 +70,9 @@ def compared(
 ) -> Comparison:
     """Return a measurement beside the estimate that belongs to it.
 
-    Parameters
-    ----------
-    measurement
-        Of both wheels.
-    contact
-        What follows from it, or why nothing does.
-    estimate
-        Of its date.
-    independent
-        Whether the estimate was made without a measurement of the same wheels; None without an estimate.
+    Args:
+        contact: What follows from it, or why nothing does.
+        independent: Whether the estimate was made without a measurement of the same wheels; None without an estimate.
     """
     if isinstance(contact, Reason):
         measured = dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(contact))

@@ -31,14 +31,9 @@ def curve_origin(
     zero on average. The place where it fits best is taken; a wheelset of unlike wheels runs nearer to the track centre
     than its zero crossing is.
 
-    Parameters
-    ----------
-    found
-        The estimate.
-    displacement, difference
-        (n,) m, the known curve.
-    crossing
-        Its zero crossing, m.
+    Args:
+        displacement, difference: (n,) m, the known curve.
+        crossing: Its zero crossing, m.
     """
     centre, R = found.bin_centres, found.rolling_radius_difference
     known = np.isfinite(R.value)

@@ -24,12 +24,8 @@ class EstimateOfDate:
 def baseline_at(wheelset: WheelsetRecord, at_ns: int) -> tuple[int, float]:
     """Return the number of reprofilings up to a time, and the mileage of the last of them (0 where there is none).
 
-    Parameters
-    ----------
-    wheelset
-        With its reprofilings.
-    at_ns
-        Time, ns UTC; the profile of a reprofiling at that time is the new one.
+    Args:
+        at_ns: Time, ns UTC; the profile of a reprofiling at that time is the new one.
     """
     turned = [item for item in wheelset.reprofilings if item.at_ns <= at_ns]
     return len(turned), max(turned, key=lambda item: item.at_ns).mileage_km if turned else 0.0
@@ -48,18 +44,9 @@ def estimate_of_date(
     data of after the next. Where that interval has no conicity it is the nearest one that has, if its mileage is
     within an interval of the measurement: in that distance a profile hardly wears.
 
-    Parameters
-    ----------
-    measurement
-        Its time and mileage count.
-    wheelset
-        With its reprofilings.
-    intervals
-        Geometries of its mileage intervals, of all baselines.
-    interval_km
-        Length of a mileage interval.
-    change
-        Its last identity change: estimates of the other side are of another wheelset.
+    Args:
+        intervals: Geometries of its mileage intervals, of all baselines.
+        change: Its last identity change: estimates of the other side are of another wheelset.
     """
     baseline, begin_km = baseline_at(wheelset, measurement.at_ns)
     own = [one for one in intervals if one.baseline == baseline and one.interval is not None and one.geometry.windows]

@@ -58,13 +58,7 @@ class FleetAccuracy:
 
 
 def fleet_accuracy(rows: Sequence[PlacedComparison]) -> FleetAccuracy:
-    """Return what some comparisons add up to.
-
-    Parameters
-    ----------
-    rows
-        Comparisons, each with where the wheelset ran.
-    """
+    """Return what some comparisons add up to."""
     reasons = [row.comparison.reason for row in rows]
     return FleetAccuracy(
         at_limit=_count(rows),

@@ -70,12 +70,9 @@ class WheelContact:
 def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact | Reason:
     """Return the contact geometry of two wheels on rails, or why there is none.
 
-    Parameters
-    ----------
-    wheels
-        Profiles, radius and their standard deviation.
-    rails
-        Rails with the share of the running on each; shares need not add up to one.
+    Args:
+        wheels: Profiles, radius and their standard deviation.
+        rails: Rails with the share of the running on each; shares need not add up to one.
     """
     if not rails:
         return Reason(ReasonCode.SECTION_UNKNOWN, "no section is on file on whose rails the wheels could be looked at")
@@ -109,16 +106,11 @@ def conicity_of(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: fl
     The error is a stretch of the displacement by ``std`` at the amplitude: both turning points err alike. It counts
     by the largest change per standard deviation within a 95 % interval, for a contact jump may be passed far out only.
 
-    Parameters
-    ----------
-    x
-        (n,) lateral displacement, m, increasing.
-    curve
-        (n,) rL - rR, m.
-    amplitude
-        (k,) m.
-    std
-        Of the displacement at a rolling radius difference, m.
+    Args:
+        x: (n,) lateral displacement, m, increasing.
+        curve: (n,) rL - rR, m.
+        amplitude: (k,) m.
+        std: Of the displacement at a rolling radius difference, m.
     """
     here = equivalent_conicity(x, curve, amplitude)
     changes = np.zeros((4, len(amplitude)))

@@ -48,16 +48,11 @@ class AlongParameters:
 def along_track(cells: IntArray, misfits: FloatArray, place_std: FloatArray, parameters: AlongParameters) -> Along:
     """Return 1/mu of the places, each from all of them.
 
-    Parameters
-    ----------
-    cells
-        (c,) numbers of the places, rising; the chain begins again behind a gap.
-    misfits
-        (c, k) twice the negative logarithm of the likelihood at each of ``INVERSE``, but for a constant.
-    place_std
-        (c,) error of 1/mu of each place that all its passes share.
-    parameters
-        What is known beforehand.
+    Args:
+        cells: (c,) numbers of the places, rising; the chain begins again behind a gap.
+        misfits: (c, k) twice the negative logarithm of the likelihood at each of ``INVERSE``, but for a constant.
+        place_std: (c,) error of 1/mu of each place that all its passes share.
+        parameters: What is known beforehand.
     """
     width = np.gradient(GRID)
     prior = np.exp(-0.5 * ((GRID - parameters.usual) / parameters.usual_std) ** 2) * width

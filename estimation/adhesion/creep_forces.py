@@ -66,21 +66,11 @@ def contact_forces(
 ) -> tuple[ContactForces, ...] | Reason:
     """Return the forces on each wheelset of a running gear, or why they cannot be had.
 
-    Parameters
-    ----------
-    windows
-        Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
-    vehicle_class
-        Of the vehicle.
-    signals
-        Gates on gaps, lengths and speed.
-    parameters
-        Of the filter.
+    Args:
+        windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
 
-    Raises
-    ------
-    ValueError
-        The windows are not those of a running gear of the class.
+    Raises:
+        ValueError: The windows are not those of a running gear of the class.
     """
     segments = gear_segments(windows, vehicle_class, signals)
     return segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, parameters)
@@ -89,17 +79,7 @@ def contact_forces(
 def forces_on(
     gear: GearSegments, vehicle_class: VehicleClass, parameters: ForceParameters
 ) -> tuple[ContactForces, ...] | Reason:
-    """Return the forces on each wheelset of a running gear, or why they cannot be had.
-
-    Parameters
-    ----------
-    gear
-        Uninterrupted segments of its windows.
-    vehicle_class
-        Of the vehicle.
-    parameters
-        Of the filter.
-    """
+    """Return the forces on each wheelset of a running gear, or why they cannot be had."""
     axles, usable = gear.axles, gear.usable
     values = np.full((axles, len(_NAMED), len(usable)), np.nan)
     worst, vibrating = 0.0, False
@@ -154,16 +134,10 @@ def smoothed_states(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the smoothed states (s, n), in SI, and the innovations (s, m) of the filter.
 
-    Parameters
-    ----------
-    made
-        The filter.
-    measurements
-        (s, m).
-    known
-        (s,) samples that were measured.
-    speed
-        (s,) m/s.
+    Args:
+        measurements: (s, m).
+        known: (s,) samples that were measured.
+        speed: (s,) m/s.
     """
     samples, (n, m) = len(known), made.gain.shape
     predicted, filtered, innovations = np.empty((samples, n)), np.empty((samples, n)), np.empty((samples, m))

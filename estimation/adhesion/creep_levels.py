@@ -44,16 +44,11 @@ class CreepLevels:
 def creep_levels(sums: PassSums, slope: FloatArray, slippery: BoolArray, before: RailsBefore) -> CreepLevels:
     """Return b of the vehicles.
 
-    Parameters
-    ----------
-    sums
-        n entries at c places.
-    slope
-        (w,) a of the wheelsets.
-    slippery
-        (c,) places that are no usual rails; a vehicle that has met them for the most part is held against all of its.
-    before
-        What is known beforehand.
+    Args:
+        slope: (w,) a of the wheelsets.
+        slippery: (c,) places that are no usual rails; a vehicle that has met them for the most part is held against all
+            of its.
+        before: What is known beforehand.
     """
     usual = sums.at(np.full(len(sums.cells), before.usual))[2]
     entry = sums.vehicle * len(sums.cells) + sums.place

@@ -38,13 +38,7 @@ class FileErrors:
 
     @classmethod
     def of(cls, classes: Collection[VehicleClass]) -> Self:
-        """Return the largest std that any of some classes has; the defaults where there is none.
-
-        Parameters
-        ----------
-        classes
-            Of the vehicles.
-        """
+        """Return the largest std that any of some classes has; the defaults where there is none."""
         if not classes:
             return cls()
         return cls(
@@ -76,13 +70,7 @@ class ForceErrors:
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
-        """Return what is not known of the vehicles of a class.
-
-        Parameters
-        ----------
-        vehicle_class
-            With the stds of its parameters and sensors.
-        """
+        """Return what is not known of the vehicles of a class."""
         std_of, sensors = vehicle_class.std_of, vehicle_class.sensors
         return cls(
             math.hypot(std_of("wheelset_mass"), std_of("lateral_stiffness"), lateral_scale_std(sensors)),
@@ -92,11 +80,5 @@ class ForceErrors:
 
 
 def lateral_scale_std(sensors: SensorLayout) -> float:
-    """Return the relative std of the scale of the lateral sensors: the larger one of axle boxes and what is above.
-
-    Parameters
-    ----------
-    sensors
-        Of a class.
-    """
+    """Return the relative std of the scale of the lateral sensors: the larger one of axle boxes and what is above."""
     return max(sensors.lateral.usual_scale_std, sensors.mass_lateral.usual_scale_std)

@@ -68,16 +68,10 @@ def section_adhesion(
 ) -> SectionAdhesion | None:
     """Return the friction along a section and where it is low; None where no pass says anything.
 
-    Parameters
-    ----------
-    track_section
-        Code of the section.
-    passes
-        Of it, over the time that is pooled, in any order.
-    parameters
-        Limits and what is known beforehand.
-    length
-        Of the section, m; what was measured before its begin and behind its end belongs to no place of it.
+    Args:
+        passes: Of it, over the time that is pooled, in any order.
+        parameters: Limits and what is known beforehand.
+        length: Of the section, m; what was measured before its begin and behind its end belongs to no place of it.
     """
     known = [one for one in passes if one.sums is not None and len(one.sums.cells)]
     found, left_out = pooled_friction(known, parameters)
@@ -102,12 +96,9 @@ def pooled_friction(
 ) -> tuple[tuple[CellFriction, ...], tuple[LeftOut, ...]]:
     """Return the friction of every place that passes have met, in order of distance, and whose passes are left out.
 
-    Parameters
-    ----------
-    passes
-        Of one section over the time that is pooled, in any order; those without sums say nothing.
-    parameters
-        Limits and what is known beforehand.
+    Args:
+        passes: Of one section over the time that is pooled, in any order; those without sums say nothing.
+        parameters: Limits and what is known beforehand.
     """
     left_out: list[LeftOut] = []
     while (sums := pass_sums(_staying(passes, left_out))) is not None:
@@ -325,12 +316,8 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
     shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
     The creep of one vehicle is better known on a section where it is held against that of others.
 
-    Parameters
-    ----------
-    cells
-        Of one section, in order of distance.
-    parameters
-        The probabilities from which places count.
+    Args:
+        cells: Of one section, in order of distance.
     """
     reached = min(parameters.at_ends, parameters.likely)
     beside = any(one.vehicles >= parameters.fewest_vehicles for one in cells)
@@ -355,12 +342,8 @@ def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParamet
 
     A vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own.
 
-    Parameters
-    ----------
-    cells
-        Of one section, in order of distance.
-    parameters
-        The probability from which a place is certain.
+    Args:
+        cells: Of one section, in order of distance.
     """
     certain = max(parameters.certain, parameters.likely)
     found: list[tuple[float, float]] = []

@@ -51,12 +51,10 @@ class CreepSignals:
     def resultants(self, half_contact_distance: float, share: float | FloatArray = 1.0) -> FloatArray:
         """Return the resultant creep force of left and right wheel (2, n), N.
 
-        Parameters
-        ----------
-        half_contact_distance
-            l, m.
-        share
-            Of its linear creep force that a wheel transmits, (n,) or one number: spin is known as a linear force.
+        Args:
+            half_contact_distance: l, m.
+            share: Of its linear creep force that a wheel transmits, (n,) or one number: spin is known as a linear
+                force.
         """
         spin = share * self.spin
         lateral = np.stack([0.5 * self.lateral + spin, 0.5 * self.lateral - spin])
@@ -75,22 +73,13 @@ def creep_signals(
 ) -> CreepSignals:
     """Return the creep of a wheelset, high-passed as its motion is.
 
-    Parameters
-    ----------
-    forces
-        (n,) of the window, in the axes of the sensors.
-    motion
-        (n,) of the same window.
-    vehicle
-        Of the wheelset.
-    sample_interval_s
-        Between samples, s.
-    cutoff_wavelength
-        Of the high-pass of the motion, m.
-    angles
-        dL - dR of the wheelset; None where it is not known.
-    mounted_reversed
-        The wheelset's left wheel is on the vehicle's right-hand side.
+    Args:
+        forces: (n,) of the window, in the axes of the sensors.
+        motion: (n,) of the same window.
+        sample_interval_s: Between samples, s.
+        cutoff_wavelength: Of the high-pass of the motion, m.
+        angles: dL - dR of the wheelset; None where it is not known.
+        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
     """
     p, V = vehicle, motion.speed
     f11 = p.longitudinal_creep_coefficient / motion.stiffness_ratio
@@ -126,20 +115,12 @@ def friction_sums(
 ) -> FrictionSums:
     """Return the sums of a window by place, over samples that are ``SUMMED_S`` apart or what is next below.
 
-    Parameters
-    ----------
-    signals
-        (n,) creep.
-    motion
-        (n,) of the same window.
-    distance
-        (n,) m along the section.
-    curve
-        (b,) centres of bins of y - d, m, and (b,) rL - rR there, m, NaN where it is not known.
-    vehicle
-        Of the wheelset.
-    sample_interval_s
-        Between samples, s.
+    Args:
+        signals: (n,) creep.
+        motion: (n,) of the same window.
+        distance: (n,) m along the section.
+        curve: (b,) centres of bins of y - d, m, and (b,) rL - rR there, m, NaN where it is not known.
+        sample_interval_s: Between samples, s.
     """
     p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
     difference = _on_curve(motion.displacement, *curve) - signals.linear_difference

@@ -54,12 +54,8 @@ class GearEquations:
 def gear_equations(parameters: VehicleParameters, bogie: BogieParameters | None) -> GearEquations:
     """Return the equations of one running gear of a class.
 
-    Parameters
-    ----------
-    parameters
-        Of a wheelset and its suspension.
-    bogie
-        What two wheelsets share; None where a mass is above each.
+    Args:
+        bogie: What two wheelsets share; None where a mass is above each.
     """
     places = (0.0,) if bogie is None else (0.5 * bogie.wheelbase, -0.5 * bogie.wheelbase)
     axles = len(places)

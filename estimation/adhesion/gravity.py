@@ -48,20 +48,16 @@ class ContactAngles:
     def difference_at(self, difference: FloatArray) -> FloatArray:
         """Return dL - dR (n,), rad, at rL - rR (n,), m; beyond the table its last values.
 
-        Parameters
-        ----------
-        difference
-            (n,) m.
+        Args:
+            difference: (n,) m.
         """
         return np.asarray(np.interp(difference, self.difference, self.angle_difference))
 
     def sum_at(self, difference: FloatArray) -> FloatArray:
         """Return dL + dR (n,), rad, at rL - rR (n,), m; beyond the table its last values.
 
-        Parameters
-        ----------
-        difference
-            (n,) m.
+        Args:
+            difference: (n,) m.
         """
         return np.asarray(np.interp(difference, self.difference, self.angle_sum))
 
@@ -71,18 +67,10 @@ def contact_angles(
 ) -> ContactAngles | Reason:
     """Return the angles over R of the wear that meets an estimated curve best, or why the profiles on file do not.
 
-    Parameters
-    ----------
-    displacement
-        (b,) y - d, m.
-    difference
-        (b,) rL - rR, m, estimated there; NaN where it is not.
-    wheel
-        Name of the wheel profile on file.
-    section
-        Rail profile, its inclination and the gauge.
-    radius
-        Nominal rolling radius, m.
+    Args:
+        displacement: (b,) y - d, m.
+        difference: (b,) rL - rR, m, estimated there; NaN where it is not.
+        radius: Nominal rolling radius, m.
     """
     known = np.isfinite(difference)
     if known.sum() < FEWEST_NODES:

@@ -22,14 +22,9 @@ def away_from_low_adhesion(
 ) -> Window | Reason:
     """Return the window with its samples on low friction not valid, or that none is left.
 
-    Parameters
-    ----------
-    window
-        Samples, at positions as measured.
-    stretches
-        Begin and end of where friction is low, m.
-    correction
-        From the measured positions to the true ones; None where the measured ones are used.
+    Args:
+        stretches: Begin and end of where friction is low, m.
+        correction: From the measured positions to the true ones; None where the measured ones are used.
     """
     if not stretches:
         return window
@@ -45,15 +40,7 @@ def away_from_low_adhesion(
 
 
 def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Reason:
-    """Return why a window is refused: low friction, where that took most of its samples and too few are left.
-
-    Parameters
-    ----------
-    reason
-        Of the refusal of what was kept.
-    window, kept
-        The window, and what is left of it.
-    """
+    """Return why a window is refused: low friction, where that took most of its samples and too few are left."""
     share = 1.0 - float(kept.valid.sum()) / max(int(window.valid.sum()), 1)
     if share < MOST_LEFT_OUT or reason.code not in TOO_LITTLE:
         return reason
@@ -64,12 +51,9 @@ def refused_for_low_adhesion(reason: Reason, window: Window, kept: Window) -> Re
 def touched(one: WindowAdhesion, stretches: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
     """Return the stretches of low friction that a window was on.
 
-    Parameters
-    ----------
-    one
-        Its creep; a window without sums was on none.
-    stretches
-        Begin and end, m.
+    Args:
+        one: Its creep; a window without sums was on none.
+        stretches: Begin and end, m.
     """
     if one.sums is None or not len(one.sums.cells):
         return ()

@@ -50,10 +50,8 @@ class PassSums:
     def by_place(self, values: FloatArray) -> FloatArray:
         """Return the sums of values of entries, (n,) or (n, k), over each place, (c,) or (c, k).
 
-        Parameters
-        ----------
-        values
-            (n,) or (n, k) of any unit.
+        Args:
+            values: (n,) or (n, k) of any unit.
         """
         first = np.searchsorted(self.place, np.arange(len(self.cells)))
         return np.asarray(np.add.reduceat(values, first, axis=0), np.float64)
@@ -61,20 +59,16 @@ class PassSums:
     def at(self, inverse: FloatArray) -> FloatArray:
         """Return the saturated sums (4, n) at 1/mu of the places, linear between those that are kept.
 
-        Parameters
-        ----------
-        inverse
-            (c,) 1/mu.
+        Args:
+            inverse: (c,) 1/mu.
         """
         return self.at_each(inverse[self.place])
 
     def at_each(self, inverse: FloatArray) -> FloatArray:
         """Return the saturated sums (4, n), each at its own 1/mu; beyond those that are kept the last ones.
 
-        Parameters
-        ----------
-        inverse
-            (n,) 1/mu.
+        Args:
+            inverse: (n,) 1/mu.
         """
         bounded = np.clip(inverse, INVERSE[0], INVERSE[-1])
         high = np.clip(np.searchsorted(INVERSE, bounded), 1, len(INVERSE) - 1)
@@ -85,13 +79,7 @@ class PassSums:
 
 
 def pass_sums(passes: Sequence[WindowAdhesion]) -> PassSums | None:
-    """Return the sums of passes; None where none says anything.
-
-    Parameters
-    ----------
-    passes
-        Of one section.
-    """
+    """Return the sums of passes; None where none says anything."""
     ordered = sorted(passes, key=lambda one: one.key)
     known = [(one, one.sums) for one in ordered if one.sums is not None and len(one.sums.cells)]
     if not known:

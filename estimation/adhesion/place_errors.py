@@ -24,18 +24,11 @@ TINY = np.finfo(float).tiny
 def common_std(sums: PassSums, inverse: FloatArray, creep: FloatArray, slope: FloatArray, usual: float) -> FloatArray:
     """Return the std of 1/mu (c,) that what all passes of a place have in common leaves.
 
-    Parameters
-    ----------
-    sums
-        n entries at c places.
-    inverse
-        (c,) 1/mu of the places.
-    creep
-        (v,) b of the vehicles.
-    slope
-        (w,) a of the wheelsets.
-    usual
-        1/mu about which creep is taken to be in proportion to it.
+    Args:
+        inverse: (c,) 1/mu of the places.
+        creep: (v,) b of the vehicles.
+        slope: (w,) a of the wheelsets.
+        usual: 1/mu about which creep is taken to be in proportion to it.
     """
     b, a = creep[sums.vehicle], slope[sums.wheelset]
     _, gg, gq, _ = sums.at(np.full(len(sums.cells), usual))

@@ -35,12 +35,9 @@ def excess_table() -> FloatArray:
 def excess_at(table: FloatArray, utilisation: float) -> float:
     """Return linear over true creep force of a wheel less 1.
 
-    Parameters
-    ----------
-    table
-        (4097,) of :func:`excess_table`.
-    utilisation
-        T/(mu N), not negative; of more than 0.98 the excess at 0.98.
+    Args:
+        table: (4097,) of :func:`excess_table`.
+        utilisation: T/(mu N), not negative; of more than 0.98 the excess at 0.98.
     """
     at = min(utilisation / MOST_UTILISATION, 1.0) * STEPS
     below = min(int(at), STEPS - 1)
@@ -58,21 +55,14 @@ def add_saturated(
 ) -> None:
     """Add the sums of g e, g g, g q and g x, g = q times the mean excess of both wheels, to each place and friction.
 
-    Parameters
-    ----------
-    table
-        (4097,) of :func:`excess_table`.
-    signals
-        (3, n) e, q and x.
-    forces
-        (3, n) of a wheel: longitudinal and lateral creep force without spin, and the linear lateral force of spin,
-        which is the other way round on the right wheel.
-    place
-        (n,) index of the place.
-    bounds
-        (k,) mu N.
-    saturated
-        (c, 4, k) changed.
+    Args:
+        table: (4097,) of :func:`excess_table`.
+        signals: (3, n) e, q and x.
+        forces: (3, n) of a wheel: longitudinal and lateral creep force without spin, and the linear lateral force of
+            spin, which is the other way round on the right wheel.
+        place: (n,) index of the place.
+        bounds: (k,) mu N.
+        saturated: (c, 4, k) changed.
     """
     for i in range(len(place)):
         e, q, x = signals[0, i], signals[1, i], signals[2, i]

@@ -47,10 +47,8 @@ class Scales:
 
         The scale itself has nearly normal errors, its logarithm has not: a curvature would say too little.
 
-        Parameters
-        ----------
-        other
-            (g,).
+        Args:
+            other: (g,).
         """
         there = np.array([np.interp(at, GRID, misfit) for at, misfit in zip(other, self.misfits.T, strict=True)])
         more = there - self.misfits.min(axis=0)
@@ -77,14 +75,9 @@ class Agreed:
 def scales(sums: PassSums, group: IntArray, agreed: Agreed) -> Scales:
     """Return the scales of groups of passes.
 
-    Parameters
-    ----------
-    sums
-        n entries at c places.
-    group
-        (n,) index of the group of each entry.
-    agreed
-        What all passes gave together.
+    Args:
+        group: (n,) index of the group of each entry.
+        agreed: What all passes gave together.
     """
     inverse, slope = agreed.inverse[sums.place], agreed.slope[sums.wheelset]
     own = np.bincount(group, sums.squares[:, 2]) + agreed.noise / agreed.creep_std**2 + TINY
@@ -113,14 +106,8 @@ def contradicting(sums: PassSums, agreed: Agreed, file: FileErrors) -> LeftOut |
 
     One at a time: what all passes agree on has part of its error, until it is left out.
 
-    Parameters
-    ----------
-    sums
-        Of all passes that are left.
-    agreed
-        What they gave together.
-    file
-        What the classes leave open of each vehicle.
+    Args:
+        sums: Of all passes that are left.
     """
     by_vehicle, by_wheelset = (scales(sums, group, agreed) for group in (sums.vehicle, sums.wheelset))
     vehicle_of = np.zeros(len(by_wheelset.logarithm), np.int64)

@@ -19,16 +19,9 @@ LEAST_SUPPORT = 0.8  # of the squares that an error of linear creep would leave,
 def slippery_throughout(sums: PassSums, creep: FloatArray, slope: FloatArray, creep_error_std: float) -> bool:
     """Return whether it is the rails that make the creep of all vehicles large.
 
-    Parameters
-    ----------
-    sums
-        n entries at c places.
-    creep
-        (v,) b of the vehicles against usual rails.
-    slope
-        (w,) a of the wheelsets.
-    creep_error_std
-        Std of b beforehand.
+    Args:
+        creep: (v,) b of the vehicles against usual rails.
+        slope: (w,) a of the wheelsets.
     """
     common = float(np.mean(creep))
     if common < MOST_CREEP * creep_error_std:

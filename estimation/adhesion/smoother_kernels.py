@@ -23,20 +23,13 @@ def filter_forward(
 ) -> None:
     """Write states before (s, n) and after (s, n) each sample, and innovations (s, m); begin at zero.
 
-    Parameters
-    ----------
-    transition, measured, gain
-        (n, n), (n, m) and (m, n): columns of the matrices of the filter.
-    measurements
-        (s, m).
-    known
-        (s,) samples that were measured; over the others the state runs on, and the innovation is zero.
-    varying
-        (a,) states by which the last a measurements vary from sample to sample.
-    excess
-        (s,) what is added to their rows there, of a scaled state.
-    predicted, filtered, innovations
-        Written: (s, n), (s, n) and (s, m).
+    Args:
+        transition, measured, gain: (n, n), (n, m) and (m, n): columns of the matrices of the filter.
+        measurements: (s, m).
+        known: (s,) samples that were measured; over the others the state runs on, and the innovation is zero.
+        varying: (a,) states by which the last a measurements vary from sample to sample.
+        excess: (s,) what is added to their rows there, of a scaled state.
+        predicted, filtered, innovations: Written: (s, n), (s, n) and (s, m).
     """
     samples, n = predicted.shape
     first = measurements.shape[1] - len(varying)
@@ -63,14 +56,10 @@ def filter_forward(
 def add_product(columns: FloatArray, vector: FloatArray, product: FloatArray) -> None:
     """Add the product (n,) of a matrix and a vector (m,); every sum goes in the order of its terms.
 
-    Parameters
-    ----------
-    columns
-        (m, n) columns of the matrix: n sums are formed side by side.
-    vector
-        (m,).
-    product
-        (n,) changed.
+    Args:
+        columns: (m, n) columns of the matrix: n sums are formed side by side.
+        vector: (m,).
+        product: (n,) changed.
     """
     for j in range(len(vector)):
         for k in range(len(product)):
@@ -81,14 +70,10 @@ def add_product(columns: FloatArray, vector: FloatArray, product: FloatArray) ->
 def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -> None:
     """Change filtered states (s, n) to what all samples together give.
 
-    Parameters
-    ----------
-    back
-        (n, n) columns of the matrix of the smoother.
-    predicted
-        (s, n) states before each sample.
-    filtered
-        (s, n) states after each sample; changed.
+    Args:
+        back: (n, n) columns of the matrix of the smoother.
+        predicted: (s, n) states before each sample.
+        filtered: (s, n) states after each sample; changed.
     """
     samples, n = filtered.shape
     gained = np.zeros(n)

@@ -86,21 +86,13 @@ def stationary_filter(
 ) -> StationaryFilter:
     """Return the filter of a class at a speed.
 
-    Parameters
-    ----------
-    vehicle_class
-        Masses, suspension, load, and noise of the sensors.
-    sample_interval_s
-        Between samples, s.
-    speed
-        Mean speed of the window, m/s; rounded.
-    parameters
-        What is known of the forces.
+    Args:
+        sample_interval_s: Between samples, s.
+        speed: Mean speed of the window, m/s; rounded.
+        parameters: What is known of the forces.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The class has no stationary filter.
+    Raises:
+        numpy.linalg.LinAlgError: The class has no stationary filter.
     """
     rounded = max(SPEED_STEP, SPEED_STEP * round(speed / SPEED_STEP))
     gear = (vehicle_class.parameters, vehicle_class.bogie, vehicle_class.sensors)

@@ -25,16 +25,10 @@ def without_vibration(
 ) -> tuple[FloatArray, bool]:
     """Return accelerations of a running gear, low-passed where its axle boxes vibrate, and whether they do.
 
-    Parameters
-    ----------
-    accelerations
-        (k, n) without means, 0 where not known; m/s2 and rad/s2.
-    known
-        (n,) samples that were measured.
-    sample_interval_s
-        Between samples, s.
-    lateral
-        Rows of the lateral accelerations of axle boxes.
+    Args:
+        accelerations: (k, n) without means, 0 where not known; m/s2 and rad/s2.
+        known: (n,) samples that were measured.
+        sample_interval_s: Between samples, s.
     """
     rate = 1.0 / sample_interval_s
     weights = scipy.signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)

@@ -47,18 +47,9 @@ def window_adhesion(
 ) -> WindowAdhesion:
     """Return the creep of a window, or why there is none.
 
-    Parameters
-    ----------
-    window
-        Samples, at positions as measured.
-    content_digest
-        Of the samples.
-    forces
-        On its wheelset, or why they are not known.
-    motion
-        Of the window relative to the track, or why it is not known.
-    inputs
-        Of the wheelset and the section.
+    Args:
+        forces: On its wheelset, or why they are not known.
+        motion: Of the window relative to the track, or why it is not known.
     """
     of_window = (window.wheelset, window.start_ns, window.vehicle, window.track_section, content_digest)
     if isinstance(forces, Reason):
@@ -141,17 +132,7 @@ def _rms(values: FloatArray) -> float:
 def refused(
     wheelset: str, start_ns: int, vehicle: str, track_section: str | None, content_digest: str, reason: Reason
 ) -> WindowAdhesion:
-    """Return that a window has no creep forces.
-
-    Parameters
-    ----------
-    wheelset, start_ns, vehicle, track_section
-        Of the window.
-    content_digest
-        Of its samples.
-    reason
-        Why.
-    """
+    """Return that a window has no creep forces."""
     status = Status.MODEL_MISMATCH if reason.code is ReasonCode.DIVERGED else Status.UNESTIMATED
     unknown = Estimate.unknown(reason, 1.0, status)
     return WindowAdhesion(

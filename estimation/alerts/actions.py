@@ -15,21 +15,12 @@ REFERENCE_LENGTH = 200
 def acknowledge(alert: Alert, by: str, now_ns: int) -> Transition:
     """Record that somebody has seen the alert.
 
-    Parameters
-    ----------
-    alert
-        The open alert.
-    by
-        Who has seen it.
-    now_ns
-        Time of the acknowledgement, ns UTC.
+    Args:
+        now_ns: Time of the acknowledgement, ns UTC.
 
-    Raises
-    ------
-    ConflictError
-        It is closed, still pending, or acknowledged already.
-    InputError
-        No name.
+    Raises:
+        ConflictError: It is closed, still pending, or acknowledged already.
+        InputError: No name.
     """
     _must_be_raised(alert)
     if not by.strip():
@@ -43,23 +34,13 @@ def acknowledge(alert: Alert, by: str, now_ns: int) -> Transition:
 def shelve(alert: Alert, until_ns: int, reason: str, now_ns: int) -> Transition:
     """Hide the alert until a time; its life cycle goes on, and it returns by itself.
 
-    Parameters
-    ----------
-    alert
-        The open alert.
-    until_ns
-        End of the shelving, ns UTC, after ``now_ns``.
-    reason
-        Why it is shelved.
-    now_ns
-        The present, ns UTC.
+    Args:
+        until_ns: End of the shelving, ns UTC, after ``now_ns``.
+        now_ns: The present, ns UTC.
 
-    Raises
-    ------
-    ConflictError
-        It is closed or still pending.
-    InputError
-        The time has passed, or no reason is given.
+    Raises:
+        ConflictError: It is closed or still pending.
+        InputError: The time has passed, or no reason is given.
     """
     _must_be_raised(alert)
     if until_ns <= now_ns:
@@ -73,17 +54,11 @@ def shelve(alert: Alert, until_ns: int, reason: str, now_ns: int) -> Transition:
 def unshelve(alert: Alert, now_ns: int) -> Transition:
     """Bring a shelved alert back before its time.
 
-    Parameters
-    ----------
-    alert
-        The open alert.
-    now_ns
-        The present, ns UTC.
+    Args:
+        now_ns: The present, ns UTC.
 
-    Raises
-    ------
-    ConflictError
-        It is closed, or not shelved, or its shelving has ended by itself.
+    Raises:
+        ConflictError: It is closed, or not shelved, or its shelving has ended by itself.
     """
     must_be_open(alert)
     if alert.shelved_until_ns is None or alert.shelved_until_ns <= now_ns:
@@ -97,12 +72,9 @@ def link(alert: Alert, ref: str) -> Transition | None:
 
     Closed alerts take references too: the work order often comes after.
 
-    Raises
-    ------
-    ConflictError
-        The alert has as many references as it can hold.
-    InputError
-        The reference is empty or too long.
+    Raises:
+        ConflictError: The alert has as many references as it can hold.
+        InputError: The reference is empty or too long.
     """
     wanted = ref.strip()
     if not 0 < len(wanted) <= REFERENCE_LENGTH:

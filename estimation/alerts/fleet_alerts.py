@@ -24,18 +24,12 @@ MEMBER_COUNT, OPEN_MEMBER_COUNT, WHEELSETS = "member_count", "open_member_count"
 def in_flood(opened_ns: Sequence[int], rule: AlarmFloodRule) -> list[bool]:
     """Return of each alert whether it is one of too many.
 
-    Parameters
-    ----------
-    opened_ns
-        When the alerts of one kind in one fleet were opened, by the time of the data; in any order.
-    rule
-        How many, within how many hours.
+    Args:
+        opened_ns: When the alerts of one kind in one fleet were opened, by the time of the data; in any order.
 
-    Returns
-    -------
-    list of bool
-        In the order given: true where some span of ``within_hours`` (both ends included) holds the alert and more
-        than ``more_than`` altogether.
+    Returns:
+        list of bool: In the order given: true where some span of ``within_hours`` (both ends included) holds the alert
+            and more than ``more_than`` altogether.
     """
     order = sorted(range(len(opened_ns)), key=lambda i: opened_ns[i])
     within_ns = round(rule.within_hours * HOUR_NS)
@@ -55,21 +49,13 @@ def opened(fleet: str, kind: str, members: Sequence[Alert], book: RuleBook) -> A
 
     It counts them only once they are stored, see :func:`refreshed`; to be raised after that.
 
-    Parameters
-    ----------
-    fleet
-        Code of the fleet.
-    kind
-        Kind of all members.
-    members
-        The alerts that join it, at least one.
-    book
-        The rules in force: limits of the alarm flood and delays of the kind.
+    Args:
+        kind: Kind of all members.
+        members: The alerts that join it, at least one.
+        book: The rules in force: limits of the alarm flood and delays of the kind.
 
-    Raises
-    ------
-    InputError
-        There are no members.
+    Raises:
+        InputError: There are no members.
     """
     if not members:
         raise InputError("a fleet alert needs members", field="members")
@@ -100,14 +86,9 @@ def opened(fleet: str, kind: str, members: Sequence[Alert], book: RuleBook) -> A
 def refreshed(alert: Alert, members: Sequence[Alert], now_ns: int) -> Transition | None:
     """Return what its members, as they are now, make of an open fleet alert; None where nothing has changed.
 
-    Parameters
-    ----------
-    alert
-        The fleet alert as stored.
-    members
-        All of its members as stored, open and closed.
-    now_ns
-        Our time; only an acknowledgement that has run out depends on it.
+    Args:
+        members: All of its members as stored, open and closed.
+        now_ns: Our time; only an acknowledgement that has run out depends on it.
     """
     after = replace(
         without_stale_acknowledgement(alert, now_ns),

@@ -84,12 +84,8 @@ def identity_events(
 ) -> dict[str, IdentityEvent]:
     """Return by wheelset the first jump of its geometry that a mistake of the registry explains.
 
-    Parameters
-    ----------
-    histories
-        By wheelset its geometries since its last reprofiling or known event, in order of mileage.
-    parameters
-        When a jump is one.
+    Args:
+        histories: By wheelset its geometries since its last reprofiling or known event, in order of mileage.
     """
     p = parameters or IdentityParameters()
     jumps = {serial: jump for serial, seen in histories.items() if (jump := _first_jump(seen, p)) is not None}
@@ -130,12 +126,8 @@ def jumps(seen: Sequence[Observation], parameters: IdentityParameters) -> bool:
 
     Observations before the last two of which one did not jump need not be looked at again.
 
-    Parameters
-    ----------
-    seen
-        Its geometries, in order of mileage.
-    parameters
-        When a jump is one.
+    Args:
+        seen: Its geometries, in order of mileage.
     """
     return _first_jump(seen, parameters) is not None or _reversed_in(seen, parameters) is not None
 
@@ -170,12 +162,10 @@ def reversed_between(
 
     Only the even part of R decides: the odd part is its own mirror image.
 
-    Parameters
-    ----------
-    before, after
-        Geometry of the wheelset over two intervals of its mileage, the earlier one first.
-    parameters
-        Thresholds of a jump and of what may be left of it after mirroring; by default those of the identity rule.
+    Args:
+        before, after: Geometry of the wheelset over two intervals of its mileage, the earlier one first.
+        parameters: Thresholds of a jump and of what may be left of it after mirroring; by default those of the identity
+            rule.
     """
     p = parameters or IdentityParameters()
     worn = _worn(before, after, p)
@@ -224,12 +214,8 @@ def swapped_between(
 ) -> tuple[IdentityEvent, IdentityEvent] | None:
     """Return the events of both where each has after what was the other's before, at one time; None where not so.
 
-    Parameters
-    ----------
-    first, second
-        Before and after of two wheelsets.
-    parameters
-        When a jump is one.
+    Args:
+        first, second: Before and after of two wheelsets.
     """
     p = parameters or IdentityParameters()
     if max(first[0].to_ns, second[0].to_ns) > min(first[1].from_ns, second[1].from_ns):

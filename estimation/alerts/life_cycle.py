@@ -40,31 +40,17 @@ def transition(
 ) -> Transition | None:
     """Return what a finding does to the open alert of its wheelset and kind.
 
-    Parameters
-    ----------
-    open_alert
-        The open alert, or None.
-    finding
-        The present finding of the rule.
-    now_ns
-        Our time; only acknowledgements that have run out depend on it.
-    fleet
-        Fleet of the wheelset, for a new alert.
-    delays
-        Delays of the rule, for a new alert; an open alert keeps those that it was raised with.
-    rules_version
-        Names the rules, for a new alert.
+    Args:
+        open_alert: The open alert, or None.
+        now_ns: Our time; only acknowledgements that have run out depend on it.
+        delays: Delays of the rule, for a new alert; an open alert keeps those that it was raised with.
 
-    Returns
-    -------
-    Transition or None
-        None where nothing changes; a repeat with the same data is such a case. ``events`` is empty where only
-        counters or a pending alert changed.
+    Returns:
+        Transition or None: None where nothing changes; a repeat with the same data is such a case. ``events`` is empty
+            where only counters or a pending alert changed.
 
-    Raises
-    ------
-    ConflictError
-        The alert is closed, or of another wheelset or kind.
+    Raises:
+        ConflictError: The alert is closed, or of another wheelset or kind.
     """
     if open_alert is None:
         opens = finding.breached if finding.stands is None else finding.stands
@@ -219,10 +205,8 @@ def without_stale_acknowledgement(alert: Alert, now_ns: int) -> Alert:
 def acknowledgement_ends_ns(alert: Alert) -> int | None:
     """Return when the acknowledgement of an alert runs out, ns UTC; None where it has none.
 
-    Parameters
-    ----------
-    alert
-        Open or closed.
+    Args:
+        alert: Open or closed.
     """
     if alert.acknowledged_ns is None:
         return None
@@ -288,19 +272,12 @@ def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
 
     The condition stays as it was: what was true then is on record. A pending alert goes without an event.
 
-    Parameters
-    ----------
-    alert
-        The open alert.
-    reason
-        Why it is closed.
-    at_ns
-        When that happened, ns UTC.
+    Args:
+        reason: Why it is closed.
+        at_ns: When that happened, ns UTC.
 
-    Raises
-    ------
-    ConflictError
-        It is closed already.
+    Raises:
+        ConflictError: It is closed already.
     """
     must_be_open(alert)
     after = replace(alert, closed_ns=at_ns, close_reason=reason)
@@ -310,10 +287,8 @@ def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
 def must_be_open(alert: Alert) -> None:
     """Refuse an alert that is closed.
 
-    Raises
-    ------
-    ConflictError
-        It is.
+    Raises:
+        ConflictError: It is.
     """
     if alert.closed_ns is not None:
         raise conflict(

@@ -55,10 +55,8 @@ class Mirrored:
 def newest_mirrored(parts: Parts) -> Mirrored | None:
     """Return the newest change of sign; None where there is none.
 
-    Parameters
-    ----------
-    parts
-        Of the curves since the last known event.
+    Args:
+        parts: Of the curves since the last known event.
     """
     bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - SAME_SIZE
     whole = np.flatnonzero(np.isfinite(parts.even[:, bins]).all(axis=1))

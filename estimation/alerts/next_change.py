@@ -12,15 +12,6 @@ def next_change_ns(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> int | N
     """Return when the same facts may first say something else, ns UTC; None where time alone changes nothing.
 
     Time counts where a wheelset is silent, and where an acknowledgement runs out.
-
-    Parameters
-    ----------
-    facts
-        Of one wheelset.
-    book
-        The rules.
-    now_ns
-        Our time.
     """
     moments = [ends for alert in facts.open_alerts if (ends := acknowledgement_ends_ns(alert)) is not None]
     if facts.wheelset.mounting is not None:

@@ -21,18 +21,9 @@ def section_transition(
 ) -> Transition | None:
     """Return what a finding does to the open alert of a section and kind; None where nothing changes.
 
-    Parameters
-    ----------
-    open_alert
-        The open alert of the fleet about the section; None where there is none.
-    finding
-        Of the rule; its wheelset is empty.
-    now_ns
-        Our time.
-    fleet, track_section
-        Codes, for a new alert.
-    delays, rules_version
-        Of the rule, for a new alert.
+    Args:
+        open_alert: The open alert of the fleet about the section; None where there is none.
+        finding: Of the rule; its wheelset is empty.
     """
     nameless = None if open_alert is None else replace(open_alert, wheelset="")
     found = transition(nameless, finding, now_ns, fleet=fleet, delays=delays, rules_version=rules_version)

@@ -48,12 +48,8 @@ class StepSurroundings:
 def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplanation, ...]:
     """Return the causes, the likeliest first.
 
-    Parameters
-    ----------
-    step
-        Of a wheelset.
-    around
-        What is known besides.
+    Args:
+        around: What is known besides.
     """
     size, std = step.size.value or 0.0, step.size.std or 1.0
     found = {

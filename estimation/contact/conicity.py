@@ -39,23 +39,16 @@ def equivalent_conicity(
 ) -> FloatArray:
     """Return tan(gamma_e) at each amplitude by the integration of EN 15302.
 
-    Parameters
-    ----------
-    lateral_displacement
-        (n,) m, strictly increasing, positive to the left.
-    rolling_radius_difference
-        (n,) m, left minus right.
-    amplitudes
-        (k,) m, positive.
+    Args:
+        lateral_displacement: (n,) m, strictly increasing, positive to the left.
+        rolling_radius_difference: (n,) m, left minus right.
+        amplitudes: (k,) m, positive.
 
-    Returns
-    -------
-    (k,) tan(gamma_e); NaN where the curve does not cover the amplitude.
+    Returns:
+        (k,) tan(gamma_e); NaN where the curve does not cover the amplitude.
 
-    Raises
-    ------
-    ParameterError
-        Lengths that differ, displacements that do not increase, an amplitude that is not positive.
+    Raises:
+        ParameterError: Lengths that differ, displacements that do not increase, an amplitude that is not positive.
     """
     y, difference = _curve(lateral_displacement, rolling_radius_difference)
     return np.asarray(_integrate(y, difference, _amplitudes(amplitudes)))
@@ -64,10 +57,8 @@ def equivalent_conicity(
 def zero_crossing(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
     """Return the lateral displacement where the radii are equal (of several, the deepest equilibrium), m, or NaN.
 
-    Parameters
-    ----------
-    lateral_displacement, rolling_radius_difference
-        (n,) m, as :func:`equivalent_conicity` takes them.
+    Args:
+        lateral_displacement, rolling_radius_difference: (n,) m, as :func:`equivalent_conicity` takes them.
     """
     y, difference = _curve(lateral_displacement, rolling_radius_difference)
     return float(_equilibrium(y, difference)[0])
@@ -78,12 +69,9 @@ def middle_of_travel(
 ) -> float:
     """Return the middle between the turning points at an amplitude, m; NaN where the curve does not cover it.
 
-    Parameters
-    ----------
-    lateral_displacement, rolling_radius_difference
-        (n,) m, as :func:`equivalent_conicity` takes them.
-    amplitude
-        m, positive.
+    Args:
+        lateral_displacement, rolling_radius_difference: (n,) m, as :func:`equivalent_conicity` takes them.
+        amplitude: m, positive.
     """
     y, difference = _curve(lateral_displacement, rolling_radius_difference)
     (a,) = _amplitudes(amplitude)
@@ -98,10 +86,8 @@ def middle_of_travel(
 def nonlinearity_parameter(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
     """Return NP = (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2, in 1/mm as EN 15302 gives it; NaN if not covered.
 
-    Parameters
-    ----------
-    lateral_displacement, rolling_radius_difference
-        (n,) m, as :func:`equivalent_conicity` takes them.
+    Args:
+        lateral_displacement, rolling_radius_difference: (n,) m, as :func:`equivalent_conicity` takes them.
     """
     low, high = equivalent_conicity(lateral_displacement, rolling_radius_difference, (2e-3, 4e-3))
     return float((high - low) / 2.0)

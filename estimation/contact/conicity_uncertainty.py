@@ -35,15 +35,7 @@ class MeasuredShapes:
         return all(shape.spline is None for shape in self._all())
 
     def draw(self, wheelset: WheelsetOnTrack, random: np.random.Generator) -> WheelsetOnTrack:
-        """Return the wheelset with profiles that the measurements allow.
-
-        Parameters
-        ----------
-        wheelset
-            Dimensions.
-        random
-            Source of the errors.
-        """
+        """Return the wheelset with profiles that the measurements allow."""
         different = {id(shape): shape for shape in self._all()}
         drawn = {key: shape.draw(random) for key, shape in different.items()}
         return replace(
@@ -73,25 +65,13 @@ def conicity_std(
     appear and vanish with them. 0 for profiles that are known; NaN for an amplitude that fewer than 80 % of the draws
     cover. Errors of an instrument that are alike along the whole profile (scale, tilt) are not in it.
 
-    Parameters
-    ----------
-    wheelset
-        With the smooth profiles.
-    shapes
-        The same profiles with their uncertainty.
-    lateral_displacement
-        (n,) m, strictly increasing: the grid of the contact search.
-    amplitudes
-        (k,) m, positive.
-    method
-        How contact points are found.
-    draws
-        How many.
+    Args:
+        shapes: The same profiles with their uncertainty.
+        lateral_displacement: (n,) m, strictly increasing: the grid of the contact search.
+        amplitudes: (k,) m, positive.
 
-    Raises
-    ------
-    ContactError
-        The profiles never touch.
+    Raises:
+        ContactError: The profiles never touch.
     """
     wanted = np.array(amplitudes, dtype=np.float64, ndmin=1)
     if shapes.exact:

@@ -73,12 +73,8 @@ class DesignCurve:
 def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
     """Return the design nearest to measured points, moved to them; None if they are of no known design.
 
-    Parameters
-    ----------
-    kind
-        Of which designs.
-    points
-        (n, 2) mm, y to the field side and z down, along the profile; a wheel's y from about its tread datum.
+    Args:
+        points: (n, 2) mm, y to the field side and z down, along the profile; a wheel's y from about its tread datum.
     """
     shown = points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(np.int64))]
     found = []
@@ -100,16 +96,10 @@ def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
 def explains(design: DesignCurve, points: FloatArray, noise: FloatArray, length: float) -> bool:
     """Return whether points differ from a design by no more than their noise, where wheel and rail may touch.
 
-    Parameters
-    ----------
-    design
-        Moved to the points.
-    points
-        (n, 2) mm, without outliers.
-    noise
-        (n,) standard deviation of each across the profile, mm.
-    length
-        Arc over which neighbours share it, mm.
+    Args:
+        points: (n, 2) mm, without outliers.
+        noise: (n,) standard deviation of each across the profile, mm.
+        length: Arc over which neighbours share it, mm.
     """
     arc = design.foot(points)
     at, tangent = design.at(arc)

@@ -37,10 +37,8 @@ Setting = tuple[bool, float, tuple[float, float], _Sides, _Sides]
 class WheelsetOnTrack:
     """A wheelset and the track under it, as far as contact geometry goes; SI.
 
-    Raises
-    ------
-    ContactError
-        A wheel where a rail should be, or a dimension that is not a positive number.
+    Raises:
+        ContactError: A wheel where a rail should be, or a dimension that is not a positive number.
     """
 
     left_wheel: Profile
@@ -92,26 +90,19 @@ def contact_table(
 ) -> ContactTable:
     """Return the contact geometry at every lateral displacement and gauge deviation.
 
-    Parameters
-    ----------
-    wheelset
-        Profiles and dimensions.
-    lateral_displacement
-        (n,) m, strictly increasing: of the axle's middle relative to the track centre, positive to the left.
-    gauge_deviation
-        (g,) m, strictly increasing: actual minus nominal gauge.
-    method
-        ``RIGID``: the wheelset rolls about the axle's middle until both wheels touch. ``EN15302``: it does not roll,
-        and each wheel touches where its vertical gap is smallest (EN 15302:2021, as its reference results are made).
-    outside
-        What to do at displacements where no contact exists (a wheel on the tip of its flange, or off the rail):
-        ``raise``, or ``hold`` the values of the nearest displacement that has contact, marked in ``exists``.
+    Args:
+        lateral_displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre, positive
+            to the left.
+        gauge_deviation: (g,) m, strictly increasing: actual minus nominal gauge.
+        method: ``RIGID``: the wheelset rolls about the axle's middle until both wheels touch. ``EN15302``: it does not
+            roll, and each wheel touches where its vertical gap is smallest (EN 15302:2021, as its reference results are
+            made).
+        outside: What to do at displacements where no contact exists (a wheel on the tip of its flange, or off the
+            rail): ``raise``, or ``hold`` the values of the nearest displacement that has contact, marked in ``exists``.
 
-    Raises
-    ------
-    ContactError
-        A grid that is not finite and increasing; profiles that never touch; with ``outside="raise"`` any
-        displacement without contact.
+    Raises:
+        ContactError: A grid that is not finite and increasing; profiles that never touch; with ``outside="raise"`` any
+            displacement without contact.
     """
     displacement, deviation, setting, values, outcomes = search_contacts(
         wheelset, lateral_displacement, gauge_deviation, method=method, outside=outside
@@ -133,15 +124,8 @@ def search_contacts(
 
     The values are those of :func:`estimation.contact.kernels.table`.
 
-    Parameters
-    ----------
-    wheelset, lateral_displacement, gauge_deviation, method, outside
-        As :func:`contact_table` takes them.
-
-    Raises
-    ------
-    ContactError
-        As :func:`contact_table`.
+    Raises:
+        ContactError: As :func:`contact_table`.
     """
     displacement = _grid(lateral_displacement, "lateral_displacement")
     deviation = _grid(gauge_deviation, "gauge_deviation")

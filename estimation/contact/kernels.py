@@ -106,23 +106,16 @@ def _scan(gaps, shift, cosine, sine, half, radius, wheel, rail):  # type: ignore
 def nearest(shift, roll, half, radius, wheel, rail):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return gap, wheel coordinate, rail position, d gap / d roll and outcome of the smallest gap of one wheel.
 
-    Parameters
-    ----------
-    shift
-        Of the wheel to its field side relative to the rail, m.
-    roll
-        Roll angle that lifts the wheel, rad.
-    half
-        Half the distance of the tread datums, m.
-    radius
-        Nominal rolling radius, m.
-    wheel, rail
-        Gridded surface each: first lateral coordinate and step, m; height (n,), m; slope (n,).
+    Args:
+        shift: Of the wheel to its field side relative to the rail, m.
+        roll: Roll angle that lifts the wheel, rad.
+        half: Half the distance of the tread datums, m.
+        radius: Nominal rolling radius, m.
+        wheel, rail: Gridded surface each: first lateral coordinate and step, m; height (n,), m; slope (n,).
 
-    Returns
-    -------
-    gap, wheel coordinate, rail position, rate, outcome
-        m, m, m, m/rad, and one of ``FOUND``, ``NO_OVERLAP``, ``FLANGE_TIP``, ``OUTER_EDGE``.
+    Returns:
+        gap, wheel coordinate, rail position, rate, outcome: m, m, m, m/rad, and one of ``FOUND``, ``NO_OVERLAP``,
+            ``FLANGE_TIP``, ``OUTER_EDGE``.
     """
     cosine, sine = math.cos(roll), math.sin(roll)
     gaps = np.empty((len(wheel[2]) - 1) // STRIDE + 1)
@@ -155,18 +148,12 @@ def touching_roll(start, left_shift, right_shift, half, radii, wheels, rails):  
 
     Contacts are (wheel coordinate, rail position) of the left and right wheel.
 
-    Parameters
-    ----------
-    start
-        Roll to begin with, rad.
-    left_shift, right_shift
-        Of each wheel to its field side relative to its rail, m.
-    half
-        Half the distance of the tread datums, m.
-    radii
-        Nominal rolling radii of the left and right wheel, m.
-    wheels, rails
-        Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
+    Args:
+        start: Roll to begin with, rad.
+        left_shift, right_shift: Of each wheel to its field side relative to its rail, m.
+        half: Half the distance of the tread datums, m.
+        radii: Nominal rolling radii of the left and right wheel, m.
+        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     roll, low, high = start, -ROLL_LIMIT, ROLL_LIMIT
     left = nearest(left_shift, roll, half, radii[0], wheels[0], rails[0])
@@ -194,23 +181,15 @@ def touching_roll(start, left_shift, right_shift, half, radii, wheels, rails):  
 def contact(displacement, deviation, start, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return roll, wheel coordinates, rail positions (left, right each) and outcome of one position of the wheelset.
 
-    Parameters
-    ----------
-    displacement
-        Of the axle's middle relative to the track centre, m, positive to the left.
-    deviation
-        Actual minus nominal gauge, m.
-    start
-        Roll to begin the search with, rad.
-    rigid
-        Whether the wheelset rolls until both wheels touch; without, the roll is zero and each side on its own, as in EN
-        15302:2021.
-    half
-        Half the distance of the tread datums, m.
-    radii
-        Nominal rolling radii of the left and right wheel, m.
-    wheels, rails
-        Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
+    Args:
+        displacement: Of the axle's middle relative to the track centre, m, positive to the left.
+        deviation: Actual minus nominal gauge, m.
+        start: Roll to begin the search with, rad.
+        rigid: Whether the wheelset rolls until both wheels touch; without, the roll is zero and each side on its own,
+            as in EN 15302:2021.
+        half: Half the distance of the tread datums, m.
+        radii: Nominal rolling radii of the left and right wheel, m.
+        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     left_shift, right_shift = displacement - 0.5 * deviation, -displacement - 0.5 * deviation
     if rigid:
@@ -226,20 +205,12 @@ def table(displacement, deviation, rigid, half, radii, wheels, rails):  # type: 
 
     Each search starts from its neighbour's roll, from the centre outwards.
 
-    Parameters
-    ----------
-    displacement
-        (n,) m, strictly increasing: of the axle's middle relative to the track centre.
-    deviation
-        (g,) m, strictly increasing: actual minus nominal gauge.
-    rigid
-        Whether the wheelset rolls, see :func:`contact`.
-    half
-        Half the distance of the tread datums, m.
-    radii
-        Nominal rolling radii of the left and right wheel, m.
-    wheels, rails
-        Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
+    Args:
+        displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre.
+        deviation: (g,) m, strictly increasing: actual minus nominal gauge.
+        half: Half the distance of the tread datums, m.
+        radii: Nominal rolling radii of the left and right wheel, m.
+        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     n, g = len(displacement), len(deviation)
     values, outcomes = np.full((5, n, g), np.nan), np.zeros((n, g), np.int64)
@@ -288,22 +259,13 @@ def _is_jump(low, high, first, second, deviation, rigid, half, radii, wheels, ra
 def jumps(displacement, deviation, values, outcomes, rigid, half, radii, wheels, rails):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Return (n - 1, g): whether a contact jumps between a displacement and the next.
 
-    Parameters
-    ----------
-    displacement
-        (n,) m, strictly increasing: of the axle's middle relative to the track centre.
-    deviation
-        (g,) m, strictly increasing: actual minus nominal gauge.
-    values, outcomes
-        (5, n, g) and (n, g): what :func:`table` returned for them.
-    rigid
-        Whether the wheelset rolls, see :func:`contact`.
-    half
-        Half the distance of the tread datums, m.
-    radii
-        Nominal rolling radii of the left and right wheel, m.
-    wheels, rails
-        Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
+    Args:
+        displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre.
+        deviation: (g,) m, strictly increasing: actual minus nominal gauge.
+        values, outcomes: (5, n, g) and (n, g): what :func:`table` returned for them.
+        half: Half the distance of the tread datums, m.
+        radii: Nominal rolling radii of the left and right wheel, m.
+        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     n, g = outcomes.shape
     crossed = np.zeros((max(n - 1, 0), g), np.bool_)
@@ -335,22 +297,13 @@ def refined(displacement, deviation, values, outcomes, rigid, half, radii, wheel
     is off the straight line by more than `CURVE_TOLERANCE`, down to `CURVE_INTERVAL`: a jump is between two points
     that are no farther apart than that. A cell without contact in its middle is left as it is.
 
-    Parameters
-    ----------
-    displacement
-        (n,) m, strictly increasing: of the axle's middle relative to the track centre.
-    deviation
-        Actual minus nominal gauge, m.
-    values, outcomes
-        (5, n) and (n,): what :func:`table` returned for them.
-    rigid
-        Whether the wheelset rolls, see :func:`contact`.
-    half
-        Half the distance of the tread datums, m.
-    radii
-        Nominal rolling radii of the left and right wheel, m.
-    wheels, rails
-        Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
+    Args:
+        displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre.
+        deviation: Actual minus nominal gauge, m.
+        values, outcomes: (5, n) and (n,): what :func:`table` returned for them.
+        half: Half the distance of the tread datums, m.
+        radii: Nominal rolling radii of the left and right wheel, m.
+        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     points = [(math.nan, math.nan, math.nan) for _ in range(0)]
     upper = [(0.0, (math.nan, math.nan, math.nan, math.nan, math.nan, FOUND)) for _ in range(0)]

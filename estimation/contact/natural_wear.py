@@ -39,21 +39,12 @@ def worn_by_contact(
 ) -> Iterator[Profile]:
     """Yield the wheel at each depth of wear.
 
-    Parameters
-    ----------
-    wheel, rail
-        New profiles; both wheels and both rails are alike.
-    inclination
-        Of the rails, its tangent.
-    running
-        Where contact is.
-    depths
-        Greatest depths, m, increasing multiples of ``STEP``.
+    Args:
+        wheel, rail: New profiles; both wheels and both rails are alike.
+        depths: Greatest depths, m, increasing multiples of ``STEP``.
 
-    Raises
-    ------
-    ContactError
-        The profiles never touch.
+    Raises:
+        ContactError: The profiles never touch.
     """
     shares = np.exp(-0.5 * (DISPLACEMENT / running.spread) ** 2)
     curving = DISPLACEMENT > CURVING_FROM

@@ -104,16 +104,11 @@ def fit_spline(
 ) -> PenalisedSpline:
     """Return the smooth curve through points and its uncertainty.
 
-    Parameters
-    ----------
-    points
-        (n, 2) mm, in their order along the curve.
-    weight
-        (n,) 1, or 0 for points that are left out.
-    noise_std
-        Of the points across the curve, mm; None if it is to be estimated.
-    design
-        The curve is the sum of this and a spline; without, the spline is all of it.
+    Args:
+        points: (n, 2) mm, in their order along the curve.
+        weight: (n,) 1, or 0 for points that are left out.
+        noise_std: Of the points across the curve, mm; None if it is to be estimated.
+        design: The curve is the sum of this and a spline; without, the spline is all of it.
     """
     arc, spacing = _first_arc(points)
     arc = arc if design is None else design.foot(points)
@@ -157,10 +152,8 @@ def correlated_noise(points: FloatArray) -> tuple[float, float]:
     Fourth differences at several distances: of white noise they are alike, of noise that neighbours share they grow
     with the distance. The correlation is taken as exponential.
 
-    Parameters
-    ----------
-    points
-        (n, 2) mm, in their order along the curve.
+    Args:
+        points: (n, 2) mm, in their order along the curve.
     """
     spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
     steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in NOISE_DISTANCES})
@@ -184,12 +177,8 @@ def correlated_noise(points: FloatArray) -> tuple[float, float]:
 def rough_noise(points: FloatArray, step: int = 1) -> float:
     """Return the noise of points across their curve from differences of neighbours, mm: robust, before any fit.
 
-    Parameters
-    ----------
-    points
-        (n, 2) mm, in their order along the curve.
-    step
-        To which neighbours.
+    Args:
+        points: (n, 2) mm, in their order along the curve.
     """
     if len(points) < 4 * step + 1:
         return 0.0

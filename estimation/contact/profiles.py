@@ -58,10 +58,8 @@ class Profile:
 
     Between its points the height is the cubic that has the height and the slope of both neighbours.
 
-    Raises
-    ------
-    ProfileError
-        Fewer than four points, a value that is not finite, or y that does not increase.
+    Raises:
+        ProfileError: Fewer than four points, a value that is not finite, or y that does not increase.
     """
 
     kind: ProfileKind
@@ -99,17 +97,11 @@ class Profile:
 def profile_from_points(kind: ProfileKind, name: str, y: FloatArray, z: FloatArray) -> Profile:
     """Return the profile through points, its slopes those of the cubic spline through them.
 
-    Parameters
-    ----------
-    kind, name
-        What it is.
-    y, z
-        (n,) m, y strictly increasing.
+    Args:
+        y, z: (n,) m, y strictly increasing.
 
-    Raises
-    ------
-    ProfileError
-        As `Profile`.
+    Raises:
+        ProfileError: As `Profile`.
     """
     checked = Profile(kind, name, y, z, np.zeros(len(y)))
     return Profile(kind, name, checked.y, checked.z, CubicSpline(checked.y, checked.z)(checked.y, nu=1))
@@ -120,15 +112,8 @@ def wheel_profile(name: str) -> Profile:
 
     Case and punctuation are free; :func:`estimation.contact.en13715.en13715_wheel` lists the designations of EN 13715.
 
-    Parameters
-    ----------
-    name
-        Of the standard profile.
-
-    Raises
-    ------
-    ProfileError
-        No such wheel; the message lists those there are.
+    Raises:
+        ProfileError: No such wheel; the message lists those there are.
     """
     segments = en13715_wheel(name)
     return _sampled("wheel", name, segments) if segments else _named("wheel", name, WHEEL_DEFINITIONS)
@@ -139,27 +124,14 @@ def rail_profile(name: str) -> Profile:
 
     Case and punctuation are free. EN15302-A is given in track axes (inclined already); all others are uninclined.
 
-    Parameters
-    ----------
-    name
-        Of the standard profile.
-
-    Raises
-    ------
-    ProfileError
-        No such rail; the message lists those there are.
+    Raises:
+        ProfileError: No such rail; the message lists those there are.
     """
     return _named("rail", name, RAIL_DEFINITIONS)
 
 
 def is_design(name: str) -> bool:
-    """Return whether a wheel or rail profile of that name is built in.
-
-    Parameters
-    ----------
-    name
-        As `wheel_profile` and `rail_profile` take it.
-    """
+    """Return whether a wheel or rail profile of that name is built in."""
     return en13715_wheel(name) is not None or any(
         _plain(name) == _plain(known) for known in (*WHEEL_DEFINITIONS, *RAIL_DEFINITIONS)
     )

@@ -43,21 +43,14 @@ def radius_difference_curve(
     Each cell is halved until the curve is straight in it to 0.2 um; a jump is placed by bisection of the contact
     search to 1 nm. So integrals over the curve (EN 15302) do not depend on the grid.
 
-    Parameters
-    ----------
-    wheelset
-        Profiles and dimensions.
-    lateral_displacement
-        (n,) m, strictly increasing: of the axle's middle relative to the track centre, positive to the left.
-    gauge_deviation
-        Actual minus nominal gauge, m.
-    method
-        How contact points are found, as :func:`estimation.contact.geometry.contact_table` takes it.
+    Args:
+        lateral_displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre, positive
+            to the left.
+        gauge_deviation: Actual minus nominal gauge, m.
+        method: How contact points are found, as :func:`estimation.contact.geometry.contact_table` takes it.
 
-    Raises
-    ------
-    ContactError
-        A grid that is not finite and increasing; profiles that never touch.
+    Raises:
+        ContactError: A grid that is not finite and increasing; profiles that never touch.
     """
     grid, _, setting, values, outcomes = search_contacts(
         wheelset, lateral_displacement, (gauge_deviation,), method=method, outside="hold"
@@ -68,14 +61,9 @@ def radius_difference_curve(
 def refined_curve(wheelset: WheelsetOnTrack, table: ContactTable, column: int) -> RadiusDifferenceCurve:
     """Return the same curve from a contact table that has been searched already, at one of its gauges.
 
-    Parameters
-    ----------
-    wheelset
-        That of the table.
-    table
-        As :func:`estimation.contact.geometry.contact_table` returns it.
-    column
-        Of ``table.gauge_deviation``, from 0.
+    Args:
+        table: As :func:`estimation.contact.geometry.contact_table` returns it.
+        column: Of ``table.gauge_deviation``, from 0.
     """
     contacts = (
         table.roll,

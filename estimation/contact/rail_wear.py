@@ -25,10 +25,8 @@ DEEPEST_BAND = 4e-3
 class RailWear:
     """Material that a rail head has lost; metres on the profile's lateral axis.
 
-    Raises
-    ------
-    ParameterError
-        Depth outside 0 to 4 mm, a half width that is not positive, a middle that is no number.
+    Raises:
+        ParameterError: Depth outside 0 to 4 mm, a half width that is not positive, a middle that is no number.
     """
 
     depth: float  # at the middle of the band
@@ -47,17 +45,8 @@ class RailWear:
 def worn_rail(rail: Profile, wear: RailWear) -> Profile:
     """Return the rail profile after it has lost that material; the new profile is not touched.
 
-    Parameters
-    ----------
-    rail
-        New rail profile, z down.
-    wear
-        Material lost.
-
-    Raises
-    ------
-    ProfileError
-        The profile is a wheel.
+    Raises:
+        ProfileError: The profile is a wheel.
     """
     if rail.kind != "rail":
         raise ProfileError(f"{rail.name!r} is a wheel; a band is worn into rails", field="kind")

@@ -41,13 +41,7 @@ class SmoothedProfile:
         return None if self.spline is None else self.spline.design
 
     def draw(self, random: np.random.Generator) -> Profile:
-        """Return a profile that the measurement allows: the smooth one plus an error as probable as its own.
-
-        Parameters
-        ----------
-        random
-            Source of the error.
-        """
+        """Return a profile that the measurement allows: the smooth one plus an error as probable as its own."""
         if self.spline is None:
             return self.profile
         error = self.spline.root @ random.standard_normal(self.spline.coefficients.shape)
@@ -58,10 +52,8 @@ class SmoothedProfile:
 def exact(profile: Profile) -> SmoothedProfile:
     """Return a profile whose shape is known, as one of a drawing.
 
-    Parameters
-    ----------
-    profile
-        Of a wheel or a rail.
+    Args:
+        profile: Of a wheel or a rail.
     """
     return SmoothedProfile(profile, 0.0)
 
@@ -75,19 +67,13 @@ def smoothed_profile(
     are alone. Points without noise (less than 0.1 um) are taken as they are. Of more points than
     `estimation.contact.thinning.MOST_POINTS` so many are smoothed, evenly spaced along the arc.
 
-    Parameters
-    ----------
-    kind, name
-        What it is.
-    points
-        (n, 2) mm, y to the field side and z down, along the profile with y increasing on the whole.
-    noise_std
-        Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
+    Args:
+        points: (n, 2) mm, y to the field side and z down, along the profile with y increasing on the whole.
+        noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
 
-    Raises
-    ------
-    ProfileError
-        Fewer than four points, points that are not in order along the profile, or too few for their scatter.
+    Raises:
+        ProfileError: Fewer than four points, points that are not in order along the profile, or too few for their
+            scatter.
     """
     level = correlated_noise(points)[0] if noise_std is None else noise_std
     if level < EXACT_BELOW:
@@ -142,15 +128,11 @@ def _on_design(
 def datum_at_zero(profile: Profile) -> Profile:
     """Return a wheel with z = 0 at its tread datum, and a rail as it is.
 
-    Parameters
-    ----------
-    profile
-        Of a wheel or a rail.
+    Args:
+        profile: Of a wheel or a rail.
 
-    Raises
-    ------
-    ProfileError
-        The wheel does not reach its tread datum.
+    Raises:
+        ProfileError: The wheel does not reach its tread datum.
     """
     if profile.kind == "rail":
         return profile
@@ -167,12 +149,9 @@ def datum_at_zero(profile: Profile) -> Profile:
 def advancing(y: FloatArray, peak: int) -> IntArray:
     """Return the indices of the points that advance, seen from the peak outwards to both sides.
 
-    Parameters
-    ----------
-    y
-        (n,) mm, increasing on the whole.
-    peak
-        Index of the tip of the flange, or of the crown.
+    Args:
+        y: (n,) mm, increasing on the whole.
+        peak: Index of the tip of the flange, or of the crown.
     """
     right = _beyond_all_before(y[peak:])
     left = _beyond_all_before(-y[peak::-1])
@@ -205,12 +184,9 @@ def _profile(kind: ProfileKind, name: str, spline: PenalisedSpline, coefficients
 def without_spikes(points: FloatArray, level: float) -> FloatArray:
     """Return weight 0 (n,) for points far off the median of their neighbours, which would bend the first fit, else 1.
 
-    Parameters
-    ----------
-    points
-        (n, 2) mm, in their order along the curve.
-    level
-        Noise across the curve, mm.
+    Args:
+        points: (n, 2) mm, in their order along the curve.
+        level: Noise across the curve, mm.
     """
     n = len(points)
     index = np.clip(np.arange(n)[:, np.newaxis] + np.arange(-3, 4), 0, n - 1)

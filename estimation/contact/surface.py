@@ -48,15 +48,8 @@ def wheel_surface(wheel: Profile) -> Surface:
     The lateral axis is the profile's own. A wheel that touches with the tip or its inner side has derailed. Of a
     wheel without a flange (a plain cone) everything can touch.
 
-    Parameters
-    ----------
-    wheel
-        Profile of a wheel.
-
-    Raises
-    ------
-    ContactError
-        Nothing of it can touch: it ends in its flange.
+    Raises:
+        ContactError: Nothing of it can touch: it ends in its flange.
     """
     margin = _TIP if np.ptp(wheel.z) > _LEAST_FLANGE else 0.0
     start = int(np.flatnonzero(wheel.z >= wheel.z.max() - margin)[-1])
@@ -70,19 +63,13 @@ def wheel_surface(wheel: Profile) -> Surface:
 def rail_surface(rail: Profile, inclination: float, gauge: float) -> Surface:
     """Return a rail placed in the track: lateral distance from the track centre, height below the top of the rail.
 
-    Parameters
-    ----------
-    rail
-        Uninclined, or in track axes if ``inclination`` is 0.
-    inclination
-        Tangent of the angle by which the rail leans towards the track centre.
-    gauge
-        Distance between the rails, m: the smallest within 14 mm below their tops.
+    Args:
+        rail: Uninclined, or in track axes if ``inclination`` is 0.
+        inclination: Tangent of the angle by which the rail leans towards the track centre.
+        gauge: Distance between the rails, m: the smallest within 14 mm below their tops.
 
-    Raises
-    ------
-    ContactError
-        The rail ends on the gauge side less than 14 mm below its top, and not in a steep face.
+    Raises:
+        ContactError: The rail ends on the gauge side less than 14 mm below its top, and not in a steep face.
     """
     angle = math.atan(inclination)
     y = rail.y * math.cos(angle) + rail.z * math.sin(angle)

@@ -15,10 +15,8 @@ def thinned(points: FloatArray) -> IntArray:
     Points are chosen, not averaged: each keeps the noise of the instrument, its place in the file, and whether it is
     an outlier. The arc is that of the running mean of the points, which noise lengthens little.
 
-    Parameters
-    ----------
-    points
-        (n, 2) mm, in their order along the curve.
+    Args:
+        points: (n, 2) mm, in their order along the curve.
     """
     n = len(points)
     if n <= MOST_POINTS:

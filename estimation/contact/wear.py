@@ -32,10 +32,8 @@ _TIP = (-0.058, -0.048)  # m, the tip stays up to the first, the face moves full
 class TreadWear:
     """Material that a wheel has lost; metres on the profile's lateral axis.
 
-    Raises
-    ------
-    ParameterError
-        Depth outside 0 to 6 mm, flange wear outside 0 to 4 mm, a half width that is not positive.
+    Raises:
+        ParameterError: Depth outside 0 to 6 mm, flange wear outside 0 to 4 mm, a half width that is not positive.
     """
 
     depth: float  # at the centre of the hollow
@@ -66,17 +64,11 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
     rail at 1435 mm equivalent conicity at 3 mm (EN 15302) grows steadily with depth: P8 on 56E1 from 0.195 to 0.44
     at 2.2 mm, S1002 on 60E1 from 0.174 to 0.42 at 1.3 mm; beyond, P8 grows on and S1002 levels off near 0.46.
 
-    Parameters
-    ----------
-    family
-        Wheel and rail pair.
-    depth
-        Height lost at the centre of the tread, m.
+    Args:
+        depth: Height lost at the centre of the tread, m.
 
-    Raises
-    ------
-    ParameterError
-        As `TreadWear`.
+    Raises:
+        ParameterError: As `TreadWear`.
     """
     centre, half_width = {
         WearFamily.P8_ON_56E1: (3e-3, 44e-3),
@@ -88,17 +80,8 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
 def worn(wheel: Profile, wear: TreadWear) -> Profile:
     """Return the wheel profile after it has lost that material; the new profile is not touched.
 
-    Parameters
-    ----------
-    wheel
-        New wheel profile.
-    wear
-        Material lost.
-
-    Raises
-    ------
-    ProfileError
-        The profile is a rail.
+    Raises:
+        ProfileError: The profile is a rail.
     """
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear is applied to wheels", field="kind")

@@ -37,15 +37,8 @@ class WearMeasures:
 def wear_measures(wheel: Profile) -> WearMeasures:
     """Return the wear measures of a wheel whose origin is the tread datum, 70 mm from the flange back.
 
-    Parameters
-    ----------
-    wheel
-        Profile of a wheel.
-
-    Raises
-    ------
-    ProfileError
-        A rail, or a profile that does not reach from the flange to the datum.
+    Raises:
+        ProfileError: A rail, or a profile that does not reach from the flange to the datum.
     """
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear measures are a wheel's", field="kind")

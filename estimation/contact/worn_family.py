@@ -113,23 +113,15 @@ class WornFamily:
     def without(self, wheel: str) -> WornFamily:
         """Return the family without one of its wheels, on whatever rail.
 
-        Parameters
-        ----------
-        wheel
-            Name, of ``WHEELS``.
+        Args:
+            wheel: Name, of ``WHEELS``.
         """
         others = ~np.isin(self.pair, [i for i, pair in enumerate(PAIRS) if pair.wheel == wheel])
         return WornFamily(self.amplitude, self.conicity[others], self.pair[others])
 
 
 def conicities_of(pair: Pair) -> FloatArray:
-    """Return the conicities (m, a) of a pair, new and worn, at ``AMPLITUDES``, as far as they are usual in service.
-
-    Parameters
-    ----------
-    pair
-        Design profiles.
-    """
+    """Return the conicities (m, a) of a pair, new and worn, at ``AMPLITUDES``, as far as they are usual in service."""
     found = [conicities_on_track(*wheels, rail, pair.inclination) for wheels, rail in wheelsets(pair)]
     rows = np.concatenate(found)
     low, high = USUAL_CONICITY
@@ -141,14 +133,8 @@ def conicities_of(pair: Pair) -> FloatArray:
 def conicities_on_track(left: Profile, right: Profile, rail: Profile, inclination: int) -> FloatArray:
     """Return the conicities (g, a) of a wheelset at ``AMPLITUDES``, for each of the ``GAUGE_SHARES``.
 
-    Parameters
-    ----------
-    left, right
-        Wheels.
-    rail
-        Both rails.
-    inclination
-        1 : inclination.
+    Args:
+        inclination: 1 : inclination.
     """
     on_track = WheelsetOnTrack(left, right, rail, rail, 1.0 / inclination, 1.435)
     table = contact_table(on_track, DISPLACEMENT, GAUGES, method=ContactMethod.EN15302, outside="hold")

@@ -65,17 +65,11 @@ class DamperFilters:
 def damper_filters(vehicle_class: VehicleClass, sample_interval_s: float) -> DamperFilters:
     """Return the filters of a class.
 
-    Parameters
-    ----------
-    vehicle_class
-        Masses and suspension with their stds, and sensors.
-    sample_interval_s
-        Between samples as measured, s.
+    Args:
+        sample_interval_s: Between samples as measured, s.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The class has no stationary filter.
+    Raises:
+        numpy.linalg.LinAlgError: The class has no stationary filter.
     """
     return _filters(_Kept(vehicle_class), sample_interval_s)
 
@@ -156,12 +150,8 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
 def of_signals(filters: DamperFilters, products: FloatArray) -> FloatArray:
     """Return the products (q - 1, m, m) of the signals.
 
-    Parameters
-    ----------
-    filters
-        Of a class.
-    products
-        (q - 1, v + 2, v + 2) of the innovations, lower halves.
+    Args:
+        products: (q - 1, v + 2, v + 2) of the innovations, lower halves.
     """
     whole = products + np.tril(products, -1).transpose(0, 2, 1)
     return np.asarray(filters.signals @ whole @ filters.signals.T)
@@ -175,16 +165,10 @@ def add_products(
 ) -> None:
     """Add the products of the innovations over a segment.
 
-    Parameters
-    ----------
-    filters
-        Of a class.
-    below, above
-        (k, s) accelerations of wheelsets and of what is above, as ``SOURCES`` names them, m/s2.
-    counted
-        (s,) samples whose innovations are summed.
-    products
-        (q - 1, v + 2, v + 2) the lower half of each is added to.
+    Args:
+        below, above: (k, s) accelerations of wheelsets and of what is above, as ``SOURCES`` names them, m/s2.
+        counted: (s,) samples whose innovations are summed.
+        products: (q - 1, v + 2, v + 2) the lower half of each is added to.
     """
     kernels.add_products(
         filters.transition,
@@ -200,13 +184,7 @@ def add_products(
 
 
 def gain_std(vehicle_class: VehicleClass) -> float:
-    """Return the relative std of the scale of the sensors above over that of the wheelsets'.
-
-    Parameters
-    ----------
-    vehicle_class
-        The class on file.
-    """
+    """Return the relative std of the scale of the sensors above over that of the wheelsets'."""
     return math.hypot(*_scale_stds(vehicle_class.sensors)) / math.sqrt(_axles(vehicle_class))
 
 

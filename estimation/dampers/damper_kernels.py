@@ -22,18 +22,13 @@ def add_products(
 ) -> None:
     """Add the products of the innovations over a segment, its filters beginning at zero.
 
-    Parameters
-    ----------
-    transition, by_input, measured, gain
-        (q, v, n, n), (q, v, 2, n), (q, v, n) and (q, v, n) of the filters.
-    source
-        (v,) which row of the accelerations each variant takes.
-    below, above
-        (k, s) accelerations of the wheelsets and of what is above them, m/s2.
-    counted
-        (s,) samples whose innovations are summed.
-    products
-        (q - 1, v + 1, v + 1) of the innovations of a particle's variants, and of the next particle's first; added to.
+    Args:
+        transition, by_input, measured, gain: (q, v, n, n), (q, v, 2, n), (q, v, n) and (q, v, n) of the filters.
+        source: (v,) which row of the accelerations each variant takes.
+        below, above: (k, s) accelerations of the wheelsets and of what is above them, m/s2.
+        counted: (s,) samples whose innovations are summed.
+        products: (q - 1, v + 1, v + 1) of the innovations of a particle's variants, and of the next particle's first;
+            added to.
     """
     q, v, n = measured.shape
     size = q * v
@@ -76,18 +71,13 @@ def step(
 ) -> None:
     """Take f filters on by a sample.
 
-    Parameters
-    ----------
-    of_states, of_inputs, weights, gains
-        (n, n, f), (2, n, f), (n, f) and (n, f): transition, inputs, measurement and gain of the filters.
-    now, then
-        (f,) accelerations of the wheelsets at this sample and at the next, m/s2.
-    innovation
-        (f,) accelerations of what is above at this one, m/s2; changed to the innovations.
-    state
-        (n, f) changed.
-    corrected
-        (n, f) work space.
+    Args:
+        of_states, of_inputs, weights, gains: (n, n, f), (2, n, f), (n, f) and (n, f): transition, inputs, measurement
+            and gain of the filters.
+        now, then: (f,) accelerations of the wheelsets at this sample and at the next, m/s2.
+        innovation: (f,) accelerations of what is above at this one, m/s2; changed to the innovations.
+        state: (n, f) changed.
+        corrected: (n, f) work space.
     """
     n, f = state.shape
     for k in range(n):
@@ -108,14 +98,10 @@ def step(
 def add_outer(innovations: FloatArray, signals: FloatArray, products: FloatArray) -> None:
     """Add the products of the innovations of a sample to the lower half of every particle's.
 
-    Parameters
-    ----------
-    innovations
-        (q, v) of the variants of every particle, m/s2.
-    signals
-        (v + 1,) work space.
-    products
-        (q - 1, v + 1, v + 1) added to.
+    Args:
+        innovations: (q, v) of the variants of every particle, m/s2.
+        signals: (v + 1,) work space.
+        products: (q - 1, v + 1, v + 1) added to.
     """
     q, v = innovations.shape
     for particle in range(q - 1):

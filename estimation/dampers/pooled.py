@@ -36,20 +36,14 @@ LEAST_CURVATURE = 0.2  # of the other parameters' information with their priors:
 class DamperParameters:
     """How far back windows count, and what is published.
 
-    Attributes
-    ----------
-    span_km
-        Of the odometer, back from the newest window.
-    weak_share
-        A damper with less of its damping is weak.
-    likely
-        Probability of that from which on it is a finding.
-    widest_std
-        Of a share that is published.
-    most_diverged
-        Share of the windows.
-    surest
-        Probability at which the errors of the other parameters are larger than those of any vehicle of the class.
+    Attributes:
+        span_km: Of the odometer, back from the newest window.
+        weak_share: A damper with less of its damping is weak.
+        likely: Probability of that from which on it is a finding.
+        widest_std: Of a share that is published.
+        most_diverged: Share of the windows.
+        surest: Probability at which the errors of the other parameters are larger than those of any vehicle of the
+            class.
     """
 
     span_km: float = 5_000.0
@@ -63,12 +57,8 @@ class DamperParameters:
 def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -> GearDamper:
     """Return what the newest windows of a running gear say of its damper; in any order they say the same.
 
-    Parameters
-    ----------
-    windows
-        Of one running gear, at least one.
-    parameters
-        Of span and publication.
+    Args:
+        windows: Of one running gear, at least one.
     """
     ordered = sorted(windows, key=lambda one: one.start_ns)
     newest = ordered[-1]
@@ -186,12 +176,9 @@ class Posterior:
 def posterior(sums: FloatArray, curved: int) -> Posterior | None:
     """Return what sums say; None where the noise of the sensors would make up all of it.
 
-    Parameters
-    ----------
-    sums
-        (q - 1, m, m) products of the signals of q particles over the windows.
-    curved
-        Parameters whose effect has a second order.
+    Args:
+        sums: (q - 1, m, m) products of the signals of q particles over the windows.
+        curved: Parameters whose effect has a second order.
     """
     t = (np.arange(BETWEEN) + 0.5) / BETWEEN
     low, apart = np.array(SHARES[:-1]), np.diff(SHARES)

@@ -51,11 +51,6 @@ def uncertain_parameters(vehicle_class: VehicleClass) -> Mapping[str, float]:
 
     Accelerations show ratios alone, and each mode follows from one of them: that of the body from its spring over its
     mass, whatever that is over the frame's.
-
-    Parameters
-    ----------
-    vehicle_class
-        The class on file.
     """
     ratios = SINGLE_UNCERTAIN if vehicle_class.bogie is None else BOGIE_UNCERTAIN
     return {
@@ -64,25 +59,13 @@ def uncertain_parameters(vehicle_class: VehicleClass) -> Mapping[str, float]:
 
 
 def nominal_damping(vehicle_class: VehicleClass) -> float:
-    """Return the damping on file of the damper that is looked for, N s/m.
-
-    Parameters
-    ----------
-    vehicle_class
-        The class on file.
-    """
+    """Return the damping on file of the damper that is looked for, N s/m."""
     bogie = vehicle_class.bogie
     return vehicle_class.parameters.lateral_damping if bogie is None else bogie.secondary_lateral_damping
 
 
 def mass_std(vehicle_class: VehicleClass) -> float:
-    """Return the relative std of the mass that follows the wheelsets: accelerations show damping over mass.
-
-    Parameters
-    ----------
-    vehicle_class
-        The class on file.
-    """
+    """Return the relative std of the mass that follows the wheelsets: accelerations show damping over mass."""
     return vehicle_class.std_of("suspended_mass" if vehicle_class.bogie is None else "frame_mass")
 
 
@@ -91,15 +74,9 @@ def suspension_equations(
 ) -> SuspensionEquations:
     """Return the equations of a running gear whose damper has a share of the damping on file.
 
-    Parameters
-    ----------
-    vehicle_class
-        The class on file.
-    share
-        Of the damping.
-    factors
-        By which other parameters differ from the class, by the names of their fields; with the mass of the body its
-        spring does too.
+    Args:
+        factors: By which other parameters differ from the class, by the names of their fields; with the mass of the
+            body its spring does too.
     """
     p, bogie = vehicle_class.parameters, vehicle_class.bogie
     p = replace(p, **{name: value * getattr(p, name) for name, value in factors.items() if hasattr(p, name)})

@@ -20,10 +20,8 @@ STEP_S = 0.016  # between the samples that the filters take
 def stride_of(sample_interval_s: float) -> int:
     """Return of how many samples one is kept.
 
-    Parameters
-    ----------
-    sample_interval_s
-        As measured, s.
+    Args:
+        sample_interval_s: As measured, s.
     """
     return max(round(STEP_S / sample_interval_s), 1)
 
@@ -32,10 +30,8 @@ def stride_of(sample_interval_s: float) -> int:
 def low_pass(sample_interval_s: float) -> FloatArray:
     """Return the taps (k,) of the low-pass, odd in number and symmetric.
 
-    Parameters
-    ----------
-    sample_interval_s
-        As measured, s.
+    Args:
+        sample_interval_s: As measured, s.
     """
     count, beta = kaiserord(STOPPED_DB, 2.0 * sample_interval_s * (STOPPED_HZ - PASSED_HZ))
     corner = 0.5 * (PASSED_HZ + STOPPED_HZ)
@@ -46,14 +42,9 @@ def low_pass(sample_interval_s: float) -> FloatArray:
 def thinned(values: FloatArray, sample_interval_s: float, phase: int = 0) -> FloatArray:
     """Return the low-passed samples (s,) at which the filter sees measured values alone.
 
-    Parameters
-    ----------
-    values
-        (n,) as measured.
-    sample_interval_s
-        Between them, s.
-    phase
-        From which of the first samples on.
+    Args:
+        values: (n,) as measured.
+        sample_interval_s: Between them, s.
     """
     passed = oaconvolve(values, low_pass(sample_interval_s), mode="valid")
     return np.asarray(passed[phase :: stride_of(sample_interval_s)])
@@ -62,10 +53,8 @@ def thinned(values: FloatArray, sample_interval_s: float, phase: int = 0) -> Flo
 def between_samples(values: FloatArray) -> FloatArray:
     """Return what, run straight from sample to sample, is the signal (s,): a straight line takes (pi f dt)^2/3 of it.
 
-    Parameters
-    ----------
-    values
-        (s,) of the signal.
+    Args:
+        values: (s,) of the signal.
     """
     raised = values.copy()
     raised[1:-1] -= np.diff(values, 2) / 12.0

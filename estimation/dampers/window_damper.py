@@ -46,10 +46,8 @@ def looked_at(first: Window) -> bool:
     Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of a
     vehicle are looked at in the same windows.
 
-    Parameters
-    ----------
-    first
-        The window of the first wheelset of a running gear.
+    Args:
+        first: The window of the first wheelset of a running gear.
     """
     return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % EVERY == 0
 
@@ -59,16 +57,8 @@ def window_damper(
 ) -> WindowDamper:
     """Return what a window says of the damper of a running gear, or why it says nothing.
 
-    Parameters
-    ----------
-    first
-        The window of its first wheelset.
-    content_digest
-        Of the samples of that.
-    gear
-        Segments of all its wheelsets, or why there are none.
-    on_file
-        Class of the vehicle.
+    Args:
+        gear: Segments of all its wheelsets, or why there are none.
     """
     vehicle_class = on_file.vehicle_class
     found = WindowSums(gear) if isinstance(gear, Reason) else window_sums(gear, vehicle_class)
@@ -88,15 +78,7 @@ def window_damper(
 
 
 def window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> WindowSums:
-    """Return what a window says of the damper of a running gear.
-
-    Parameters
-    ----------
-    gear
-        Segments of the windows of its wheelsets.
-    vehicle_class
-        On file.
-    """
+    """Return what a window says of the damper of a running gear."""
     refused = not_judged(vehicle_class)
     if refused is not None:
         return WindowSums(refused)
@@ -117,13 +99,7 @@ def window_sums(gear: GearSegments, vehicle_class: VehicleClass) -> WindowSums:
 
 
 def not_judged(vehicle_class: VehicleClass) -> Reason | None:
-    """Return why the damper of a class cannot be judged; None where it can.
-
-    Parameters
-    ----------
-    vehicle_class
-        On file.
-    """
+    """Return why the damper of a class cannot be judged; None where it can."""
     if not nominal_damping(vehicle_class) > 0.0:
         return Reason(ReasonCode.DAMPER_NOT_ON_FILE, f"class {vehicle_class.code!r} has no lateral damper on file")
     for name, std in uncertain_parameters(vehicle_class).items():

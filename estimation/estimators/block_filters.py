@@ -94,25 +94,12 @@ def filtered(
 ) -> FilterState:
     """Return the state with the blocks of ``motion`` added.
 
-    Parameters
-    ----------
-    state
-        The state so far.
-    motion
-        Motion of the wheelset relative to the track over one window.
-    basis
-        Functions of y - d in m whose coefficients are estimated.
-    prior
-        Of the coefficients.
-    block_filter
-        Filters one block.
-    weight
-        Of what each block tells.
+    Args:
+        motion: Motion of the wheelset relative to the track over one window.
+        basis: Functions of y - d in m whose coefficients are estimated.
 
-    Raises
-    ------
-    ParameterError
-        The interval between samples is not known.
+    Raises:
+        ParameterError: The interval between samples is not known.
     """
     if not motion.sample_interval_s > 0.0:
         raise ParameterError("the interval between samples is not known", field="sample_interval_s")
@@ -150,13 +137,7 @@ LEAST_NOISE = 0.03e-3  # m, std of y - d
 
 
 def follows(found: Posterior) -> bool:
-    """Return whether a filter has followed the motion of a block: by its innovations, and by its covariance.
-
-    Parameters
-    ----------
-    found
-        After the block.
-    """
+    """Return whether a filter has followed the motion of a block: by its innovations, and by its covariance."""
     finite = np.isfinite(found.mean).all() and np.isfinite(found.covariance).all() and np.isfinite(found.square)
     if not finite or found.square > LARGEST_SQUARE:
         return False
@@ -192,14 +173,9 @@ def _slip(motion: Motion, parameters: EstimatorParameters) -> FloatArray:
 def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
     """Return the curve that all blocks tell; nothing where too many have diverged.
 
-    Parameters
-    ----------
-    state
-        After all windows.
-    basis
-        Functions of y - d in m.
-    prior
-        Of the coefficients; it counts once.
+    Args:
+        state: After all windows.
+        basis: Functions of y - d in m.
     """
     series = state.series
     span = covered_range(series.counts)

@@ -36,10 +36,8 @@ def estimators() -> tuple[Estimator[Any], ...]:
 def estimator_named(name: str) -> Estimator[Any]:
     """Return the estimator called ``name``.
 
-    Raises
-    ------
-    ParameterError
-        There is none; the message lists those there are.
+    Raises:
+        ParameterError: There is none; the message lists those there are.
     """
     known = {item.name: item for item in estimators()}
     if name not in known:

@@ -46,14 +46,9 @@ class CellMeans:
     def added(self, motion: Motion, vehicle: VehicleParameters, weight: float) -> Self:
         """Return the sums with ``motion`` added.
 
-        Parameters
-        ----------
-        motion
-            Motion of the wheelset relative to the track over one window.
-        vehicle
-            As assumed.
-        weight
-            Of every sample.
+        Args:
+            motion: Motion of the wheelset relative to the track over one window.
+            weight: Of every sample.
         """
         keep = usable(motion)
         equations = regression(motion, vehicle)
@@ -70,10 +65,8 @@ class CellMeans:
     def left_out(self, x: FloatArray) -> FloatArray:
         """Return by how much the means change without each group that has samples: (g', n), m.
 
-        Parameters
-        ----------
-        x
-            (n,) m.
+        Args:
+            x: (n,) m.
         """
         total, number = self.sums.sum(axis=0), self.counts.sum(axis=0)
         known = number > 0
@@ -88,12 +81,8 @@ class CellMeans:
     def shifted(self, x: FloatArray, value: FloatArray, uncertainty: ParameterUncertainty) -> FloatArray:
         """Return what one std of each uncertain parameter changes, and what the curve cannot follow: (7, n), m.
 
-        Parameters
-        ----------
-        x, value
-            (n,) m, the curve.
-        uncertainty
-            Of the parameters.
+        Args:
+            x, value: (n,) m, the curve.
         """
         number = self.counts.sum(axis=0)
         known = number > 0

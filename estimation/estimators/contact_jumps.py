@@ -31,10 +31,8 @@ class Stepped(NamedTuple):
 def stepped(x: FloatArray, curve: FloatArray) -> Stepped:
     """Return a curve whose contact jumps are each in one place.
 
-    Parameters
-    ----------
-    x, curve
-        (n,) m, displacement at even distances, and R.
+    Args:
+        x, curve: (n,) m, displacement at even distances, and R.
     """
     width = x[1] - x[0]
     middles, rise = 0.5 * (x[1:] + x[:-1]), np.diff(curve)

@@ -23,12 +23,9 @@ def usable(motion: Motion) -> BoolArray:
 def counted(displacement: FloatArray, values: FloatArray | None = None) -> FloatArray:
     """Return the number of samples, or the sum of values, (CELLS,) in each cell of ``WIDTH`` over +-``REACH``.
 
-    Parameters
-    ----------
-    displacement
-        (n,) m, within the reach.
-    values
-        (n,) of any unit; None to count.
+    Args:
+        displacement: (n,) m, within the reach.
+        values: (n,) of any unit; None to count.
     """
     cell = np.floor((displacement + REACH) / WIDTH).astype(np.int64)
     return np.bincount(cell, values, minlength=CELLS).astype(np.float64)
@@ -37,12 +34,9 @@ def counted(displacement: FloatArray, values: FloatArray | None = None) -> Float
 def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
     """Return by how much the mean of each cell is above a curve, straight between cells: (n,).
 
-    Parameters
-    ----------
-    x, value
-        (n,) m, the curve.
-    sums, counts
-        (CELLS,) by cell.
+    Args:
+        x, value: (n,) m, the curve.
+        sums, counts: (CELLS,) by cell.
     """
     middles = (np.arange(CELLS) + 0.5) * WIDTH - REACH
     known = (counts >= LEAST_SAMPLES) & (middles > x[0]) & (middles < x[-1])

@@ -55,16 +55,10 @@ class CubicFit:
 def b_splines(x: FloatArray, first: float, piece: float, pieces: int) -> FloatArray:
     """Return the uniform cubic B-splines (n, pieces + 3) at ``x``.
 
-    Parameters
-    ----------
-    x
-        (n,) m, where to evaluate them; beyond the pieces the outermost are continued.
-    first
-        Start of the first piece, m.
-    piece
-        Length of a piece, m.
-    pieces
-        How many there are.
+    Args:
+        x: (n,) m, where to evaluate them; beyond the pieces the outermost are continued.
+        first: Start of the first piece, m.
+        piece: Length of a piece, m.
     """
     position = (x - first) / piece
     cell = np.clip(np.floor(position), 0, pieces - 1).astype(np.int64)

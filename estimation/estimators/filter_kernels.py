@@ -28,12 +28,9 @@ RENEWED = (1e-3, 1e-3)  # m, rad, std of y - d and psi behind a gap
 def renew(mean: FloatArray, P: FloatArray, displacement: float, yaw: float) -> None:
     """Begin y - d and psi again from what is measured, and keep the rest.
 
-    Parameters
-    ----------
-    mean, P
-        (k,) and (k, k) of the state, changed; y - d and psi come first.
-    displacement, yaw
-        m and rad, as measured.
+    Args:
+        mean, P: (k,) and (k, k) of the state, changed; y - d and psi come first.
+        displacement, yaw: m and rad, as measured.
     """
     mean[0], mean[1] = displacement, yaw
     for row in range(2):
@@ -46,12 +43,9 @@ def renew(mean: FloatArray, P: FloatArray, displacement: float, yaw: float) -> N
 def correct(mean: FloatArray, P: FloatArray, part: int, measured: float, variance: float) -> tuple[float, float]:
     """Correct a state by one of its parts that is measured; return the innovation and its variance.
 
-    Parameters
-    ----------
-    mean, P
-        (k,) and (k, k), changed.
-    part, measured, variance
-        Which part, its measured value, and the variance of that.
+    Args:
+        mean, P: (k,) and (k, k), changed.
+        part, measured, variance: Which part, its measured value, and the variance of that.
     """
     innovation, total = measured - mean[part], P[part, part] + variance
     size = len(mean)
@@ -76,19 +70,13 @@ def extended(
 ) -> float:  # fmt: skip
     """Filter a block; R is a polynomial of y - d in mm, whose coefficients (m) are the state behind y - d and psi.
 
-    Parameters
-    ----------
-    step_s, speed, displacement, yaw, known_rate, lateral_rate
-        (n,) each, as ``block_filters.Inputs`` has them.
-    noise, lever
-        Std of y - d, m; 2 l r0, m2.
-    mean, P
-        (2 + m,) and (2 + m, 2 + m), the prior; changed to the posterior.
+    Args:
+        step_s, speed, displacement, yaw, known_rate, lateral_rate: (n,) each, as ``block_filters.Inputs`` has them.
+        noise, lever: Std of y - d, m; 2 l r0, m2.
+        mean, P: (2 + m,) and (2 + m, 2 + m), the prior; changed to the posterior.
 
-    Returns
-    -------
-    float
-        Mean of the squared innovations of psi over their variances.
+    Returns:
+        float: Mean of the squared innovations of psi over their variances.
     """
     squares, count, size = 0.0, 0, len(mean)
     for i in range(len(step_s)):
@@ -130,12 +118,8 @@ def extended(
 def run_on(mean: FloatArray, P: FloatArray, dt: float, V: float, lateral_rate: float) -> None:
     """Let y - d run on by a step with psi as it is now.
 
-    Parameters
-    ----------
-    mean, P
-        Of the state, changed.
-    dt, V, lateral_rate
-        s, m/s, m/s.
+    Args:
+        dt, V, lateral_rate: s, m/s, m/s.
     """
     mean[0] += dt * (V * mean[1] + lateral_rate)
     for b in range(len(mean)):
@@ -155,21 +139,13 @@ def particles(
 
     Particles that have become unlikely are replaced by copies of likely ones, each moved by some of their spread.
 
-    Parameters
-    ----------
-    step_s, speed, displacement, yaw, known_rate, lateral_rate, noise, lever
-        As :func:`extended` takes them.
-    slope
-        (q,) R per y - d, changed.
-    mean, P
-        (q, 3) and (q, 3, 3), changed.
-    draws
-        (r, 1 + q) one number between 0 and 1, then normal ones: used row by row, in turn.
+    Args:
+        slope: (q,) R per y - d, changed.
+        mean, P: (q, 3) and (q, 3, 3), changed.
+        draws: (r, 1 + q) one number between 0 and 1, then normal ones: used row by row, in turn.
 
-    Returns
-    -------
-    float
-        Mean of the squared innovations of psi over their variances, over particles as they are likely.
+    Returns:
+        float: Mean of the squared innovations of psi over their variances, over particles as they are likely.
     """
     q, squares, count, resampled = len(slope), 0.0, 0, 0
     weight, likelihood = np.full(q, 1.0 / q), np.empty(q)
@@ -205,16 +181,11 @@ def one_particle(
 ) -> tuple[float, float]:  # fmt: skip
     """Take one particle on by a step; return the logarithm of its likelihood and the squared innovation of psi.
 
-    Parameters
-    ----------
-    mean, P
-        (3,) and (3, 3), changed: y - d, psi, offset of R.
-    slope, turn, known
-        Of R; -dt V / (2 l r0); what psi grows by beside R.
-    dt, V, lateral
-        s, m/s, m/s.
-    displacement, yaw, noise
-        As measured, and the std of y - d.
+    Args:
+        mean, P: (3,) and (3, 3), changed: y - d, psi, offset of R.
+        slope, turn, known: Of R; -dt V / (2 l r0); what psi grows by beside R.
+        dt, V, lateral: s, m/s, m/s.
+        displacement, yaw, noise: As measured, and the std of y - d.
     """
     for b in range(len(mean)):
         P[1, b] += turn * (slope * P[0, b] + P[2, b])
@@ -235,14 +206,10 @@ def resample(
 ) -> None:
     """Replace particles by copies as their weights say, all of one weight then.
 
-    Parameters
-    ----------
-    weight, slope, mean, P
-        (q,), (q,), (q, 3), (q, 3, 3), changed.
-    draw
-        (1 + q,) a number between 0 and 1, and normal ones.
-    least
-        Spread of the slope that copies have at least, which otherwise would stay at one that is not quite right.
+    Args:
+        weight, slope, mean, P: (q,), (q,), (q, 3), (q, 3, 3), changed.
+        draw: (1 + q,) a number between 0 and 1, and normal ones.
+        least: Spread of the slope that copies have at least, which otherwise would stay at one that is not quite right.
     """
     q = len(weight)
     middle = (weight * slope).sum()

@@ -24,20 +24,11 @@ def weigh(
 ) -> float:  # fmt: skip
     """Write the likelihood (k, s) of each value of the grid in each chunk, at most 1; return the logarithm left out.
 
-    Parameters
-    ----------
-    displacement, difference
-        (n,) m, of a run; k chunks of it count.
-    chunk
-        Samples in a chunk.
-    curve, first, width
-        (b,) m, R at the middles of cells, the lower edge of the first one and the width of all, m.
-    grid
-        (s,) m, values of the hidden displacement.
-    noise, share
-        Std of R, m, and how much one sample counts: neighbours have errors in common.
-    likelihood
-        Written.
+    Args:
+        displacement, difference: (n,) m, of a run; k chunks of it count.
+        curve, first, width: (b,) m, R at the middles of cells, the lower edge of the first one and the width of all, m.
+        grid: (s,) m, values of the hidden displacement.
+        noise, share: Std of R, m, and how much one sample counts: neighbours have errors in common.
     """
     left_out = 0.0
     for k in range(len(likelihood)):
@@ -62,16 +53,10 @@ def weigh(
 def smooth(likelihood: FloatArray, prior: FloatArray, move: float, posterior: FloatArray) -> float:
     """Write the probability (k, s) of each value in each chunk, given all chunks; return the logarithm of the evidence.
 
-    Parameters
-    ----------
-    likelihood
-        (k, s) from :func:`weigh`.
-    prior
-        (s,) probability of each value before any sample.
-    move
-        Probability of a step to either neighbour that is as probable.
-    posterior
-        Written.
+    Args:
+        likelihood: (k, s) from :func:`weigh`.
+        prior: (s,) probability of each value before any sample.
+        move: Probability of a step to either neighbour that is as probable.
     """
     up, down = steps(prior, move)
     size = len(prior)
@@ -108,13 +93,7 @@ def smooth(likelihood: FloatArray, prior: FloatArray, move: float, posterior: Fl
 
 @compiled(nogil=True, error_model="numpy")
 def steps(prior: FloatArray, move: float) -> tuple[FloatArray, FloatArray]:
-    """Return the probabilities (s,) of a step up and of one down that keep the prior as it is.
-
-    Parameters
-    ----------
-    prior, move
-        As :func:`smooth` takes them.
-    """
+    """Return the probabilities (s,) of a step up and of one down that keep the prior as it is."""
     up, down = np.zeros(len(prior)), np.zeros(len(prior))
     for s in range(len(prior) - 1):
         up[s] = move * min(1.0, prior[s + 1] / prior[s])
@@ -129,16 +108,10 @@ def add_expected(
 ) -> None:  # fmt: skip
     """Add R and the number of samples to the cells in which they are expected.
 
-    Parameters
-    ----------
-    displacement, difference, chunk, grid, first, width
-        As :func:`weigh` takes them.
-    posterior
-        (k, s) from :func:`smooth`.
-    weight
-        Of every sample.
-    sums, counts
-        (b,) m and number, added to.
+    Args:
+        posterior: (k, s) from :func:`smooth`.
+        weight: Of every sample.
+        sums, counts: (b,) m and number, added to.
     """
     for k in range(len(posterior)):
         for s in range(len(grid)):

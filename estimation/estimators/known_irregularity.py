@@ -132,12 +132,8 @@ class KnownIrregularity:
 def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, FloatArray]:
     """Return regressors (n, 3) of f11, f11 R0 and f11 2 lambda, and the moments (n, 5) with their derivatives, N m.
 
-    Parameters
-    ----------
-    motion
-        (n,) samples relative to the track.
-    vehicle
-        As assumed.
+    Args:
+        motion: (n,) samples relative to the track.
     """
     half, r0 = vehicle.half_contact_distance, vehicle.nominal_radius
     rate = 2 * half**2 * motion.yaw_rate / motion.speed

@@ -176,12 +176,9 @@ def jumps_elsewhere(x: FloatArray, curve: FloatArray, std: float) -> FloatArray:
 
     A bin has one value: where in it a jump is remains unknown.
 
-    Parameters
-    ----------
-    x, curve
-        (n,) m, increasing displacement, and its rolling radius difference.
-    std
-        m.
+    Args:
+        x, curve: (n,) m, increasing displacement, and its rolling radius difference.
+        std: m.
     """
     middle = zero_crossing(x, curve)
     if not np.isfinite(middle):

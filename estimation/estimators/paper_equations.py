@@ -45,12 +45,8 @@ class PaperGeometry:
 def estimate(motion: Motion, parameters: PaperParameters) -> PaperGeometry:
     """Run the algorithm over ``motion`` in the order of its samples.
 
-    Parameters
-    ----------
-    motion
-        Ideal signals with y - d known; the mean speed is the paper's V.
-    parameters
-        Bins, threshold, forgetting.
+    Args:
+        motion: Ideal signals with y - d known; the mean speed is the paper's V.
     """
     p = parameters.vehicle
     keep = motion.valid
@@ -87,16 +83,10 @@ def _lateral(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) ->
 def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) -> FloatArray:
     """Return psi'' - Omega2 (k,), rad/s^2 (Eq. 17); the frame of a bogie moves the other end of the yaw spring.
 
-    Parameters
-    ----------
-    motion
-        Motion of the wheelset relative to the track over one window of n samples.
-    p
-        Parameters of the vehicle.
-    V
-        Speed, m/s.
-    keep
-        (n,) which samples count; k of them.
+    Args:
+        motion: Motion of the wheelset relative to the track over one window of n samples.
+        V: Speed, m/s.
+        keep: (n,) which samples count; k of them.
     """
     damping = 2 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / V + 2 * p.spin_creep_coefficient / V
     known = (
@@ -113,18 +103,11 @@ def recursion_in_bins(
 ) -> tuple[FloatArray, IntArray]:
     """Run Eq. 10-14 in every bin; return theta (b, 3), NaN below the threshold, and the counts (b,).
 
-    Parameters
-    ----------
-    features
-        (n, 3) regressors.
-    output
-        (n,) measured minus known part.
-    index
-        (n,) bin of each sample, 0..bins-1.
-    bins
-        How many bins there are, b.
-    parameters
-        Samples that start a bin's recursion, and the forgetting factor W.
+    Args:
+        features: (n, 3) regressors.
+        output: (n,) measured minus known part.
+        index: (n,) bin of each sample, 0..bins-1.
+        parameters: Samples that start a bin's recursion, and the forgetting factor W.
     """
     count = np.bincount(index, minlength=bins).astype(np.int64)
     theta = np.full((bins, REGRESSORS), np.nan)

@@ -37,19 +37,7 @@ class Replicates:
 
 
 def nothing(reason: Reason, parameters: EstimatorParameters, samples: int, stretches: int) -> CurveEstimate:
-    """Return the estimate without any number, for one reason.
-
-    Parameters
-    ----------
-    reason
-        Why there is none.
-    parameters
-        Amplitudes at which the conicity is unknown.
-    samples
-        How many samples there were.
-    stretches
-        How many stretches of running they came from.
-    """
+    """Return the estimate without any number, for one reason."""
     amplitude = np.array(parameters.curve.amplitudes)
     unknown = Estimate.unknown(reason, float(stretches))
     empty = np.empty(0)
@@ -108,12 +96,8 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
 def with_scales(curve: Replicates, parameters: EstimatorParameters) -> FloatArray:
     """Return what is uncertain of a curve (p + 2, n), m, with R and y - d larger by one std of their scales.
 
-    Parameters
-    ----------
-    curve
-        Without them.
-    parameters
-        Stds of the scales; that of y - d holds what integration and alignment leave unknown.
+    Args:
+        parameters: Stds of the scales; that of y - d holds what integration and alignment leave unknown.
     """
     x, R, unknown = curve.displacement, curve.all_data, parameters.uncertainty
     stretch = np.hypot(SCALE_UNCERTAINTY if parameters.band_limited else 0.0, unknown.displacement)
@@ -131,17 +115,11 @@ def _own_std(curve: Replicates, conicity: FloatArray, amplitude: FloatArray) -> 
 def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:
     """Return one number with its interval from its replicates.
 
-    Parameters
-    ----------
-    values
-        (1 + groups + p,) from all data, with each group left out, and with each of p uncertain parameters shifted by
-        one std.
-    groups
-        How many groups of data there are.
-    count
-        How many stretches of running the number rests on.
-    reason
-        Why it is unknown where a replicate is not finite.
+    Args:
+        values: (1 + groups + p,) from all data, with each group left out, and with each of p uncertain parameters
+            shifted by one std.
+        count: How many stretches of running the number rests on.
+        reason: Why it is unknown where a replicate is not finite.
     """
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)

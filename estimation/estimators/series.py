@@ -65,16 +65,10 @@ def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
 def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> SeriesState:
     """Return the state with ``motion`` added.
 
-    Parameters
-    ----------
-    state
-        The sums so far.
-    motion
-        Motion of the wheelset relative to the track over one window.
-    basis
-        The basis functions, of y - d in m.
-    weight
-        Of every sample.
+    Args:
+        motion: Motion of the wheelset relative to the track over one window.
+        basis: The basis functions, of y - d in m.
+        weight: Of every sample.
     """
     keep = usable(motion)
     equations = regression(motion, state.parameters.vehicle)
@@ -102,14 +96,11 @@ def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> Se
 def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     """Return the curve of the series, its intervals from groups left out and parameters shifted.
 
-    Parameters
-    ----------
-    state
-        Sums over all windows.
-    basis
-        The basis functions, of y - d in m.
-    ridge
-        Weight that holds functions without data at zero, as a share of the mean diagonal of the normal equations.
+    Args:
+        state: Sums over all windows.
+        basis: The basis functions, of y - d in m.
+        ridge: Weight that holds functions without data at zero, as a share of the mean diagonal of the normal
+            equations.
     """
     span = covered_range(state.counts)
     if span is None:
@@ -144,14 +135,9 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
 def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArray:
     """Return what one std of each uncertain parameter changes of the curve (6, n), m.
 
-    Parameters
-    ----------
-    state
-        Sums over all windows.
-    functions
-        (n, m) the basis functions where the curve is given.
-    ridge
-        As :func:`solved` takes it.
+    Args:
+        state: Sums over all windows.
+        functions: (n, m) the basis functions where the curve is given.
     """
     gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
     theta = np.linalg.solve(gram + _small(gram, ridge), cross[:, 1:])
@@ -161,12 +147,9 @@ def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArra
 def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
     """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell.
 
-    Parameters
-    ----------
-    state
-        Sums over all windows.
-    x, value
-        (n,) m, the curve.
+    Args:
+        state: Sums over all windows.
+        x, value: (n,) m, the curve.
     """
     return beside(x, value, state.sums, state.counts)
 

@@ -32,16 +32,8 @@ def geometry_from_motion(
 ) -> WheelsetGeometry:
     """Return the geometry that ``estimator`` finds.
 
-    Parameters
-    ----------
-    estimator
-        One of the catalogue.
-    parameters
-        What it assumes.
-    motions
-        Weight (at most 1) and motion of each window, oldest first.
-    bins
-        Bins of lateral displacement of the result.
+    Args:
+        motions: Weight (at most 1) and motion of each window, oldest first.
     """
     state = estimator.init(parameters)
     samples = np.zeros(len(bins.edges) - 1)
@@ -59,16 +51,9 @@ def geometry_from_curve(
     Of the four combinations only rL - rR is estimated: at the centres of the bins, by linear interpolation of the curve
     inside its range. The others are marked ``UNOBSERVABLE``.
 
-    Parameters
-    ----------
-    curve
-        The result of an estimator.
-    parameters
-        What it assumed; its amplitudes decide which conicity is reported first.
-    samples
-        (b,) effective number of samples in each bin.
-    bins
-        Bins of lateral displacement.
+    Args:
+        parameters: What it assumed; its amplitudes decide which conicity is reported first.
+        samples: (b,) effective number of samples in each bin.
     """
     best, amplitude = at_reference_amplitude(curve.amplitude, curve.conicity, parameters.curve)
     if best.reason == NO_AMPLITUDE and curve.reason is not None:  # why there is no curve at all

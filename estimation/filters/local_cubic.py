@@ -24,12 +24,9 @@ CUT_OFF_IN_WIDTHS = 3.43  # wavelength that is halved over the width of the weig
 def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
     """Return the weights (2 m + 1,) of the local cubic fit on a grid of ``step`` m, read-only; they sum to one.
 
-    Parameters
-    ----------
-    cutoff_wavelength
-        Wavelength, m, of which half remains after the high-pass.
-    step
-        Grid spacing, m.
+    Args:
+        cutoff_wavelength: Wavelength, m, of which half remains after the high-pass.
+        step: Grid spacing, m.
     """
     width = cutoff_wavelength / CUT_OFF_IN_WIDTHS
     m = int(np.ceil(REACH_IN_WIDTHS * width / step))
@@ -44,12 +41,9 @@ def local_cubic_kernel(cutoff_wavelength: float, step: float) -> FloatArray:
 def high_pass(signals: npt.NDArray[Precision], weights: npt.NDArray[Precision]) -> npt.NDArray[Precision]:
     """Return ``signals`` (m, n) minus their local fit; the first and last len(weights)//2 samples mean nothing.
 
-    Parameters
-    ----------
-    signals
-        (n,) or (m, n) on a uniform grid of distance, in any unit.
-    weights
-        (2 k + 1,) from :func:`local_cubic_kernel` for that grid, of the same precision.
+    Args:
+        signals: (n,) or (m, n) on a uniform grid of distance, in any unit.
+        weights: (2 k + 1,) from :func:`local_cubic_kernel` for that grid, of the same precision.
     """
     n, reach = signals.shape[-1], len(weights) // 2
     size = fft.next_fast_len(n + 2 * reach, real=True)
@@ -66,12 +60,9 @@ def _spectrum(weights: bytes, kind: str, size: int) -> npt.NDArray[Any]:
 def valid_support(valid: BoolArray, weights: FloatArray) -> BoolArray:
     """Return where every sample within the reach of the filter is valid.
 
-    Parameters
-    ----------
-    valid
-        (n,) samples on a uniform grid.
-    weights
-        (2 k + 1,) of the filter.
+    Args:
+        valid: (n,) samples on a uniform grid.
+        weights: (2 k + 1,) of the filter.
     """
     m = len(weights) // 2
     padded = np.concatenate([np.zeros(m), ~valid, np.zeros(m)])

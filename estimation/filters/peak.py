@@ -8,12 +8,9 @@ from estimation.values.arrays import FloatArray
 def peak_position(score: FloatArray, k: int) -> float:
     """Return the position, in samples, of the vertex of the parabola through a peak and its neighbours.
 
-    Parameters
-    ----------
-    score
-        (n,) at equal distances.
-    k
-        Of the largest one; itself is returned at an end, and where the three do not bend downwards.
+    Args:
+        score: (n,) at equal distances.
+        k: Of the largest one; itself is returned at an end, and where the three do not bend downwards.
     """
     if not 0 < k < len(score) - 1:
         return float(k)

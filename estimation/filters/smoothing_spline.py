@@ -43,25 +43,16 @@ def subtract_smoothing_spline(
 ) -> FloatArray:
     """Return ``signals`` (m, n) less their wander.
 
-    Parameters
-    ----------
-    signals
-        (m, n).
-    distance
-        (n,) m, not decreasing, from zero.
-    known
-        (n,) samples that count; the others are given the wander of their neighbours.
-    cutoff_wavelength
-        Wavelength of which half is left, m.
-    removed
-        (k, n) functions that are taken out whole beside the wander, such as what an offset integrates to.
-    in_place
-        Whether ``signals`` may be written over, and are what is returned.
+    Args:
+        signals: (m, n).
+        distance: (n,) m, not decreasing, from zero.
+        known: (n,) samples that count; the others are given the wander of their neighbours.
+        cutoff_wavelength: Wavelength of which half is left, m.
+        removed: (k, n) functions that are taken out whole beside the wander, such as what an offset integrates to.
+        in_place: Whether ``signals`` may be written over, and are what is returned.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        The samples that count do not determine the wander.
+    Raises:
+        numpy.linalg.LinAlgError: The samples that count do not determine the wander.
     """
     spline = _spline(distance, known, cutoff_wavelength)
     rows = np.ascontiguousarray(signals) if in_place else np.array(signals)
@@ -140,21 +131,14 @@ def remove_wander(
 ) -> FloatArray:
     """Return ``signals`` (m, n) without what varies more slowly along the track than ``cutoff_wavelength``.
 
-    Parameters
-    ----------
-    signals
-        (m, n), of one segment; values at samples that are not known are no part of the fit.
-    distance
-        (n,) m run since the start of the segment, not decreasing.
-    known
-        (n,) samples that were measured. After a gap the rates are off by an unknown constant and the
-        displacements by a straight line: both are taken out for every modelled gap.
-    cutoff_wavelength
-        m, of which half is left.
-    bridged
-        Gaps of up to so many samples are not modelled: straight lines bridge them well enough.
-    in_place
-        Whether ``signals`` may be written over, and are what is returned.
+    Args:
+        signals: (m, n), of one segment; values at samples that are not known are no part of the fit.
+        distance: (n,) m run since the start of the segment, not decreasing.
+        known: (n,) samples that were measured. After a gap the rates are off by an unknown constant and the
+            displacements by a straight line: both are taken out for every modelled gap.
+        cutoff_wavelength: m, of which half is left.
+        bridged: Gaps of up to so many samples are not modelled: straight lines bridge them well enough.
+        in_place: Whether ``signals`` may be written over, and are what is returned.
     """
     removed = _line_and_parabola(len(distance))
     gaps = modelled_gaps(known, bridged)
@@ -173,12 +157,9 @@ def _line_and_parabola(n: int) -> FloatArray:
 def modelled_gaps(known: BoolArray, bridged: int) -> list[tuple[int, int]]:
     """Return the gaps ``[first, behind)`` between known samples that are longer than ``bridged`` samples.
 
-    Parameters
-    ----------
-    known
-        (n,) samples that were measured.
-    bridged
-        Samples of the longest gap that is left out.
+    Args:
+        known: (n,) samples that were measured.
+        bridged: Samples of the longest gap that is left out.
     """
     edges = np.flatnonzero(np.diff(known.astype(np.int8))) + 1
     first, behind = edges[~known[edges]], edges[known[edges]]

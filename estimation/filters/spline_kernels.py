@@ -21,16 +21,10 @@ LANES = 8  # partial sums of a long product
 def place(distance: FloatArray, end: float, per_step: float, interval: IntArray, pieces: FloatArray, last: int) -> None:
     """Write the knot interval (n,) of every place, and the four B-splines there (4, n).
 
-    Parameters
-    ----------
-    distance
-        (n,) m, not decreasing.
-    end, per_step
-        The largest place that is looked up, m, and knot intervals per m.
-    interval, pieces
-        Written: (n,) and (4, n).
-    last
-        Number of the last interval.
+    Args:
+        distance: (n,) m, not decreasing.
+        end, per_step: The largest place that is looked up, m, and knot intervals per m.
+        interval, pieces: Written: (n,) and (4, n).
     """
     for i in range(len(distance)):
         at = min(distance[i], end) * per_step
@@ -48,14 +42,9 @@ def place(distance: FloatArray, end: float, per_step: float, interval: IntArray,
 def add_band(weight: FloatArray, interval: IntArray, pieces: FloatArray, band: FloatArray) -> None:
     """Add the weighted products of B-splines to the rows of the band (k, 4).
 
-    Parameters
-    ----------
-    weight
-        (n,) of each sample.
-    interval, pieces
-        From :func:`place`.
-    band
-        (k, 4), added to.
+    Args:
+        weight: (n,) of each sample.
+        band: (k, 4), added to.
     """
     for i in range(len(weight)):
         j, w = interval[i], weight[i]
@@ -87,14 +76,9 @@ def add_roughness(band: FloatArray, scale: float) -> None:
 def project(rows: FloatArray, weight: FloatArray, interval: IntArray, pieces: FloatArray, sums: FloatArray) -> None:
     """Add to ``sums`` (m, k) the weighted products of rows (m, n) with every B-spline.
 
-    Parameters
-    ----------
-    rows, weight
-        (m, n) and (n,).
-    interval, pieces
-        From :func:`place`.
-    sums
-        (m, k), added to.
+    Args:
+        rows, weight: (m, n) and (n,).
+        sums: (m, k), added to.
     """
     n = len(weight)
     first = 0
@@ -123,12 +107,9 @@ def project(rows: FloatArray, weight: FloatArray, interval: IntArray, pieces: Fl
 def multiply(weighted: FloatArray, rows: FloatArray, products: FloatArray) -> None:
     """Write the products (k, m) of weighted functions (k, n) with rows (m, n).
 
-    Parameters
-    ----------
-    weighted, rows
-        (k, n) and (m, n).
-    products
-        (k, m), written.
+    Args:
+        weighted, rows: (k, n) and (m, n).
+        products: (k, m), written.
     """
     n = weighted.shape[1]
     for p in range(len(weighted)):
@@ -186,16 +167,10 @@ def subtract(
 ) -> None:
     """Take splines of these coefficients (m, k), and shares (r, m) of functions (r, n), from rows (m, n).
 
-    Parameters
-    ----------
-    rows
-        (m, n), changed.
-    interval, pieces
-        From :func:`place`.
-    coefficients
-        (m, k) of the splines.
-    removed, shares
-        (r, n) functions, and (r, m) how much of each is taken out.
+    Args:
+        rows: (m, n), changed.
+        coefficients: (m, k) of the splines.
+        removed, shares: (r, n) functions, and (r, m) how much of each is taken out.
     """
     n = len(interval)
     first = 0

@@ -87,12 +87,9 @@ class CurveEstimates:
 def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> CurveEstimates:
     """Return conicity by amplitude, NP (1/mm) and the zero crossing, each with its interval or its reason.
 
-    Parameters
-    ----------
-    curve
-        rL - rR over the bins, with its replicates and systematic errors.
-    parameters
-        Amplitudes, m, at which the conicity is published.
+    Args:
+        curve: rL - rR over the bins, with its replicates and systematic errors.
+        parameters: Amplitudes, m, at which the conicity is published.
     """
     amplitude = np.array(parameters.amplitudes)
     run = _run_around_zero(curve)
@@ -123,22 +120,14 @@ def _centre(row: _Row, curve: CurveReplicates, amplitude: float, conicity: float
 def not_covered(amplitude: float) -> Reason:
     """Return that the bins do not reach an amplitude.
 
-    Parameters
-    ----------
-    amplitude
-        In m.
+    Args:
+        amplitude: In m.
     """
     return Reason(ReasonCode.AMPLITUDE_NOT_COVERED, f"amplitude {1e3 * amplitude:g} mm is not covered")
 
 
 def too_few_blocks(groups: int) -> Reason:
-    """Return that there are too few blocks of running time for an interval.
-
-    Parameters
-    ----------
-    groups
-        How many there are.
-    """
+    """Return that there are too few blocks of running time for an interval."""
     return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {FEWEST_GROUPS} are needed")
 
 
@@ -293,14 +282,9 @@ def at_reference_amplitude(
 ) -> tuple[Estimate, float]:
     """Return the conicity at the reference amplitude, or at the largest covered below it.
 
-    Parameters
-    ----------
-    amplitude
-        (a,) m.
-    conicity
-        (a,) the estimate at each amplitude.
-    parameters
-        The reference amplitude.
+    Args:
+        amplitude: (a,) m.
+        conicity: (a,) the estimate at each amplitude.
     """
     for a, value in sorted(zip(amplitude, conicity, strict=True), key=lambda pair: -pair[0]):
         if a <= parameters.reference_amplitude + 1e-9 and value.value is not None:

@@ -39,13 +39,10 @@ class ContactRoll(StrEnum):
 def standard_curve(x: FloatArray, curve: FloatArray, roll: ContactRoll) -> tuple[FloatArray, FloatArray]:
     """Return displacement and rolling radius difference (n,), m, as EN 15302 means them.
 
-    Parameters
-    ----------
-    x, curve
-        (n,) m, strictly increasing displacement as ``motion.cross_level`` gives it, and R. Where R is nowhere zero it
-        is left as it is.
-    roll
-        Whether that displacement has measured the roll of the contact.
+    Args:
+        x, curve: (n,) m, strictly increasing displacement as ``motion.cross_level`` gives it, and R. Where R is nowhere
+            zero it is left as it is.
+        roll: Whether that displacement has measured the roll of the contact.
     """
     middle = zero_crossing(x, curve)
     if not np.isfinite(middle):

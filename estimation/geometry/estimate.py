@@ -70,19 +70,12 @@ class _Replicates:
 def estimate_geometry(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> WheelsetGeometry:
     """Return the geometry of the wheelset that ``table`` gives.
 
-    Parameters
-    ----------
-    table
-        Statistics made with ``bins``.
-    bins
-        Parameters of the table; its vehicle scales the residuals.
-    parameters
-        Gates and uncertainties.
+    Args:
+        table: Statistics made with ``bins``.
+        bins: Parameters of the table; its vehicle scales the residuals.
 
-    Raises
-    ------
-    ValueError
-        ``table`` was made with other parameters than ``bins``.
+    Raises:
+        ValueError: ``table`` was made with other parameters than ``bins``.
     """
     if table.parameter_key != bins.key:
         raise ValueError(f"table of parameters {table.parameter_key}, expected {bins.key}")
@@ -123,14 +116,8 @@ def contradictions(
 ) -> tuple[Contradiction, ...]:
     """Return what the samples of a table contradict of the vehicle's class and the track; nothing where they are few.
 
-    Parameters
-    ----------
-    table
-        Statistics made with ``bins``.
-    bins
-        Parameters of the table.
-    uncertainty
-        Of the class, the sensors and the track.
+    Args:
+        table: Statistics made with ``bins``.
     """
     fit = model_fit(table, bins, _expected_noise(table, bins, uncertainty))
     stds = (uncertainty.stiffness, uncertainty.creep)

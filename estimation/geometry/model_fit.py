@@ -59,16 +59,10 @@ def model_fit(
 ) -> ModelFit | None:
     """Return how well a table follows the yaw equation; None where there are too few samples.
 
-    Parameters
-    ----------
-    table
-        Statistics made with ``bins``.
-    bins
-        Parameters of the table.
-    expected_noise
-        Std of the error of y - d by its sensors and the alignment, m.
-    angle_std
-        Of the yaw sensor about the lateral axis, rad, known beforehand.
+    Args:
+        table: Statistics made with ``bins``.
+        expected_noise: Std of the error of y - d by its sensors and the alignment, m.
+        angle_std: Of the yaw sensor about the lateral axis, rad, known beforehand.
     """
     p = bins.vehicle
     present = table.weight.sum(axis=1) > 0
@@ -119,26 +113,15 @@ def _alone(packed: FloatArray, regressors: int, shared: int) -> float:
 def mismatch(fit: ModelFit, stiffness_std: float, creep_std: float, *, in_bogie: bool) -> Contradiction | None:
     """Return what of the class does not fit, and how sure that is; None where it fits.
 
-    Parameters
-    ----------
-    fit
-        Of a wheelset.
-    stiffness_std, creep_std
-        Relative stds of yaw stiffness and creep coefficients of the class.
-    in_bogie
-        Whether the yaw spring is tied to the frame of a bogie.
+    Args:
+        stiffness_std, creep_std: Relative stds of yaw stiffness and creep coefficients of the class.
+        in_bogie: Whether the yaw spring is tied to the frame of a bogie.
     """
     return _spring_differs(fit, stiffness_std, creep_std, in_bogie=in_bogie) or _unexplained(fit)
 
 
 def displaced(fit: ModelFit) -> Contradiction | None:
-    """Return that sensors and track leave the lateral displacement open, which flattens the curve; None else.
-
-    Parameters
-    ----------
-    fit
-        Of a wheelset.
-    """
+    """Return that sensors and track leave the lateral displacement open, which flattens the curve; None else."""
     share = fit.displacement_error
     if share <= MOST_DISPLACEMENT_ERROR:
         return None

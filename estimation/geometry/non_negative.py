@@ -38,19 +38,12 @@ class Bounded:
 def non_negative(gram: FloatArray, right: FloatArray, most: int) -> Bounded | None:
     """Return the least squares of which the first unknown has any sign, and the others are not negative.
 
-    Parameters
-    ----------
-    gram
-        (n, n) normal matrix, positive definite.
-    right
-        (n,) right side.
-    most
-        Exchanges.
+    Args:
+        gram: (n, n) normal matrix, positive definite.
+        right: (n,) right side.
 
-    Returns
-    -------
-    Bounded or None
-        None where ``most`` exchanges do not suffice, or the matrix does not determine the unknowns.
+    Returns:
+        Bounded or None: None where ``most`` exchanges do not suffice, or the matrix does not determine the unknowns.
     """
     diagonal = np.diag(gram)
     if not (diagonal > 0.0).all():

@@ -28,11 +28,6 @@ def held_shares(vehicle_class: VehicleClass) -> tuple[float, ...]:
     """Return which share of rho is left in R on average, at each of ``SLOPES``; zero without a bogie.
 
     Of the rms over front and rear wheelset, each with differences of diameters of its own and of its neighbour.
-
-    Parameters
-    ----------
-    vehicle_class
-        Springs, creep coefficients and bogie.
     """
     if vehicle_class.bogie is None:
         return FREE
@@ -40,15 +35,7 @@ def held_shares(vehicle_class: VehicleClass) -> tuple[float, ...]:
 
 
 def left_in_difference(vehicle_class: VehicleClass, slope: float) -> FloatArray:
-    """Return the mean R (2, 2) of the front and the rear wheelset by rho of each.
-
-    Parameters
-    ----------
-    vehicle_class
-        Of vehicles with bogies.
-    slope
-        lambda, of both wheelsets.
-    """
+    """Return the mean R (2, 2) of the front and the rear wheelset by rho of each."""
     p, bogie = vehicle_class.parameters, vehicle_class.bogie
     if bogie is None:
         return np.zeros((2, 2))
@@ -73,12 +60,8 @@ def left_in_difference(vehicle_class: VehicleClass, slope: float) -> FloatArray:
 def held_difference_std(shares: tuple[float, ...], conicity: float) -> float:
     """Return the std of the mean of R, m, of a wheelset whose difference of diameters is not known.
 
-    Parameters
-    ----------
-    shares
-        As :func:`held_shares` returns them.
-    conicity
-        Of the wheelset.
+    Args:
+        shares: As :func:`held_shares` returns them.
     """
     return 0.5 * DIAMETER_STD * float(np.interp(2.0 * conicity, SLOPES, shares))
 
@@ -89,14 +72,10 @@ def moved_off(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: floa
     About the running position the curve is nearly as it is about the rolling line, so that small differences change
     little and large ones much. Where a change leaves the range covered, the other way counts.
 
-    Parameters
-    ----------
-    x, curve
-        (n,) displacement and R, m.
-    amplitude
-        (a,) m.
-    std
-        Of the mean of R, m.
+    Args:
+        x, curve: (n,) displacement and R, m.
+        amplitude: (a,) m.
+        std: Of the mean of R, m.
     """
     here = equivalent_conicity(x, curve, amplitude)
     shares = (-NORMAL_95, -1.0, 1.0, NORMAL_95)

@@ -59,16 +59,9 @@ def check_radius(
     A radius that nobody measured and that the motion does not tell from one off by ``MISTAKE`` stands beside the
     number as a doubt. Few data say nothing.
 
-    Parameters
-    ----------
-    parts
-        Of windows of one wheelset.
-    on_file
-        Nominal radius, m, with which the sums were made.
-    relative_std
-        Of the radius on file.
-    measured
-        Whether that std is on file: the radius was measured, and one measurement against another is a doubt.
+    Args:
+        on_file: Nominal radius, m, with which the sums were made.
+        measured: Whether that std is on file: the radius was measured, and one measurement against another is a doubt.
     """
     if len(parts) < FEWEST_PARTS:
         return None
@@ -102,13 +95,7 @@ def _open(on_file: float, shown: str) -> Contradiction:
 
 
 def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
-    """Return the radius on which a wheelset rolls; None where the data do not determine it.
-
-    Parameters
-    ----------
-    parts
-        Of windows of one wheelset.
-    """
+    """Return the radius on which a wheelset rolls; None where the data do not determine it."""
     if len(parts) < FEWEST_PARTS:
         return None
     products = np.array([one.products for one in parts])

@@ -38,20 +38,15 @@ def solve_with_shared_scales(
 ) -> SharedSolution:
     """Return the least-squares solution of every bin with the first coefficients common to all bins of a replicate.
 
-    Parameters
-    ----------
-    packed
-        (r, b, packed_size) moments of r replicates of b bins.
-    weight
-        (r, b) sums of weights.
-    regressors
-        Number p of all regressors.
-    targets
-        Number t of targets.
-    prior_stds
-        (q,) of the coefficients that are shared, which are those of the first regressors and zero beforehand.
-    counted_as_one
-        (q,) samples that say as much of a shared coefficient as one with an error of its own would; by default one.
+    Args:
+        packed: (r, b, packed_size) moments of r replicates of b bins.
+        weight: (r, b) sums of weights.
+        regressors: Number p of all regressors.
+        targets: Number t of targets.
+        prior_stds: (q,) of the coefficients that are shared, which are those of the first regressors and zero
+            beforehand.
+        counted_as_one: (q,) samples that say as much of a shared coefficient as one with an error of its own would; by
+            default one.
     """
     r, b = weight.shape
     p, t, q = regressors, targets, len(prior_stds)

@@ -51,10 +51,8 @@ class Sharpening:
 def edges_and_centres(low: FloatArray, high: FloatArray) -> FloatArray:
     """Return the nodes of adjoining bins, ascending: (2 b + 1,).
 
-    Parameters
-    ----------
-    low, high
-        (b,) edges of the bins.
+    Args:
+        low, high: (b,) edges of the bins.
     """
     return np.append(np.column_stack([low, 0.5 * (low + high)]).ravel(), high[-1])
 
@@ -62,10 +60,8 @@ def edges_and_centres(low: FloatArray, high: FloatArray) -> FloatArray:
 def nodes_of(shape: FloatArray) -> FloatArray:
     """Return quadratics of bins (b, 3, ...) over u at the nodes (2 b + 1, ...); at an edge the mean of both bins.
 
-    Parameters
-    ----------
-    shape
-        Value, slope and curvature over u = (x - centre)/width.
+    Args:
+        shape: Value, slope and curvature over u = (x - centre)/width.
     """
     value, slope, curvature = shape[:, 0], shape[:, 1], shape[:, 2]
     at_low, at_high = value - slope / 2 + curvature / 4, value + slope / 2 + curvature / 4
@@ -77,12 +73,9 @@ def nodes_of(shape: FloatArray) -> FloatArray:
 def unsharpened(low: FloatArray, high: FloatArray, longest: float) -> Sharpening:
     """Return what leaves the nodes of bins (b,) as they are: blurred, and jumps anywhere in their bins.
 
-    Parameters
-    ----------
-    low, high
-        (b,) m, edges of adjoining bins of one width.
-    longest
-        m, std of the blur that is to be expected at most.
+    Args:
+        low, high: (b,) m, edges of adjoining bins of one width.
+        longest: m, std of the blur that is to be expected at most.
     """
     x = edges_and_centres(low, high)
     in_bin = float(high[0] - low[0]) / np.sqrt(12.0)
@@ -94,18 +87,12 @@ def sharpen(
 ) -> Sharpening:
     """Return how to take away the longest blur up to ``longest`` that the nodes allow.
 
-    Parameters
-    ----------
-    low, high
-        (b,) m, edges of adjoining bins of one width.
-    nodes
-        (2 b + 1,) m, the curve at :func:`edges_and_centres`.
-    std
-        (2 b + 1,) m, of the nodes.
-    longest
-        m, std of the blur that is to be expected at most.
-    steps
-        Of the search for slopes; a blur for which they do not suffice counts as one that does not fit.
+    Args:
+        low, high: (b,) m, edges of adjoining bins of one width.
+        nodes: (2 b + 1,) m, the curve at :func:`edges_and_centres`.
+        std: (2 b + 1,) m, of the nodes.
+        longest: m, std of the blur that is to be expected at most.
+        steps: Of the search for slopes; a blur for which they do not suffice counts as one that does not fit.
     """
     weight = 1.0 / np.hypot(std, LEAST_STD)
     least = min(0.0, 2.0 * float(np.min(np.diff(nodes[1::2]) / np.diff(low)))) if len(low) > 1 else 0.0
@@ -188,27 +175,17 @@ STEEP = 2.0  # times the median slope: what is steeper is part of a jump
 def jumps_displaced(x: FloatArray, curve: FloatArray, middle: float, by: float) -> FloatArray:
     """Return a curve (n,) whose contact jumps are further from ``middle`` by ``by`` (m; negative: nearer).
 
-    Parameters
-    ----------
-    x, curve
-        (n,) m, strictly increasing displacement and its rolling radius difference.
-    middle
-        m, displacement from which jumps move away.
-    by
-        m.
+    Args:
+        x, curve: (n,) m, strictly increasing displacement and its rolling radius difference.
+        middle: m, displacement from which jumps move away.
+        by: m.
     """
     _, rises = split_at_rises(x, curve, middle)
     return np.asarray(curve - rises + displaced(x, rises, middle, by))
 
 
 def split_at_rises(x: FloatArray, curve: FloatArray, middle: float) -> tuple[FloatArray, FloatArray]:
-    """Return a curve (n,) without what is steep or falls, and what is steep of it; both are zero at ``middle``.
-
-    Parameters
-    ----------
-    x, curve, middle
-        As :func:`jumps_displaced` takes them.
-    """
+    """Return a curve (n,) without what is steep or falls, and what is steep of it; both are zero at ``middle``."""
     slope, steps = np.diff(curve) / np.diff(x), np.diff(x)
     limit = STEEP * max(float(np.median(slope)), 0.0)
     flat = np.append(0.0, np.cumsum(np.clip(slope, 0.0, limit) * steps))
@@ -219,14 +196,9 @@ def split_at_rises(x: FloatArray, curve: FloatArray, middle: float) -> tuple[Flo
 def displaced(x: FloatArray, values: FloatArray, middle: float, by: float | FloatArray) -> FloatArray:
     """Return values (n,) that are further from ``middle`` by ``by`` (m, or (n,) m; negative: nearer).
 
-    Parameters
-    ----------
-    x, middle
-        As :func:`jumps_displaced` takes them.
-    values
-        (n,) over ``x``.
-    by
-        m.
+    Args:
+        values: (n,) over ``x``.
+        by: m.
     """
     away = x - middle
     return np.interp(middle + np.sign(away) * np.maximum(np.abs(away) - by, 0.0), x, values)

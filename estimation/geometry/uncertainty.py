@@ -50,10 +50,8 @@ def quotient_widening(relative: float) -> float:
     The quotient grows without limit as its divisor, of relative std s, nears zero. With this std 92 to 96 % of the
     95 % intervals of 1/(1 + e), e normal with std s, hold 1.
 
-    Parameters
-    ----------
-    relative
-        s, relative std of the divisor.
+    Args:
+        relative: s, relative std of the divisor.
     """
     return 1.0 / (1.0 - relative) if relative < UNKNOWN_FACTOR else float("inf")
 
@@ -85,10 +83,8 @@ class ParameterUncertainty:
     def of(cls, vehicle_class: VehicleClass) -> Self:
         """Return what is not known of the vehicles of a class.
 
-        Parameters
-        ----------
-        vehicle_class
-            The class, with the relative standard deviations of its parameters.
+        Args:
+            vehicle_class: The class, with the relative standard deviations of its parameters.
         """
         roll = ContactRoll.HIDDEN if vehicle_class.sensors.measures_gravity else ContactRoll.SEEN
         return cls(
@@ -109,12 +105,8 @@ class ParameterUncertainty:
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
         """Return what is left unknown of a geometry that rests on these alignments.
 
-        Parameters
-        ----------
-        tracks
-            Alignments that its windows were estimated with.
-        wheelset
-            Its serial; where left out, the findings of an alignment count for any.
+        Args:
+            wheelset: Its serial; where left out, the findings of an alignment count for any.
         """
         used = list(tracks)
         findings = [_findings_for(track, wheelset) for track in used]
@@ -164,11 +156,6 @@ def alignment_std(track: TrackAlignment) -> float:
 
     That of a fleet is of all waves up to its own cut-off, and nearly all of it of the longest, for accelerations are
     integrated twice: its variance grows as the cube of the cut-off.
-
-    Parameters
-    ----------
-    track
-        The alignment.
     """
     known = np.isfinite(track.alignment_std)
     std = float(np.median(track.alignment_std[known])) if known.any() else 0.0
@@ -276,17 +263,12 @@ class DisplacementError:
     def std_of_bins(self, centre: FloatArray, values: FloatArray, smooth: BoolArray, observed: BoolArray) -> FloatArray:
         """Return what the error leaves unknown of a value per bin (b,): scale, origin, rounding.
 
-        Parameters
-        ----------
-        centre
-            (b,) m.
-        values
-            (b,) in any unit.
-        smooth
-            (b,) bins with a value of the curve; elsewhere the result is zero.
-        observed
-            (b,) bins with any value, those included that a contact jump crosses: no part of the curve's slope, but
-            samples scatter from them into their neighbours.
+        Args:
+            centre: (b,) m.
+            values: (b,) in any unit.
+            smooth: (b,) bins with a value of the curve; elsewhere the result is zero.
+            observed: (b,) bins with any value, those included that a contact jump crosses: no part of the curve's
+                slope, but samples scatter from them into their neighbours.
         """
         left_unknown = np.zeros(len(centre))
         if smooth.sum() < 2:  # noqa: PLR2004 - no slope of one value

@@ -36,10 +36,8 @@ STAGES = (refresh_alignment.STAGE, estimate_windows.STAGE, refresh_geometry.STAG
 def stage_named(name: str) -> Stage:
     """Return the stage of a name.
 
-    Raises
-    ------
-    NotFoundError
-        There is none.
+    Raises:
+        NotFoundError: There is none.
     """
     for stage in STAGES:
         if stage.name == name:
@@ -50,10 +48,8 @@ def stage_named(name: str) -> Stage:
 def job_named(name: str) -> Job:
     """Return the job of a name.
 
-    Raises
-    ------
-    NotFoundError
-        There is none.
+    Raises:
+        NotFoundError: There is none.
     """
     for job in ALL_JOBS:
         if job.name == name:
@@ -66,14 +62,9 @@ def run_all(context: JobContext, trigger: JobTrigger, jobs: Sequence[Job] = ALL_
 
     A failed job does not keep the later ones from their work: each works on what is stored.
 
-    Parameters
-    ----------
-    context
-        What the jobs may touch; its ``stopping`` ends the series after the present job.
-    trigger
-        What started the runs, for their records.
-    jobs
-        Which jobs, in their order; by default all.
+    Args:
+        context: What the jobs may touch; its ``stopping`` ends the series after the present job.
+        jobs: Which jobs, in their order; by default all.
     """
     runs = []
     for job in jobs:

@@ -17,17 +17,11 @@ ELSEWHERE, LOST, SET_ASIDE = "worked_on_elsewhere", "leases_lost", "set_aside"
 def claimed_work(context: JobContext, stage: Stage, keys: Sequence[str]) -> Counter[str]:
     """Do the keys of a unit that nobody else works on; return what was counted.
 
-    Parameters
-    ----------
-    context
-        Storage, and for how long claims are made.
-    stage, keys
-        The unit.
+    Args:
+        stage, keys: The unit.
 
-    Raises
-    ------
-    StorageError
-        The database, or all of the files, cannot be used; what was committed stays.
+    Raises:
+        StorageError: The database, or all of the files, cannot be used; what was committed stays.
     """
     counts, ended = _leased(context, stage, keys)
     for key, times in ended:

@@ -36,12 +36,9 @@ class InThisProcess:
     def submit(self, context: JobContext, stage: Stage, keys: Sequence[str]) -> Future[Mapping[str, int]]:
         """Do a unit.
 
-        Parameters
-        ----------
-        context
-            Of the job that hands the unit out; its storage is used.
-        stage, keys
-            The unit.
+        Args:
+            context: Of the job that hands the unit out; its storage is used.
+            stage, keys: The unit.
         """
         done: Future[Mapping[str, int]] = Future()
         try:
@@ -54,25 +51,13 @@ class InThisProcess:
 def hand_out(context: JobContext, stage: Stage, units: Iterable[Unit], done: Callable[[int], None]) -> Counter[str]:
     """Let units be worked on and return what was counted, summed.
 
-    Parameters
-    ----------
-    context
-        Of the job; its executor does the work.
-    stage
-        Of the work.
-    units
-        Keys, taken as they are needed.
-    done
-        Called with the number of keys whenever a unit is done, and with 0 now and then; may raise to stop.
+    Args:
+        done: Called with the number of keys whenever a unit is done, and with 0 now and then; may raise to stop.
 
-    Raises
-    ------
-    StoppedError
-        From ``done``; units that were handed out may still be done.
-    StorageError
-        The database, or all of the files, cannot be used.
-    WorkFailedError
-        A unit failed in several workers.
+    Raises:
+        StoppedError: From ``done``; units that were handed out may still be done.
+        StorageError: The database, or all of the files, cannot be used.
+        WorkFailedError: A unit failed in several workers.
     """
     executor = InThisProcess() if context.executor is None else context.executor
     most = 1 if context.executor is None else AHEAD * executor.width
@@ -95,14 +80,9 @@ def hand_out(context: JobContext, stage: Stage, units: Iterable[Unit], done: Cal
 def unit_size(context: JobContext, total: int, most: int) -> int:
     """Return how many keys a unit has, so that there are enough units for all workers.
 
-    Parameters
-    ----------
-    context
-        Of the job.
-    total
-        Number of keys, as far as it is known.
-    most
-        Largest number of a unit.
+    Args:
+        total: Number of keys, as far as it is known.
+        most: Largest number of a unit.
     """
     width = 1 if context.executor is None else context.executor.width
     return most if width == 1 else max(1, min(most, -(-total // (UNITS_EACH * width))))

@@ -25,15 +25,7 @@ def no_inputs() -> str:
 
 @dataclass(slots=True)
 class Isolation:
-    """The quarantine of one stage during one run.
-
-    Parameters
-    ----------
-    context
-        Of the job.
-    stage
-        Name of the job.
-    """
+    """The quarantine of one stage during one run."""
 
     context: JobContext
     stage: str
@@ -65,19 +57,12 @@ class Isolation:
     def alone(self, kind: SubjectKind, key: str, inputs: Inputs = no_inputs) -> Iterator[None]:
         """Do the work at one thing: an exception is kept in quarantine and not raised.
 
-        Parameters
-        ----------
-        kind, key
-            The thing.
-        inputs
-            Gives a digest or counter of what it is made from: with another one it is due at once.
+        Args:
+            inputs: Gives a digest or counter of what it is made from: with another one it is due at once.
 
-        Raises
-        ------
-        StoppedError
-            The process is stopping.
-        StorageError
-            The database, or all of the files, cannot be used: nothing else would succeed.
+        Raises:
+            StoppedError: The process is stopping.
+            StorageError: The database, or all of the files, cannot be used: nothing else would succeed.
         """
         try:
             yield
@@ -91,10 +76,8 @@ class Isolation:
     def keep(self, kind: SubjectKind, key: str, inputs: str, error: Exception) -> None:
         """Keep a failure.
 
-        Raises
-        ------
-        StorageError
-            The database cannot be used.
+        Raises:
+            StorageError: The database cannot be used.
         """
         unexpected = None if isinstance(error, TreadwatchError) else error
         _log.warning("%s: %s %s goes to quarantine: %s", self.stage, kind, key, error, exc_info=unexpected)

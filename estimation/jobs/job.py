@@ -28,26 +28,17 @@ _log = logging.getLogger(__name__)
 class JobContext:
     """What a job may touch.
 
-    Attributes
-    ----------
-    storage, clock
-        Where everything is kept, and our time.
-    code_version
-        Goes into the provenance of what is stored.
-    progress
-        Called with (done, total) between batches; a screen's or a test's, never needed.
-    stopping
-        Returns whether a stop of the process was requested.
-    settings
-        Settings of all jobs.
-    executor
-        Where units of work are done; None for here, one after the other.
-    holder
-        Name of this process in the claims that it makes.
-    lease_s
-        How long a claim lasts once its process is gone or stands still, s.
-    quiet_s
-        What is about to change again is left to a later run as long as data came within so many seconds; 0 for nothing.
+    Attributes:
+        storage, clock: Where everything is kept, and our time.
+        code_version: Goes into the provenance of what is stored.
+        progress: Called with (done, total) between batches; a screen's or a test's, never needed.
+        stopping: Returns whether a stop of the process was requested.
+        settings: Settings of all jobs.
+        executor: Where units of work are done; None for here, one after the other.
+        holder: Name of this process in the claims that it makes.
+        lease_s: How long a claim lasts once its process is gone or stands still, s.
+        quiet_s: What is about to change again is left to a later run as long as data came within so many seconds; 0 for
+            nothing.
     """
 
     storage: Storage
@@ -64,10 +55,8 @@ class JobContext:
     def checkpoint(self, done: int, total: int) -> None:
         """Report the progress; to be called between two batches, with everything before it committed.
 
-        Raises
-        ------
-        StoppedError
-            The process is stopping; what was committed stays, a later run does the rest.
+        Raises:
+            StoppedError: The process is stopping; what was committed stays, a later run does the rest.
         """
         if self.progress is not None:
             self.progress(done, total)
@@ -83,14 +72,10 @@ class Stage:
     So an executor may lose a unit or do it twice: the claims decide who works on what, and what was lost is found
     again by the next run.
 
-    Attributes
-    ----------
-    name
-        Of the job.
-    work
-        Does the work for some keys, which are claimed; stores what comes of it and returns what it counted.
-    set_aside
-        Keeps one key in quarantine, at which workers have ended.
+    Attributes:
+        name: Of the job.
+        work: Does the work for some keys, which are claimed; stores what comes of it and returns what it counted.
+        set_aside: Keeps one key in quarantine, at which workers have ended.
     """
 
     name: str
@@ -127,23 +112,14 @@ def run_job(
     The record is written in transactions of its own, before and after the work, so that a killed run stays
     visible; it is ``abandoned`` once its process is gone.
 
-    Parameters
-    ----------
-    job
-        What to run.
-    context
-        What it may touch.
-    trigger
-        What started the run.
-    started
-        Gets the record as soon as it is committed, before the work begins.
+    Args:
+        context: What it may touch.
+        started: Gets the record as soon as it is committed, before the work begins.
 
-    Returns
-    -------
-    JobRun
-        The finished record. A failure is in it (outcome ``failed``; the message, without a trace), and where a
-        stop was asked for the outcome is ``abandoned``; neither is raised. ``counts`` of such a run hold ``done``
-        and ``total`` of the last checkpoint.
+    Returns:
+        JobRun: The finished record. A failure is in it (outcome ``failed``; the message, without a trace), and where a
+            stop was asked for the outcome is ``abandoned``; neither is raised. ``counts`` of such a run hold ``done``
+            and ``total`` of the last checkpoint.
     """
     with context.storage.write() as unit:
         now_ns = context.clock.now_ns()

@@ -19,13 +19,10 @@ class KnownSection:
 class RailsSettings:
     """Settings of ``refresh_rails``.
 
-    Attributes
-    ----------
-    known_sections
-        Sections whose rails are as on file, each with the day for which that is known; all others are compared with
-        them. A section may have several days.
-    model
-        Parameters of the mixed model.
+    Attributes:
+        known_sections: Sections whose rails are as on file, each with the day for which that is known; all others are
+            compared with them. A section may have several days.
+        model: Parameters of the mixed model.
     """
 
     known_sections: frozenset[KnownSection] = frozenset()

@@ -115,14 +115,8 @@ _MOST_TOGETHER = 16  # wheelsets that are claimed together
 def geometries_of(unit: UnitOfWork, serial: str, context: JobContext) -> RolledGeometries:
     """Return the geometries of one wheelset, as they can be made from its roll-ups.
 
-    Parameters
-    ----------
-    unit
-        Tables, geometries, alerts and the registry are read.
-    serial
-        Serial number of the wheelset.
-    context
-        Settings of the estimation and version of the numerics.
+    Args:
+        context: Settings of the estimation and version of the numerics.
     """
     rules = membership(unit, serial, ClassLookup(unit, context.settings.estimation))
     return RolledGeometries(unit, rules, rolled(unit, rules), context)

@@ -70,12 +70,8 @@ def run(context: JobContext) -> Mapping[str, int]:
 def wheelset_looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
     """Return by wheelset what its cells are made from, by what has happened to it.
 
-    Parameters
-    ----------
-    unit
-        As one transaction sees it, before the look.
-    context
-        Settings and version of the numerics.
+    Args:
+        unit: As one transaction sees it, before the look.
     """
     codes = unit.registry.classes_in_use()
     classes = [(code, None if (found := unit.registry.vehicle_class(code)) is None else found.digest) for code in codes]
@@ -88,14 +84,9 @@ def wheelset_looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
 def look_at_all(unit: UnitOfWork, context: JobContext, looks: Mapping[str, Look]) -> SectionLook:
     """Return what parting wheels and rails is made from: all wheelsets, and what is on file of all sections.
 
-    Parameters
-    ----------
-    unit
-        As one transaction sees it, before the look.
-    context
-        Settings and version of the numerics.
-    looks
-        Of all wheelsets.
+    Args:
+        unit: As one transaction sees it, before the look.
+        looks: Of all wheelsets.
     """
     rails, of_wheelsets = context.settings.rails, [(serial, look.inputs) for serial, look in looks.items()]
     settings = (sorted(rails.known_sections), rails.model)

@@ -80,12 +80,8 @@ def _held(isolation: Isolation) -> frozenset[str]:
 def wheelset_looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
     """Return by wheelset what is said of it rests on, by what has happened to it, and what is common to all.
 
-    Parameters
-    ----------
-    unit
-        As one transaction sees it, before the look.
-    context
-        Settings and version of the numerics.
+    Args:
+        unit: As one transaction sees it, before the look.
     """
     codes = unit.registry.classes_in_use()
     classes = [(code, None if (found := unit.registry.vehicle_class(code)) is None else found.digest) for code in codes]

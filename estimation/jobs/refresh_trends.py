@@ -124,14 +124,8 @@ def _news(context: JobContext, serial: str, inputs: _Inputs, limit: float) -> Tr
 def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: TrendParameters) -> WearTrend:
     """Return the trend of the conicities of intervals, since their newest step.
 
-    Parameters
-    ----------
-    records
-        Of one wheelset and baseline, with windows.
-    limit
-        Of the conicity at 3 mm.
-    parameters
-        Of the fit.
+    Args:
+        limit: Of the conicity at 3 mm.
     """
     step = newest_step(records)
     chosen = conicity_points(behind_step(records, step))

@@ -32,15 +32,7 @@ class Difference:
 
 
 def differences(before: Sequence[Alert], after: Sequence[Alert]) -> list[Difference]:
-    """Return how the alerts of one wheelset differ; two of a kind that were open at one time are the same alert.
-
-    Parameters
-    ----------
-    before
-        By the rules in force.
-    after
-        By the other rules.
-    """
+    """Return how the alerts of one wheelset differ; two of a kind that were open at one time are the same alert."""
     left = sorted(before, key=lambda one: one.opened_ns)
     found: list[Difference] = []
     for alert in sorted(after, key=lambda one: one.opened_ns):

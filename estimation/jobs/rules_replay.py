@@ -62,15 +62,7 @@ class History:
 
 
 def history_of(unit: UnitOfWork, serial: str) -> History:
-    """Return what is stored of a wheelset.
-
-    Parameters
-    ----------
-    unit
-        A transaction that reads.
-    serial
-        Of the wheelset.
-    """
+    """Return what is stored of a wheelset."""
     mountings = sorted(unit.registry.mountings(serial), key=lambda one: one.from_ns)
     windows = sorted(unit.windows.list(serial), key=lambda one: one.start_ns)
     stored = (record for record in unit.geometries.intervals(serial) if record.geometry.windows)
@@ -107,16 +99,8 @@ def replayed(
 ) -> list[Alert]:
     """Return the alerts that rules would have raised and that were open within a span of time, by opening.
 
-    Parameters
-    ----------
-    history
-        Of one wheelset.
-    book
-        The rules.
-    span
-        From and to, ns UTC of the vehicle's clock.
-    trend
-        Parameters of the trends.
+    Args:
+        span: From and to, ns UTC of the vehicle's clock.
     """
     parameters, kept = trend or TrendParameters(), dict[tuple[int, int, float], WearTrend]()
 

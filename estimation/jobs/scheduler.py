@@ -50,25 +50,16 @@ def serve_jobs(
 ) -> None:
     """Run the jobs on their schedules until ``stop_event`` is set; a job that is running then ends at its next batch.
 
-    Parameters
-    ----------
-    context
-        What the jobs may touch.
-    jobs
-        What to run, in the order in which one hands its results to the next.
-    stop_event
-        Set by whoever ends the service, see :func:`estimation.jobs.stop_signals.stop_on_signals`.
-    holder
-        Name that the refusal of a second scheduler contains, such as host and process number.
-    every_s
-        Interval of a job where the deployment sets it apart from the job's default.
+    Args:
+        context: What the jobs may touch.
+        jobs: What to run, in the order in which one hands its results to the next.
+        stop_event: Set by whoever ends the service, see :func:`estimation.jobs.stop_signals.stop_on_signals`.
+        holder: Name that the refusal of a second scheduler contains, such as host and process number.
+        every_s: Interval of a job where the deployment sets it apart from the job's default.
 
-    Raises
-    ------
-    AlreadyRunningError
-        Another scheduler is at work on this database, at the start or after the database was away.
-    StorageError
-        The database cannot be reached at the start. Later the scheduler waits for it, with growing delay.
+    Raises:
+        AlreadyRunningError: Another scheduler is at work on this database, at the start or after the database was away.
+        StorageError: The database cannot be reached at the start. Later the scheduler waits for it, with growing delay.
     """
     delay_s, begun = FIRST_DELAY_S, False
     while not stop_event.is_set():
@@ -125,10 +116,8 @@ def _serve_while_owned(
 def clock_was_set(passed_ns: int) -> bool:
     """Return whether somebody has set the clock, or this process stood still, since the look before.
 
-    Parameters
-    ----------
-    passed_ns
-        Between two looks of the scheduler by the clock, ns; the interval itself is :data:`CHECK_S`.
+    Args:
+        passed_ns: Between two looks of the scheduler by the clock, ns; the interval itself is :data:`CHECK_S`.
     """
     return abs(passed_ns - CHECK_S * 1e9) > STEP_NS
 
@@ -143,14 +132,10 @@ def _make_due(scheduler: BackgroundScheduler, jobs: Sequence[Job]) -> None:
 def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[[Job], float]) -> BackgroundScheduler:
     """Return a scheduler, not started, that runs every job at once and then at its interval.
 
-    Parameters
-    ----------
-    context
-        What the jobs may touch.
-    jobs
-        What to run; jobs due at the same time run in this order.
-    every_s
-        Interval of a job, s.
+    Args:
+        context: What the jobs may touch.
+        jobs: What to run; jobs due at the same time run in this order.
+        every_s: Interval of a job, s.
     """
     scheduler = BackgroundScheduler(
         jobstores={"default": MemoryJobStore()},

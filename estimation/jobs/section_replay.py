@@ -23,16 +23,8 @@ from estimation.values.alerts import Alert, CloseReason, Condition
 def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple[int, int]) -> list[Alert]:
     """Return the alerts of low adhesion that rules would have raised about a section within a span of time, by opening.
 
-    Parameters
-    ----------
-    unit
-        A transaction that reads.
-    section
-        Code.
-    book
-        The rules.
-    span
-        From and to, ns UTC of the vehicles' clocks.
+    Args:
+        span: From and to, ns UTC of the vehicles' clocks.
     """
     rule = book.rule(LowAdhesionRule)
     pooled, length = pooled_ns(rule), section_length(unit, section)

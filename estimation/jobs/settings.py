@@ -32,12 +32,8 @@ class EstimationSettings:
     def windows(self, vehicle_class: VehicleClass, nominal_radius: float | None) -> WindowParameters:
         """Return what turns the windows of a wheelset into motion.
 
-        Parameters
-        ----------
-        vehicle_class
-            Of its vehicle.
-        nominal_radius
-            Of its wheels, m; None is that of the class.
+        Args:
+            nominal_radius: Of its wheels, m; None is that of the class.
         """
         return WindowParameters.of(vehicle_class, nominal_radius, self.signals, self.gates)
 
@@ -50,20 +46,14 @@ class EstimationSettings:
 class JobSettings:
     """Settings of every job of a deployment.
 
-    Attributes
-    ----------
-    alignment
-        Of ``refresh_alignment``.
-    estimation
-        Of ``estimate_windows`` and ``refresh_geometry``, and of the motion that ``refresh_alignment`` looks at.
-    trend
-        Of ``refresh_trends``.
-    rails
-        Of ``refresh_rails``.
-    rules
-        Of ``evaluate_alerts``; the conicity limit is that of the trends, too.
-    signatures
-        Of ``refresh_signatures``.
+    Attributes:
+        alignment: Of ``refresh_alignment``.
+        estimation: Of ``estimate_windows`` and ``refresh_geometry``, and of the motion that ``refresh_alignment`` looks
+            at.
+        trend: Of ``refresh_trends``.
+        rails: Of ``refresh_rails``.
+        rules: Of ``evaluate_alerts``; the conicity limit is that of the trends, too.
+        signatures: Of ``refresh_signatures``.
     """
 
     alignment: AlignmentSettings = field(default_factory=AlignmentSettings)

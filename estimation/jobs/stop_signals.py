@@ -13,10 +13,8 @@ def stop_on_signals(stop_event: Event) -> None:
     The handler only leaves a note, in a queue that may be entered twice by one thread: it may run while the main thread
     holds the lock of ``stop_event``, where to set it would wait for ever.
 
-    Parameters
-    ----------
-    stop_event
-        Set soon after the signal, by a thread of its own.
+    Args:
+        stop_event: Set soon after the signal, by a thread of its own.
     """
     notes: SimpleQueue[int] = SimpleQueue()
 

@@ -78,13 +78,10 @@ def _clearer(correlation: float, other: float) -> float:
 def check_axle_distance(window: Window, partner: Window, ahead: float) -> Reason | None:
     """Return that the nodes of a bogie contradict where they are registered; None where they do not or are silent.
 
-    Parameters
-    ----------
-    window, partner
-        Of the two nodes of a bogie, over the same time, with as many samples.
-    ahead
-        By how much the node of ``window`` is ahead of the other in the direction of travel, m, by the registry;
-        negative at the axle behind.
+    Args:
+        window, partner: Of the two nodes of a bogie, over the same time, with as many samples.
+        ahead: By how much the node of ``window`` is ahead of the other in the direction of travel, m, by the registry;
+            negative at the axle behind.
     """
     found = axle_distance(window, partner, ahead)
     if found is None or not found.contradicted:
@@ -99,13 +96,7 @@ def check_axle_distance(window: Window, partner: Window, ahead: float) -> Reason
 
 
 def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance | None:
-    """Return by how far one axle of a bogie is ahead of the other; None where too little is known.
-
-    Parameters
-    ----------
-    window, partner, ahead
-        As :func:`check_axle_distance` takes them.
-    """
+    """Return by how far one axle of a bogie is ahead of the other; None where too little is known."""
     known = window.valid & partner.valid & np.isfinite(window.speed)
     if known.mean() < LEAST_SHARE:
         return None

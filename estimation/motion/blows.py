@@ -27,12 +27,8 @@ SAID_BY_MEDIAN = 0.6745  # median of the magnitude of a normal signal over its s
 def sharp(signals: FloatArray, interval_s: float) -> FloatArray:
     """Return signals (m, n) less their running mean; 0 where they are not known.
 
-    Parameters
-    ----------
-    signals
-        (m, n); NaN where not known.
-    interval_s
-        Between samples.
+    Args:
+        signals: (m, n); NaN where not known.
     """
     known = np.isfinite(signals)
     width = max(round(SLOW_S / interval_s), 3) | 1
@@ -45,12 +41,8 @@ def sharp(signals: FloatArray, interval_s: float) -> FloatArray:
 def vibration(sharp_signals: FloatArray, interval_s: float) -> FloatArray:
     """Return the standard deviation (m, n) of what is sharp, blows apart: by the median of some seconds.
 
-    Parameters
-    ----------
-    sharp_signals
-        (m, n) from :func:`sharp`.
-    interval_s
-        Between samples.
+    Args:
+        sharp_signals: (m, n) from :func:`sharp`.
     """
     size = min(max(round(SCALE_S / interval_s), 1), sharp_signals.shape[1])
     count = max(sharp_signals.shape[1] // size, 1)
@@ -63,14 +55,9 @@ def vibration(sharp_signals: FloatArray, interval_s: float) -> FloatArray:
 def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolArray | None = None) -> BoolArray:
     """Return which samples (n,) a blow has spoilt, from its begin until it has died down.
 
-    Parameters
-    ----------
-    lateral, roll
-        (n,) m/s2 and rad/s2; NaN where not known.
-    interval_s
-        Between samples.
-    lost
-        (n,) samples that clipped in blows, near which it rings too; None for none.
+    Args:
+        lateral, roll: (n,) m/s2 and rad/s2; NaN where not known.
+        lost: (n,) samples that clipped in blows, near which it rings too; None for none.
     """
     both = np.stack([lateral, roll])
     lost = np.zeros(len(lateral), np.bool_) if lost is None else lost

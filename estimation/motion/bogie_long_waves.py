@@ -39,18 +39,12 @@ def long_waves_in_bogie(
 ) -> tuple[FloatArray, FloatArray]:
     """Return R and its stiffness term (m,), m, of the lateral motion of a wheelset in a bogie.
 
-    Parameters
-    ----------
-    R
-        (m,) m, by the yaw sensor, on a grid of distance.
-    yaws
-        (m,) rad, on the same grid.
-    V
-        (m,) m/s.
-    vehicle
-        Parameters of Eq. 1 and Eq. 2; its yaw stiffness is that of the primary suspension.
-    parameters
-        Grid, and the wavelengths at which both are compared.
+    Args:
+        R: (m,) m, by the yaw sensor, on a grid of distance.
+        yaws: (m,) rad, on the same grid.
+        V: (m,) m/s.
+        vehicle: Parameters of Eq. 1 and Eq. 2; its yaw stiffness is that of the primary suspension.
+        parameters: Grid, and the wavelengths at which both are compared.
     """
     p, step = vehicle, parameters.step
     per_moment = -p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)

@@ -30,14 +30,9 @@ ONE_WAY = 0.98  # share of the samples that must lead one way
 def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Reason | None:
     """Return why a window of this quality is not looked at; None where it is.
 
-    Parameters
-    ----------
-    quality
-        What was counted of the window.
-    track_section
-        Code of its section; None where it is not known.
-    gates
-        Limits of the quality.
+    Args:
+        quality: What was counted of the window.
+        track_section: Code of its section; None where it is not known.
     """
     refused = _too_poor(quality, gates)
     if refused is not None:
@@ -83,12 +78,9 @@ class Jump:
 def check_moving(window: Window, signals: SignalParameters) -> Reason | None:
     """Return that the vehicle stands, runs too slowly, or has no position; None where it runs.
 
-    Parameters
-    ----------
-    window
-        Speed and distance, (n,) each.
-    signals
-        The least speed.
+    Args:
+        window: Speed and distance, (n,) each.
+        signals: The least speed.
     """
     known = window.valid & np.isfinite(window.distance)
     if not known.any():
@@ -110,10 +102,8 @@ def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
 
     Over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %.
 
-    Parameters
-    ----------
-    integrated
-        Segments of a window, with positions at all samples that can be used.
+    Args:
+        integrated: Segments of a window, with positions at all samples that can be used.
     """
     window = integrated.window
     found: list[Jump] = []
@@ -145,15 +135,7 @@ def _jumps(at: FloatArray, run: FloatArray, dt: float) -> list[tuple[int, int, f
 
 
 def without_jumps(window: Window, jumps: Sequence[Jump]) -> Window:
-    """Return the window with the samples around jumps not valid, so that no segment goes across one.
-
-    Parameters
-    ----------
-    window
-        Samples.
-    jumps
-        From :func:`position_jumps`.
-    """
+    """Return the window with the samples around jumps not valid, so that no segment goes across one."""
     if not jumps:
         return window
     valid = window.valid.copy()
@@ -164,13 +146,7 @@ def without_jumps(window: Window, jumps: Sequence[Jump]) -> Window:
 
 
 def jumps_reason(jumps: Sequence[Jump]) -> Reason | None:
-    """Return how often and how far the position jumps; None without jumps.
-
-    Parameters
-    ----------
-    jumps
-        From :func:`position_jumps`.
-    """
+    """Return how often and how far the position jumps; None without jumps."""
     if not jumps:
         return None
     largest = max(jumps, key=lambda jump: abs(jump.metres))
@@ -187,11 +163,6 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
     An axle that rolls forward with a yaw to the left moves to the left: y' = V psi up to small creep. Backwards, or
     with one of the two sensors the wrong way round, the sign is the other. Where one of the two is on another axis, or
     measures something else, they have nothing in common.
-
-    Parameters
-    ----------
-    integrated
-        Segments of a window.
     """
     correlation = lateral_yaw_correlation(integrated)
     if correlation is None or correlation >= UNRELATED:
@@ -210,13 +181,7 @@ def check_axis_signs(integrated: IntegratedWindow) -> Reason | None:
 
 
 def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
-    """Return the correlation of the lateral velocity with speed times yaw, vibration apart; None where nothing moves.
-
-    Parameters
-    ----------
-    integrated
-        Segments of a window.
-    """
+    """Return the correlation of lateral velocity with speed times yaw, vibration apart; None where nothing moves."""
     products, lateral, yaw = 0.0, 0.0, 0.0
     second, fast = (round(length / integrated.window.sample_interval_s) for length in (LOOK_S, SMOOTHED_S))
     for segment in integrated.segments:
@@ -231,12 +196,8 @@ def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
 def high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
     """Return values less their running mean over about ``width`` samples twice, which takes slow wandering out.
 
-    Parameters
-    ----------
-    values
-        (n,) samples.
-    width
-        Samples of the running mean.
+    Args:
+        values: (n,) samples.
     """
     rest = values
     for _ in range(2):
@@ -247,10 +208,8 @@ def high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
 def direction(window: Window) -> int:
     """Return 1 where the vehicle runs along the section, -1 where it runs against it, 0 where it does both.
 
-    Parameters
-    ----------
-    window
-        Distance along the section, (n,) m.
+    Args:
+        window: Distance along the section, (n,) m.
     """
     with np.errstate(invalid="ignore"):
         known = window.valid & np.isfinite(window.distance)
@@ -270,14 +229,9 @@ def to_wheelset_axes(
     A vehicle that faces against the section has its axes turned half round: the section's right is its left. For a
     wheelset mounted the other way round everything lateral is its mirror image, in which the same equations hold.
 
-    Parameters
-    ----------
-    integrated, track
-        As measured, and as on file.
-    facing
-        1 where the front end of the vehicle is ahead along the section, -1 where its rear end is.
-    mounted_reversed
-        The wheelset's left wheel is on the vehicle's right-hand side.
+    Args:
+        facing: 1 where the front end of the vehicle is ahead along the section, -1 where its rear end is.
+        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
     """
     if (facing < 0) != mounted_reversed:
         track = _turned(track)

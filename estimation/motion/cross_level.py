@@ -27,16 +27,11 @@ HIDDEN_SHARE = 0.009  # rho phi_c over y - d + r0 phi, median of 157 pairs: 0.00
 def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
     """Return the displacement (n,), m, relative to the track, that EN 15302 means.
 
-    Parameters
-    ----------
-    displacement
-        (n,) y - d, m, at the height of the axle.
-    roll
-        (n,) phi as measured, rad.
-    radius
-        Nominal rolling radius, m.
-    level
-        Whether gravity has been taken out of the lateral signals: the track may roll.
+    Args:
+        displacement: (n,) y - d, m, at the height of the axle.
+        roll: (n,) phi as measured, rad.
+        radius: Nominal rolling radius, m.
+        level: Whether gravity has been taken out of the lateral signals: the track may roll.
     """
     seen = observed_displacement(displacement, roll, radius, level=level)
     return seen * (1.0 + HIDDEN_SHARE) if level else seen
@@ -45,12 +40,8 @@ def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: fl
 def observed_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
     """Return the same (n,), m, as far as it is measured; for a displacement from which no alignment is taken off.
 
-    Parameters
-    ----------
-    displacement
-        (n,) y or y - d, m, at the height of the axle.
-    roll, radius, level
-        As :func:`standard_displacement` takes them.
+    Args:
+        displacement: (n,) y or y - d, m, at the height of the axle.
     """
     height = radius if level else radius + RAIL_HEAD_RADIUS
     return displacement + height * roll

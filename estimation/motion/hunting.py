@@ -77,14 +77,9 @@ class _Line:
 def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> Hunting:
     """Return how much of some running time a wheelset hunts, at which frequency and how far.
 
-    Parameters
-    ----------
-    lateral, yaw
-        (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
-    speed
-        (n,) m/s; NaN where not known.
-    interval_s
-        Between samples.
+    Args:
+        lateral, yaw: (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
+        speed: (n,) m/s; NaN where not known.
     """
     size = round(BLOCK_S / interval_s)
     blocks = (len(lateral) // size, size)
@@ -108,14 +103,9 @@ def find_hunting(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interv
 def _may_hunt(lateral: FloatArray, yaw: FloatArray, speed: FloatArray, interval_s: float) -> BoolArray:
     """Return of which blocks (k,) the lateral motion alone is enough for hunting; most are not looked at further.
 
-    Parameters
-    ----------
-    lateral, yaw
-        (k, n) m/s2 and rad/s2; NaN where nothing is known.
-    speed
-        (k,) m/s.
-    interval_s
-        Between samples.
+    Args:
+        lateral, yaw: (k, n) m/s2 and rad/s2; NaN where nothing is known.
+        speed: (k,) m/s.
     """
     known = np.isfinite(lateral) & np.isfinite(yaw)
     enough = known.mean(axis=1) >= LEAST_KNOWN
@@ -137,16 +127,11 @@ def may_hunt(spectra: npt.NDArray[np.complex128], speed: FloatArray, frequency: 
 
     Those that are within :data:`DOUBT` of a limit are among them, and those whose strongest line is not clear.
 
-    Parameters
-    ----------
-    spectra
-        (k, m) of the lateral acceleration.
-    speed
-        (k,) m/s.
-    frequency
-        (m,) Hz.
-    scale
-        What the power of a line is divided by for a fourth of its squared amplitude.
+    Args:
+        spectra: (k, m) of the lateral acceleration.
+        speed: (k,) m/s.
+        frequency: (m,) Hz.
+        scale: What the power of a line is divided by for a fourth of its squared amplitude.
     """
     found = np.zeros(len(speed), np.bool_)
     power = np.zeros(len(frequency) + 2)  # of the displacement; one more on either side
@@ -164,14 +149,9 @@ def may_hunt(spectra: npt.NDArray[np.complex128], speed: FloatArray, frequency: 
 def line_may_hunt(power: FloatArray, frequency: FloatArray, scale: float) -> bool:
     """Return whether the strongest line of a block may be that of hunting; see :func:`may_hunt`.
 
-    Parameters
-    ----------
-    power
-        (m + 2,) of the displacement at each frequency, with one more on either side.
-    frequency
-        (m,) Hz.
-    scale
-        As in :func:`may_hunt`.
+    Args:
+        power: (m + 2,) of the displacement at each frequency, with one more on either side.
+        frequency: (m,) Hz.
     """
     total = best = 0.0
     for k in range(len(frequency)):
@@ -245,10 +225,8 @@ def _line(lateral: FloatArray, yaw: FloatArray, speed: float, interval_s: float)
 def hunting_reason(quality: WindowQuality) -> Reason | None:
     """Return that a window is one of hunting; None where it is not.
 
-    Parameters
-    ----------
-    quality
-        What was counted of the window.
+    Args:
+        quality: What was counted of the window.
     """
     hunting = quality.hunting
     if not hunting.sustained:
@@ -263,12 +241,8 @@ def hunting_reason(quality: WindowQuality) -> Reason | None:
 def in_place_of_quality(reason: Reason, quality: WindowQuality) -> Reason:
     """Return that the wheelset hunts where the reason of a refusal is what hunting does to the samples.
 
-    Parameters
-    ----------
-    reason
-        Why a window is refused.
-    quality
-        What was counted of it.
+    Args:
+        quality: What was counted of it.
     """
     hunts = hunting_reason(quality) if reason.code in QUALITY_REASONS else None
     return reason if hunts is None else Reason(hunts.code, f"{hunts.text}; {reason.text}")

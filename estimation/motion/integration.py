@@ -53,18 +53,11 @@ def integrate(
 ) -> IntegratedWindow:
     """Return the segments of usable samples, integrated.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations and speed, (n,) each.
-    usable
-        (n,) samples that can be used.
-    parameters
-        Gates on gaps and lengths.
-    longest_gap
-        Samples that may be missing in a row within a segment; by default as many as may be bridged.
-    earlier
-        The same accelerations and speeds, integrated before; segments of the same samples are taken from it.
+    Args:
+        window: Measured accelerations and speed, (n,) each.
+        usable: (n,) samples that can be used.
+        longest_gap: Samples that may be missing in a row within a segment; by default as many as may be bridged.
+        earlier: The same accelerations and speeds, integrated before; segments of the same samples are taken from it.
     """
     done = {} if earlier is None else {(item.part.start, item.part.stop): item for item in earlier.segments}
     found = []
@@ -78,13 +71,7 @@ def integrate(
 
 
 def mirrored(integrated: IntegratedWindow) -> IntegratedWindow:
-    """Return the mirror image: every acceleration, and what was integrated from it, with the opposite sign.
-
-    Parameters
-    ----------
-    integrated
-        Segments of a window.
-    """
+    """Return the mirror image: every acceleration, and what was integrated from it, with the opposite sign."""
     window = integrated.window
     return IntegratedWindow(
         replace(
@@ -114,16 +101,9 @@ def segments(
 ) -> list[tuple[int, int]]:
     """Return the runs ``[start, stop)`` of usable samples with only short gaps in them that are long enough.
 
-    Parameters
-    ----------
-    usable
-        (n,) samples that can be used.
-    window
-        Its sampling interval is used.
-    parameters
-        Gates on gaps and lengths.
-    longest_gap
-        Samples that may be missing in a row; by default as many as may be bridged.
+    Args:
+        usable: (n,) samples that can be used.
+        longest_gap: Samples that may be missing in a row; by default as many as may be bridged.
     """
     gap = parameters.bridged_samples if longest_gap is None else longest_gap
     index = np.flatnonzero(usable)
@@ -137,12 +117,9 @@ def segments(
 def bridged(values: FloatArray, known: BoolArray) -> FloatArray:
     """Return ``values`` (n,) with straight lines across the samples that are not ``known`` (n,), in any unit.
 
-    Parameters
-    ----------
-    values
-        (n,) in any unit.
-    known
-        (n,) at least one of them True.
+    Args:
+        values: (n,) in any unit.
+        known: (n,) at least one of them True.
     """
     if known.all():
         return values

@@ -23,14 +23,10 @@ def take_out_mean(rows: FloatArray) -> None:
 def integrate_once(values: FloatArray, dt: float, integral: FloatArray) -> None:
     """Write the running integral (n,) of values (n,).
 
-    Parameters
-    ----------
-    values
-        (n,) in any unit.
-    dt
-        Sampling interval, s.
-    integral
-        (n,), written.
+    Args:
+        values: (n,) in any unit.
+        dt: Sampling interval, s.
+        integral: (n,), written.
     """
     total, half = 0.0, 0.5 * dt
     integral[0] = 0.0
@@ -43,14 +39,10 @@ def integrate_once(values: FloatArray, dt: float, integral: FloatArray) -> None:
 def integrate_twice(accelerations: FloatArray, dt: float, rates: FloatArray, displacements: FloatArray) -> None:
     """Write running integrals (m, n) of the rows, less their mean and straight line, and the integrals of those.
 
-    Parameters
-    ----------
-    accelerations
-        (m, n) in any unit.
-    dt
-        Sampling interval, s.
-    rates, displacements
-        (m, n), written.
+    Args:
+        accelerations: (m, n) in any unit.
+        dt: Sampling interval, s.
+        rates, displacements: (m, n), written.
     """
     n, half = accelerations.shape[1], 0.5 * dt
     middle = 0.5 * (n - 1)

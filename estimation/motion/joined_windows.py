@@ -18,14 +18,9 @@ MOST = 4  # windows; the pass of a longer run is cut, so that a window that come
 def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:
     """Return the items in groups that follow each other without a break.
 
-    Parameters
-    ----------
-    items
-        In any order.
-    keys
-        Of each item: what it must share with the one before, its start and its end, ns.
-    most
-        Items in a group.
+    Args:
+        items: In any order.
+        keys: Of each item: what it must share with the one before, its start and its end, ns.
     """
     order = sorted(range(len(items)), key=lambda i: (str(keys[i][0]), keys[i][1]))
     return [[items[i] for i in group] for group in _unbroken(order, keys.__getitem__, most)]
@@ -37,10 +32,8 @@ def whole_runs(windows: Iterable[Window]) -> Iterator[Window]:
     Long wavelengths need long segments: what is near the end of a window is lost to the filters, what is near a seam
     is not.
 
-    Parameters
-    ----------
-    windows
-        In order of time.
+    Args:
+        windows: In order of time.
     """
     for run in _unbroken(windows, _shared_start_end, sys.maxsize):
         yield joined(run)
@@ -72,10 +65,8 @@ def _unbroken(
 def joined(windows: Sequence[Window]) -> Window:
     """Return windows that follow each other as one; the quality is the worst of each measure, shares are means.
 
-    Parameters
-    ----------
-    windows
-        One or more, in order of time, each beginning where the one before ends.
+    Args:
+        windows: One or more, in order of time, each beginning where the one before ends.
     """
     first = windows[0]
     if len(windows) == 1:

@@ -31,14 +31,8 @@ def implausible_mileages(
 ) -> Mapping[int, Reason]:
     """Return by start of window why its mileage is not believed; those that are not in it are.
 
-    Parameters
-    ----------
-    readings
-        Of the windows of one mounting, in any order.
-    mounting
-        The mounting.
-    max_speed_m_s
-        Of its vehicle, on file.
+    Args:
+        readings: Of the windows of one mounting, in any order.
     """
     km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
     found: dict[int, Reason] = {}
@@ -63,14 +57,8 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
     Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as soon
     as it holds of the new ones with those beside them.
 
-    Parameters
-    ----------
-    readings
-        Of windows of one mounting, in any order.
-    mounting
-        The mounting.
-    max_speed_m_s
-        Of its vehicle, on file.
+    Args:
+        readings: Of windows of one mounting, in any order.
     """
     km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
     ordered = sorted(readings, key=lambda one: one.start_ns)
@@ -82,10 +70,8 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
 def implausible_places(readings: Sequence[MileageReading]) -> Mapping[int, Reason]:
     """Return by start of window why the place that its vehicle reported is not believed.
 
-    Parameters
-    ----------
-    readings
-        Of windows, in any order.
+    Args:
+        readings: Of windows, in any order.
     """
     return {
         one.start_ns: Reason(

@@ -86,14 +86,8 @@ class WindowParameters:
     ) -> Self:
         """Return the parameters of a wheelset; the cut-off wavelength is one at which its sensors see more than noise.
 
-        Parameters
-        ----------
-        vehicle_class
-            Of its vehicle.
-        nominal_radius
-            Of its wheels, m; None is that of the class.
-        signals, gates
-            Filters and gates.
+        Args:
+            nominal_radius: Of its wheels, m; None is that of the class.
         """
         if nominal_radius is not None:
             own = replace(vehicle_class.parameters, nominal_radius=nominal_radius)

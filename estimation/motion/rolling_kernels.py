@@ -58,18 +58,12 @@ def write_pieces(
 ) -> None:
     """Write the rows of each piece (k, 5, n), level and tapered, and its mean speed, from accelerations and speed.
 
-    Parameters
-    ----------
-    samples
-        (6, m) accelerations, that of the frame's yaw, and speed.
-    starts
-        (k,) first sample of each piece.
-    dt
-        Sampling interval, s.
-    taper
-        (n,) of a piece.
-    pieces, speeds
-        Written: (k, 5, n) and (k,) m/s.
+    Args:
+        samples: (6, m) accelerations, that of the frame's yaw, and speed.
+        starts: (k,) first sample of each piece.
+        dt: Sampling interval, s.
+        taper: (n,) of a piece.
+        pieces, speeds: Written: (k, 5, n) and (k,) m/s.
     """
     n = len(taper)
     yaw_rate = np.empty(n)
@@ -99,16 +93,10 @@ def write_pieces(
 def write_terms(omega: float, speed: float, e: Equation, terms: ComplexArray) -> None:
     """Write the terms (7, 5) of the equation per spectrum at an angular frequency; the others stay zero.
 
-    Parameters
-    ----------
-    omega
-        rad/s.
-    speed
-        m/s.
-    e
-        Coefficients of the equation.
-    terms
-        (7, 5), written.
+    Args:
+        omega: rad/s.
+        speed: m/s.
+        terms: (7, 5), written.
     """
     compliance = speed / (2.0 * e.lateral_creep)
     terms[0, 0], terms[0, 2] = 1.0, e.gravity / omega**2
@@ -131,18 +119,12 @@ def write_noise(
 ) -> None:
     """Write the squared noise densities (5,) of the spectra, of sensors and counting.
 
-    Parameters
-    ----------
-    omega
-        rad/s.
-    speed
-        m/s.
-    e
-        Which sensors are gyroscopes, and how far those on the frame are from each other.
-    density, counting
-        (4,) squared noise densities, of the sensors and of what counting makes of them.
-    noise
-        (5,), written.
+    Args:
+        omega: rad/s.
+        speed: m/s.
+        e: Which sensors are gyroscopes, and how far those on the frame are from each other.
+        density, counting: (4,) squared noise densities, of the sensors and of what counting makes of them.
+        noise: (5,), written.
     """
     for j in range(ROWS - 1):
         rate = (j == 1 and e.yaw_is_gyroscope) or (j == 2 and e.roll_is_gyroscope)  # noqa: PLR2004 - the rows
@@ -155,14 +137,10 @@ def write_noise(
 def left_noise(terms: ComplexArray, noise: FloatArray, radius: float) -> float:
     """Return the squared noise density of the equation at the parameters on file.
 
-    Parameters
-    ----------
-    terms
-        (7, 5) of the equation.
-    noise
-        (5,) squared noise densities of the spectra.
-    radius
-        On file, m.
+    Args:
+        terms: (7, 5) of the equation.
+        noise: (5,) squared noise densities of the spectra.
+        radius: On file, m.
     """
     total = 0.0
     for j in range(ROWS):
@@ -179,24 +157,12 @@ def add_spectra(
 ) -> None:  # fmt: skip
     """Add the products of the terms of every piece to those of its part (parts, bands, 7, 7), and what noise makes.
 
-    Parameters
-    ----------
-    spectra, speeds
-        (k, 5, f) of the pieces, and (k,) their mean speeds, m/s.
-    part
-        (k,) to which a piece is added.
-    dt, samples
-        Sampling interval, s, and samples of a piece.
-    unit
-        Of a squared spectrum per squared noise density.
-    e
-        Coefficients of the equation.
-    density, counting
-        As :func:`write_noise` takes them.
-    wavelengths
-        The shortest and the longest that are looked at, m.
-    products, of_noise
-        (parts, bands, 7, 7), added to above their diagonals.
+    Args:
+        spectra, speeds: (k, 5, f) of the pieces, and (k,) their mean speeds, m/s.
+        part: (k,) to which a piece is added.
+        dt, samples: Sampling interval, s, and samples of a piece.
+        wavelengths: The shortest and the longest that are looked at, m.
+        products, of_noise: (parts, bands, 7, 7), added to above their diagonals.
     """
     terms, noise = np.zeros((TERMS, ROWS), np.complex128), np.empty(ROWS)
     values, moved = np.empty(TERMS, np.complex128), np.empty(ROWS, np.complex128)

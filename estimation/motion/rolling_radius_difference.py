@@ -54,14 +54,10 @@ class FusedSignals:
 def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionParameters) -> FusedSignals:
     """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1.
 
-    Parameters
-    ----------
-    signals
-        (n,) signals of one segment, over an increasing distance.
-    vehicle
-        Parameters of Eq. 1 and Eq. 2.
-    parameters
-        Grid, crossover wavelength and what is known of g beforehand.
+    Args:
+        signals: (n,) signals of one segment, over an increasing distance.
+        vehicle: Parameters of Eq. 1 and Eq. 2.
+        parameters: Grid, crossover wavelength and what is known of g beforehand.
     """
     step = parameters.step
     run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
@@ -163,14 +159,10 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
 
     The suspension of a bogie acts between wheelset and frame, whose motion the mass sensor and the frame's yaw give.
 
-    Parameters
-    ----------
-    segment
-        Accelerations, rates and displacements of m samples.
-    p
-        Parameters of Eq. 1 and Eq. 2.
-    run
-        (m,) m, increasing: by default the distance run since the start of the segment.
+    Args:
+        segment: Accelerations, rates and displacements of m samples.
+        p: Parameters of Eq. 1 and Eq. 2.
+        run: (m,) m, increasing: by default the distance run since the start of the segment.
     """
     accelerations, V = segment.accelerations, segment.speed
     y, ψ, φ = segment.displacements[:3]

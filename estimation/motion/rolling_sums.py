@@ -45,14 +45,10 @@ TERMS = 1 + len(UNKNOWNS)  # the lateral acceleration first
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:
     """Return the sums of each part of a window that has pieces without gaps.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, else it says nothing.
-    vehicle_class
-        Of its vehicle, with the nominal radius on file of its wheelset.
-    signals
-        Least speed, and how long gaps may be that straight lines bridge.
+    Args:
+        window: Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, else it says nothing.
+        vehicle_class: Of its vehicle, with the nominal radius on file of its wheelset.
+        signals: Least speed, and how long gaps may be that straight lines bridge.
     """
     if vehicle_class.bogie is not None and window.frame_yaw_acceleration is None:
         return ()

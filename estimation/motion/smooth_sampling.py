@@ -16,18 +16,11 @@ def sample_smoothed(
 
     Between samples signals are straight, beyond their ends as at these.
 
-    Parameters
-    ----------
-    signals
-        (m, n) in any unit.
-    at
-        (n,) m, increasing.
-    first, step
-        Number of the fine grid point of the first result, and spacing of that grid, m.
-    count, finer
-        Results, and fine grid points between them.
-    weights
-        (2 r + 1,) of the smoothing, symmetric.
+    Args:
+        signals: (m, n) in any unit.
+        at: (n,) m, increasing.
+        first, step: Number of the fine grid point of the first result, and spacing of that grid, m.
+        weights: (2 r + 1,) of the smoothing, symmetric.
     """
     m, n = signals.shape
     taps = len(weights)

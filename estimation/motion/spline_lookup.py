@@ -28,12 +28,8 @@ class SampledCurve:
 def at_places(curve: SampledCurve, places: FloatArray) -> FloatArray:
     """Return the values (n,) at places (n,); NaN off the curve, and beside a point of it that is not known.
 
-    Parameters
-    ----------
-    curve
-        On a uniform grid.
-    places
-        (n,) m; NaN where not known.
+    Args:
+        places: (n,) m; NaN where not known.
     """
     found = np.full(len(places), np.nan)
     low, high = extent(places, float(curve.s[0]), float(curve.s[-1]))
@@ -73,12 +69,9 @@ def _piece(curve: SampledCurve, number: int) -> FloatArray:
 def extent(places: FloatArray, first: float, last: float) -> tuple[float, float]:
     """Return the lowest and the highest of the places in ``[first, last]``; the first is larger where there is none.
 
-    Parameters
-    ----------
-    places
-        (n,) m; NaN where not known.
-    first, last
-        Ends, m.
+    Args:
+        places: (n,) m; NaN where not known.
+        first, last: Ends, m.
     """
     low, high = np.inf, -np.inf
     for place in places:
@@ -91,14 +84,10 @@ def extent(places: FloatArray, first: float, last: float) -> tuple[float, float]
 def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found: FloatArray) -> None:
     """Write the spline at places on the grid (m,); a place on a point of it belongs to the interval before.
 
-    Parameters
-    ----------
-    places
-        (n,) m; NaN where not known.
-    s, coefficients
-        (m,) m, uniform, and (m - 1, 4) between its points.
-    found
-        (n,); what is off the grid stays as it is.
+    Args:
+        places: (n,) m; NaN where not known.
+        s, coefficients: (m,) m, uniform, and (m - 1, 4) between its points.
+        found: (n,); what is off the grid stays as it is.
     """
     last, per_step = len(coefficients) - 1, (len(s) - 1) / (s[-1] - s[0])
     for i in range(len(places)):

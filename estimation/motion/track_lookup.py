@@ -35,14 +35,9 @@ TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a s
 def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
     """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where it is not known.
 
-    Parameters
-    ----------
-    distance
-        (n,) m along the section; NaN where not known.
-    track
-        Alignment on a uniform grid.
-    cutoff_wavelength
-        m, of the high-pass that the motion goes through.
+    Args:
+        distance: (n,) m along the section; NaN where not known.
+        cutoff_wavelength: m, of the high-pass that the motion goes through.
     """
     as_it_is = track.cutoff_wavelength >= FULL_BAND_FACTOR * cutoff_wavelength
     return at_places(_curve(track, as_it_is=as_it_is), distance)
@@ -78,11 +73,6 @@ def deconvolved(track: TrackAlignment) -> FloatArray:
     """Return the alignment (n,), m, with F undone; as it is where the track has no cut-off. NaN stays NaN.
 
     Within a cut-off of a place that is not known nothing can be undone well: NaN too.
-
-    Parameters
-    ----------
-    track
-        Alignment on a uniform grid.
     """
     if not track.band_limited:
         return track.alignment
@@ -121,18 +111,11 @@ def gauge_shift(
 
     None where nothing is known of it: on constant gauge, or of a wheelset of which the section has no findings.
 
-    Parameters
-    ----------
-    window
-        In the axes of the wheelset, at true positions.
-    track
-        Alignment with the gauge deviation and what was found of wheelsets.
-    vehicle
-        Parameters of Eq. 1 and Eq. 2, which turn motion into rL - rR.
-    parameters
-        Gates on gaps, length and speed.
-    earlier
-        The same accelerations and speeds, integrated before.
+    Args:
+        window: In the axes of the wheelset, at true positions.
+        track: Alignment with the gauge deviation and what was found of wheelsets.
+        vehicle: Parameters of Eq. 1 and Eq. 2, which turn motion into rL - rR.
+        earlier: The same accelerations and speeds, integrated before.
     """
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
     if track.findings is None or table is None:

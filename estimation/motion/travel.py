@@ -20,10 +20,8 @@ from estimation.values.windows import Window
 def runs_backwards(window: Window) -> bool | None:
     """Return whether the axes of a node point against the direction of travel; None where it does not say.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations and speed, (n,) each.
+    Args:
+        window: Measured accelerations and speed, (n,) each.
     """
     signals = SignalParameters()
     correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
@@ -37,12 +35,9 @@ def bogie_runs_backwards(window: Window, partner: Window, ahead: float) -> bool 
 
     Where they say both, one of them is the wrong way round, and which axle meets the track first decides.
 
-    Parameters
-    ----------
-    window, partner
-        Of the two nodes of a bogie, over the same time, with as many samples.
-    ahead
-        By how much the node of ``window`` is ahead of the other, m, by the registry; negative at the rear axle.
+    Args:
+        window, partner: Of the two nodes of a bogie, over the same time, with as many samples.
+        ahead: By how much the node of ``window`` is ahead of the other, m, by the registry; negative at the rear axle.
     """
     said = {runs_backwards(window), runs_backwards(partner)} - {None}
     if len(said) <= 1:
@@ -54,12 +49,9 @@ def bogie_runs_backwards(window: Window, partner: Window, ahead: float) -> bool 
 def turned_over(window: Window, behind: float = 0.0) -> Window:
     """Return the window of a vehicle that runs with its rear end first as one of a vehicle that runs forward.
 
-    Parameters
-    ----------
-    window
-        In the axes of the vehicle.
-    behind
-        m, by which its axle is behind the reference of the vehicle's position by the registry. It is ahead of it now.
+    Args:
+        behind: m, by which its axle is behind the reference of the vehicle's position by the registry. It is ahead of
+            it now.
     """
     frame = window.frame_yaw_acceleration
     return replace(

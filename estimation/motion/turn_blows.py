@@ -68,12 +68,8 @@ def blows_unless_hunting(
 ) -> TurnBlows:
     """Return the blows once a turn, none of a wheelset that hunts: flanges strike at its own wavelength.
 
-    Parameters
-    ----------
-    hunting
-        Of the same running time.
-    lateral, roll, speed, interval_s
-        As :func:`find_turn_blows` takes them.
+    Args:
+        hunting: Of the same running time.
     """
     return NO_BLOWS if hunting.sustained else find_turn_blows(lateral, roll, speed, interval_s)
 
@@ -81,14 +77,9 @@ def blows_unless_hunting(
 def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlows:
     """Return for how much of some running time a wheel strikes once a turn, how hard, and which.
 
-    Parameters
-    ----------
-    lateral, roll
-        (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
-    speed
-        (n,) m/s; NaN where not known.
-    interval_s
-        Between samples.
+    Args:
+        lateral, roll: (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
+        speed: (n,) m/s; NaN where not known.
     """
     running, found = 0, []
     for block in _blocks(lateral, roll, speed, interval_s):
@@ -103,12 +94,8 @@ def blow_times(
 ) -> FloatArray:
     """Return where on the samples (k,) a wheel with a flat strikes, as fractions of samples; every turn has its blow.
 
-    Parameters
-    ----------
-    lateral, roll, speed, interval_s
-        As :func:`find_turn_blows` takes them.
-    lost
-        (n,) samples that clipped in blows.
+    Args:
+        lost: (n,) samples that clipped in blows.
     """
     times = []
     for block in _blocks(lateral, roll, speed, interval_s, lost):

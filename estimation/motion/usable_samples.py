@@ -25,14 +25,9 @@ GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
 def straight(distance: FloatArray, layout: TrackLayout, limits: CurveLimits) -> BoolArray:
     """Return which places (n,) are on track that is straight within ``limits``; places off the layout do not.
 
-    Parameters
-    ----------
-    distance
-        (n,) m along the section; NaN where not known.
-    layout
-        Curvature and cant of the section.
-    limits
-        What counts as straight, and the margin from the rest.
+    Args:
+        distance: (n,) m along the section; NaN where not known.
+        limits: What counts as straight, and the margin from the rest.
     """
     grid = np.union1d(np.arange(layout.s[0], layout.s[-1], GRID_STEP), layout.s)
     bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.curvature) | (
@@ -56,12 +51,8 @@ def check_upright(window: Window, usable: BoolArray) -> Reason | None:
     It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and cannot
     be taken out. Only sensors that measure constant accelerations show it.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations.
-    usable
-        (n,) samples on straight track.
+    Args:
+        usable: (n,) samples on straight track.
     """
     if not (window.measures_gravity and usable.any()):
         return None
@@ -89,14 +80,10 @@ def detect_uncompensated_acceleration(
 ) -> Reason | None:
     """Return that the window shows a curve; None where it does not.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations, (n,) each.
-    usable
-        (n,) samples that count.
-    max_cant_deficiency_change
-        m/s2, largest :func:`cant_deficiency_acceleration_range` of straight track.
+    Args:
+        window: Measured accelerations, (n,) each.
+        usable: (n,) samples that count.
+        max_cant_deficiency_change: m/s2, largest :func:`cant_deficiency_acceleration_range` of straight track.
     """
     spread = cant_deficiency_acceleration_range(window, usable)
     if spread <= max_cant_deficiency_change:
@@ -111,12 +98,8 @@ def detect_uncompensated_acceleration(
 def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> float:
     """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations.
-    usable
-        (n,) samples that count.
+    Args:
+        usable: (n,) samples that count.
     """
     size = round(MEAN_S / window.sample_interval_s)
     count = len(usable) // size
@@ -134,14 +117,8 @@ def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> flo
 def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Reason:
     """Return the window with the samples in curves not valid, or why nothing is left.
 
-    Parameters
-    ----------
-    window
-        Samples, at positions as measured.
-    layout
-        Curves of the section; None where none is on file: then a window that shows a curve is refused.
-    parameters
-        What counts as straight.
+    Args:
+        layout: Curves of the section; None where none is on file: then a window that shows a curve is refused.
     """
     if layout is None:
         with np.errstate(invalid="ignore"):
@@ -157,12 +134,9 @@ def straight_part(window: Window, layout: TrackLayout | None, parameters: Signal
 def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:
     """Return the valid samples (n,) at known positions at which the vehicle runs fast enough.
 
-    Parameters
-    ----------
-    window
-        Speed and distance, (n,) each.
-    parameters
-        The least speed.
+    Args:
+        window: Speed and distance, (n,) each.
+        parameters: The least speed.
     """
     with np.errstate(invalid="ignore"):
         fast_enough = window.speed >= parameters.least_speed_m_s
@@ -191,18 +165,10 @@ def usable_samples(
 ) -> Usable:
     """Return the samples of ``window`` that can be used.
 
-    Parameters
-    ----------
-    window
-        Samples.
-    known
-        (n,) samples at places of known alignment.
-    layout
-        Curves of its section; None where none is on file: then every place counts as straight.
-    least_speed
-        m/s.
-    limits
-        What is left out of curves.
+    Args:
+        known: (n,) samples at places of known alignment.
+        layout: Curves of its section; None where none is on file: then every place counts as straight.
+        least_speed: m/s.
     """
     with np.errstate(invalid="ignore"):
         moving = window.speed >= least_speed

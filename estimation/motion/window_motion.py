@@ -53,23 +53,15 @@ def motion(
 ) -> Motion | Reason:
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations, speed and distance, (n,) each.
-    track
-        Alignment of the window's section; samples outside it are left out. Wavelengths that it does not hold are
-        taken out of the motion too.
-    parameters
-        Cut-off wavelength and gates.
-    layout
-        Curves of the section, which are left out; None where none is on file.
-    gauge_shift
-        (n,) m, by how much the gauge moves the wheelset, NaN where the table does not reach; None without a table.
-    earlier
-        The same accelerations and speeds, integrated before.
-    radius
-        Nominal rolling radius, m: the height of the axle.
+    Args:
+        window: Measured accelerations, speed and distance, (n,) each.
+        track: Alignment of the window's section; samples outside it are left out. Wavelengths that it does not hold are
+            taken out of the motion too.
+        layout: Curves of the section, which are left out; None where none is on file.
+        gauge_shift: (n,) m, by how much the gauge moves the wheelset, NaN where the table does not reach; None without
+            a table.
+        earlier: The same accelerations and speeds, integrated before.
+        radius: Nominal rolling radius, m: the height of the axle.
     """
     cutoff_wavelength = min(parameters.cutoff_wavelength, track.cutoff_wavelength)
     d = alignment_at(window.distance, track, cutoff_wavelength)
@@ -204,26 +196,16 @@ def window_motion(
 ) -> Motion | Reason:
     """Return the motion of ``window`` relative to ``track``, or why the window is refused.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations of one wheelset, (n,) each.
-    track
-        Alignment of its track section; None where none is on file, all NaN where that is of the gauge alone.
-    parameters
-        Gates, vehicle and filters.
-    correction
-        From the measured positions to the true ones; None where the measured ones are used.
-    misplaced
-        Why the position is not certain; None where it is.
-    mounted_reversed
-        The wheelset's left wheel is on the vehicle's right-hand side.
-    layout
-        Curves of the section, which are left out; None where none is on file.
+    Args:
+        window: Measured accelerations of one wheelset, (n,) each.
+        track: Alignment of its track section; None where none is on file, all NaN where that is of the gauge alone.
+        correction: From the measured positions to the true ones; None where the measured ones are used.
+        misplaced: Why the position is not certain; None where it is.
+        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
+        layout: Curves of the section, which are left out; None where none is on file.
 
-    Returns
-    -------
-    (n,) samples of band-limited motion in the axes of the wheelset, or the refusal.
+    Returns:
+        (n,) samples of band-limited motion in the axes of the wheelset, or the refusal.
     """
     refused = gate(window.quality, window.track_section, parameters.gates)
     if refused is not None:

@@ -36,11 +36,6 @@ def without_blows(window: Window) -> Window:
     """Return the window with the blows of a flat taken out; samples that a blow has spoilt are ``bridged``.
 
     Blows of joints and switches are single: the integrals go through them as they were measured.
-
-    Parameters
-    ----------
-    window
-        Samples as they were measured.
     """
     dt, n = window.sample_interval_s, len(window.valid)
     lost = np.zeros(n, np.bool_)
@@ -86,14 +81,9 @@ def _bridge(signals: FloatArray, known: BoolArray, first: int, behind: int, supp
 def turn_blows(signals: FloatArray, at: FloatArray, interval_s: float) -> FloatArray:
     """Return what the blows of a flat are of signals (m, n).
 
-    Parameters
-    ----------
-    signals
-        (m, n) lateral, yaw and roll acceleration first; NaN where not known.
-    at
-        (k,) where on the samples they are, increasing.
-    interval_s
-        Between samples.
+    Args:
+        signals: (m, n) lateral, yaw and roll acceleration first; NaN where not known.
+        at: (k,) where on the samples they are, increasing.
     """
     turn = float(np.median(np.diff(at))) * interval_s
     reach = min(BEFORE_S + BEHIND_S, MOST_OF_TURN * turn) / (BEFORE_S + BEHIND_S)

@@ -22,18 +22,11 @@ def turning_plan(
 ) -> list[PlanLine]:
     """Return the plan, the earliest visit first; what cannot be assessed comes last.
 
-    Parameters
-    ----------
-    candidates
-        Wheelsets in service, in any order.
-    limits
-        Of the operator.
-    now_ns
-        Our time, ns UTC; what is due already is due now.
-    horizon_ns
-        How far ahead is planned, ns.
-    together_ns
-        What becomes due within this time of a visit is turned in it, ns.
+    Args:
+        candidates: Wheelsets in service, in any order.
+        now_ns: Our time, ns UTC; what is due already is due now.
+        horizon_ns: How far ahead is planned, ns.
+        together_ns: What becomes due within this time of a visit is turned in it, ns.
     """
     lines: list[PlanLine] = []
     ordered = sorted(candidates, key=lambda one: (one.vehicle, one.axle))
@@ -97,13 +90,7 @@ class _Visit:
     chosen: dict[str, tuple[Cause, str]] = field(default_factory=dict)
 
     def lines(self, wheelsets: Sequence[Candidate]) -> list[PlanLine]:
-        """Return who is turned.
-
-        Parameters
-        ----------
-        wheelsets
-            All of the vehicle.
-        """
+        """Return who is turned."""
         for one in self.due:
             self.chosen[one.serial] = (Cause.DUE, one.reason)
             self._turn(one, None)
@@ -171,15 +158,7 @@ class _Visit:
 
 
 def not_checked(one: Candidate, limits: DiameterLimits) -> tuple[str, ...]:
-    """Return what could not be held against a wheelset, and why.
-
-    Parameters
-    ----------
-    one
-        The wheelset.
-    limits
-        Of the operator.
-    """
+    """Return what could not be held against a wheelset, and why."""
     if one.radii is None:
         return ("no measured radius on file: diameters were not checked",)
     missing = []

@@ -38,19 +38,7 @@ class AtAmplitude:
 
 
 def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsParameters) -> AtAmplitude:
-    """Return what is published at an amplitude, for every wheel and every rail that has cells.
-
-    Parameters
-    ----------
-    table
-        All cells.
-    k
-        Number of the amplitude.
-    anchors
-        What holds the level.
-    parameters
-        Of the model.
-    """
+    """Return what is published at an amplitude, for every wheel and every rail that has cells."""
     level, left_out = _Level.of(table, k, anchors).even(parameters)
     level, confirmed = level.confirmed(parameters)
     level = level.widened(confirmed)
@@ -78,13 +66,7 @@ def at_amplitude(table: CellTable, k: int, anchors: Anchors, parameters: RailsPa
 
 
 def wheel_checks(table: CellTable, k: int, anchors: Anchors, parameters: RailsParameters) -> dict[str, Check]:
-    """Return by serial how far measured wheelsets are from what the others say at an amplitude.
-
-    Parameters
-    ----------
-    table, k, anchors, parameters
-        As for :func:`at_amplitude`.
-    """
+    """Return by serial how far measured wheelsets are from what the others say at an amplitude."""
     return _Level.of(table, k, anchors).even(parameters)[0].confirmed(parameters)[1]
 
 

@@ -50,12 +50,8 @@ class RailsState:
 def init(parameters: RailsParameters, amplitude: FloatArray) -> RailsState:
     """Return the state without cells.
 
-    Parameters
-    ----------
-    parameters
-        Of the model.
-    amplitude
-        (k,) m, of all cells.
+    Args:
+        amplitude: (k,) m, of all cells.
     """
     return RailsState(parameters, amplitude)
 
@@ -63,17 +59,12 @@ def init(parameters: RailsParameters, amplitude: FloatArray) -> RailsState:
 def update(state: RailsState, cells: Sequence[SectionConicity]) -> RailsState:
     """Return the state with more cells.
 
-    Parameters
-    ----------
-    state
-        Without them.
-    cells
-        Each wheelset, interval, section and period once; what belongs to one cell is merged before, as bin tables.
+    Args:
+        cells: Each wheelset, interval, section and period once; what belongs to one cell is merged before, as bin
+            tables.
 
-    Raises
-    ------
-    ParameterError
-        A cell is there already, or has other amplitudes.
+    Raises:
+        ParameterError: A cell is there already, or has other amplitudes.
     """
     found = dict(state.cells)
     for cell in cells:
@@ -86,15 +77,7 @@ def update(state: RailsState, cells: Sequence[SectionConicity]) -> RailsState:
 
 
 def result(state: RailsState, anchors: Anchors) -> RailsApart:
-    """Return wheels and rails apart at every amplitude, with intervals, or why they are not.
-
-    Parameters
-    ----------
-    state
-        All cells.
-    anchors
-        What holds the level.
-    """
+    """Return wheels and rails apart at every amplitude, with intervals, or why they are not."""
     cells = [state.cells[key] for key in sorted(state.cells)]
     table = cell_table(cells, state.amplitude)
     held = confirmed(table, anchors, state.parameters)
@@ -193,14 +176,10 @@ def _trends(
 def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> tuple[Estimate, float] | None:
     """Return the estimate at the largest amplitude up to ``most`` at which there is one; None where there is none.
 
-    Parameters
-    ----------
-    part
-        (k,) the estimate at each amplitude.
-    amplitude
-        (k,) m, increasing.
-    most
-        In m.
+    Args:
+        part: (k,) the estimate at each amplitude.
+        amplitude: (k,) m, increasing.
+        most: In m.
     """
     known = [
         (one, float(a))
@@ -211,15 +190,7 @@ def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> 
 
 
 def exceeds(excess: Estimate, limit: float) -> bool:
-    """Return whether an excess is beyond a limit, to either side, and its interval leaves no doubt of the side.
-
-    Parameters
-    ----------
-    excess
-        With a value.
-    limit
-        Positive.
-    """
+    """Return whether an excess is beyond a limit, to either side, and its interval leaves no doubt of the side."""
     if excess.value is None or excess.low is None or excess.high is None:
         return False
     return abs(excess.value) > limit and not excess.low <= 0.0 <= excess.high

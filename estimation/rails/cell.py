@@ -25,20 +25,11 @@ def section_conicity(
 ) -> SectionConicity | Reason:
     """Return the conicity that windows of a wheelset on one section give, by the estimator of geometries; or why none.
 
-    Parameters
-    ----------
-    wheel, rail
-        Wheelset with its mileage interval, section with its period.
-    table
-        The merged bin tables of the windows.
-    bins
-        Parameters of the tables.
-    parameters
-        Of the estimator; their uncertainty is that on this section.
-    scale_std
-        Relative, of a scale of y - d that the alignment of the section leaves open.
-    span_ns
-        Begin of the first and end of the last window, ns UTC.
+    Args:
+        wheel, rail: Wheelset with its mileage interval, section with its period.
+        parameters: Of the estimator; their uncertainty is that on this section.
+        scale_std: Relative, of a scale of y - d that the alignment of the section leaves open.
+        span_ns: Begin of the first and end of the last window, ns UTC.
     """
     found = estimate_geometry(table, bins, parameters)
     if found.status is not Status.ESTIMATED:

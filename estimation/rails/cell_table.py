@@ -32,13 +32,7 @@ class CellTable:
     years: FloatArray  # (n,) middle of what was seen, since 1970
 
     def given(self, k: int) -> BoolArray:
-        """Return which cells (n,) are known at an amplitude.
-
-        Parameters
-        ----------
-        k
-            Number of the amplitude.
-        """
+        """Return which cells (n,) are known at an amplitude."""
         found = np.isfinite(self.conicity[:, k]) & np.isfinite(self.sampled[:, k])
         return np.asarray(found & np.isfinite(self.systematic[:, k]))
 
@@ -46,12 +40,9 @@ class CellTable:
 def cell_table(cells: Sequence[SectionConicity], amplitude: FloatArray) -> CellTable:
     """Return cells as arrays.
 
-    Parameters
-    ----------
-    cells
-        All, in the order of their keys.
-    amplitude
-        (k,) m, of all.
+    Args:
+        cells: All, in the order of their keys.
+        amplitude: (k,) m, of all.
     """
     wheels, rails = sorted({cell.wheel for cell in cells}), sorted({cell.rail for cell in cells})
     serials = sorted({key.wheelset for key in wheels})

@@ -45,13 +45,7 @@ class Component:
         return float(np.median(np.sqrt(np.maximum(relative**2 - self.table.scale[self.cells] ** 2, 0.0))))
 
     def by_rail(self, values: FloatArray) -> FloatArray:
-        """Return the mean (s,) of what belongs to cells (n,), over those of each of the rails.
-
-        Parameters
-        ----------
-        values
-            By cell of the component.
-        """
+        """Return the mean (s,) of what belongs to cells (n,), over those of each of the rails."""
         rail, s = self.two_way.rail, len(self.rail)
         return np.bincount(rail, values, minlength=s) / np.bincount(rail, minlength=s)
 
@@ -66,20 +60,10 @@ def component(
 ) -> Component:
     """Return connected cells with what is known of their wheels and rails.
 
-    Parameters
-    ----------
-    table
-        All cells.
-    cells
-        (n,) numbers of those that are connected.
-    k
-        Number of the amplitude.
-    known
-        Conicity (w,) of all wheels of the table, NaN where not known, and its standard deviation (w,).
-    known_rails
-        Rails that are as on file.
-    level_open
-        What is said where nothing holds the level.
+    Args:
+        cells: (n,) numbers of those that are connected.
+        known: Conicity (w,) of all wheels of the table, NaN where not known, and its standard deviation (w,).
+        level_open: What is said where nothing holds the level.
     """
     wheel, of_wheel = np.unique(table.wheel[cells], return_inverse=True)
     rail, of_rail = np.unique(table.rail[cells], return_inverse=True)

@@ -57,13 +57,7 @@ class Connected:
 
 
 def islands(runs: Runs) -> IntArray:
-    """Return by rails (s,) the number of the group that any wheel connects, all that is known counting as connected.
-
-    Parameters
-    ----------
-    runs
-        Of the wheels.
-    """
+    """Return by rails (s,) the number of the group that any wheel connects, all that is known counting as connected."""
     s = len(runs.known_rail)
     labels = _labels(*runs.pairs(), s + 1)
     return np.where(runs.known_rail, labels[s], labels[:s])
@@ -75,12 +69,8 @@ def connected(runs: Runs, least: int) -> Connected:
     Rails that hang on one wheelset are refused where the others are connected with what is known. Where nothing is
     known, both sides are groups of their own, for differences within each are known.
 
-    Parameters
-    ----------
-    runs
-        Of the wheels.
-    least
-        Different wheelsets that must connect each section.
+    Args:
+        least: Different wheelsets that must connect each section.
     """
     refused: dict[int, Reason] = {}
     while True:

@@ -19,26 +19,15 @@ SAME_AMPLITUDE = 1e-9  # m
 def next_to_jump(curve: FloatArray, amplitude: FloatArray, most: float) -> BoolArray:
     """Return where (k,) a conicity changes by more than ``most`` within 0.25 mm of amplitude, to either side.
 
-    Parameters
-    ----------
-    curve
-        (k,) conicity; NaN where it is not known.
-    amplitude
-        (k,) m, increasing.
-    most
-        Change of conicity.
+    Args:
+        curve: (k,) conicity; NaN where it is not known.
+        amplitude: (k,) m, increasing.
     """
     return np.asarray((np.abs(_changes(curve, amplitude)) > most).any(axis=1))
 
 
 def on_rise(curve: FloatArray, amplitude: FloatArray, most: float) -> BoolArray:
-    """Return where (k,) a conicity rises by more than ``most`` within 0.25 mm of amplitude, before or behind.
-
-    Parameters
-    ----------
-    curve, amplitude, most
-        As for :func:`next_to_jump`.
-    """
+    """Return where (k,) a conicity rises by more than ``most`` within 0.25 mm of amplitude, before or behind."""
     return np.asarray((_changes(curve, amplitude) > most).any(axis=1))
 
 

@@ -15,14 +15,9 @@ from estimation.values.arrays import FloatArray
 def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the conicity (k,) of wheels on rails and its standard deviation; NaN where they have none.
 
-    Parameters
-    ----------
-    wheels
-        Profiles, radius and their standard deviation.
-    rails
-        Rails as on file.
-    amplitude
-        (k,) m.
+    Args:
+        wheels: Profiles, radius and their standard deviation.
+        amplitude: (k,) m.
     """
     nothing = np.full(len(amplitude), np.nan)
     try:
@@ -43,12 +38,8 @@ def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray
 def designed_wheel(profile: str, nominal_radius: float) -> WheelPair | None:
     """Return the wheels of a profile as designed; None where no such profile is built in.
 
-    Parameters
-    ----------
-    profile
-        Name of the profile.
-    nominal_radius
-        At the tread datum, m.
+    Args:
+        nominal_radius: At the tread datum, m.
     """
     if not is_design(profile):
         return None

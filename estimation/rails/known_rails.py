@@ -43,17 +43,7 @@ class _Apart:
 
 
 def confirmed(table: CellTable, anchors: Anchors, parameters: RailsParameters) -> Anchors:
-    """Return the anchors without those that contradict the others, and why.
-
-    Parameters
-    ----------
-    table
-        All cells.
-    anchors
-        As named and measured.
-    parameters
-        Of the model.
-    """
+    """Return the anchors without those that contradict the others, and why."""
     held, found = anchors, _all_apart(table, anchors, parameters)
     while True:
         beyond = {one: by for one, by in found.items() if by.ratio > parameters.known_apart}

@@ -37,19 +37,8 @@ class Check:
 def checks(component: Component, wheel: ReferenceWheel, parameters: RailsParameters) -> dict[str, Check]:
     """Return by serial how far measured wheelsets are from what the others say; infinite stds where these say nothing.
 
-    Parameters
-    ----------
-    component
-        Connected cells, with the measured wheels.
-    wheel
-        The wheel as designed.
-    parameters
-        Of the model.
-
-    Returns
-    -------
-    dict[str, Check]
-        None are said to differ at an amplitude at which nothing is published.
+    Returns:
+        dict[str, Check]: None are said to differ at an amplitude at which nothing is published.
     """
     known = np.isfinite(component.two_way.known_value)
     if not known.any():

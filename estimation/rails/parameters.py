@@ -18,45 +18,31 @@ DIFFER = (ReasonCode.KNOWN_RAILS_DIFFER, ReasonCode.MEASURED_WHEELS_DIFFER)
 class RailsParameters:
     """Parameters of the mixed model.
 
-    Attributes
-    ----------
-    slope_std
-        Standard deviation, known beforehand, of how much more the rails of a section change the conicity of a wheel
-        whose conicity is higher by 1.
-    interaction
-        What neither wheel nor rail explains of a conicity, known beforehand as a standard deviation.
-    interaction_weight
-        How many degrees of freedom that knowledge counts.
-    farthest
-        By how much the conicity of the wheel as designed may be outside the range of the wheels that run on a section:
-        next to contact jumps a conicity does not go on as it does between those that are known.
-    steepest
-        Most that the conicity of the wheel as designed may change within 0.25 mm of amplitude, where it is published.
-    known_apart
-        Half intervals by which sections that are named as known, or measured wheels, must differ until they contradict
-        each other; 1.7 of 95 % are 1 of 99.9 %.
-    confirmed_within
-        Standard deviation to which the others that hold the level must know the conicity of a measured wheel, so that
-        they confirm it.
-    uneven_slope
-        By how much conicities may rise more with those of the wheels on one section than on most others, relative;
-        twice ``slope_std``.
-    spread_open
-        Relative standard deviation above which known rails say little of how far the conicities of wheels are spread.
-    most_interaction
-        Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is published.
-    least_wheelsets
-        Different wheelsets that must connect a section to its reference.
-    period_days
-        Length of a period, in which rails hardly wear.
-    known_days
-        How long rails that are as on file on a day are taken to be so.
-    least_periods
-        Fewest periods of a trend.
-    limit
-        On the excess of the reference wheel's conicity.
-    limit_amplitude
-        m, at which the limit is looked at, or the largest amplitude below that is known.
+    Attributes:
+        slope_std: Standard deviation, known beforehand, of how much more the rails of a section change the conicity of
+            a wheel whose conicity is higher by 1.
+        interaction: What neither wheel nor rail explains of a conicity, known beforehand as a standard deviation.
+        interaction_weight: How many degrees of freedom that knowledge counts.
+        farthest: By how much the conicity of the wheel as designed may be outside the range of the wheels that run on a
+            section: next to contact jumps a conicity does not go on as it does between those that are known.
+        steepest: Most that the conicity of the wheel as designed may change within 0.25 mm of amplitude, where it is
+            published.
+        known_apart: Half intervals by which sections that are named as known, or measured wheels, must differ until
+            they contradict each other; 1.7 of 95 % are 1 of 99.9 %.
+        confirmed_within: Standard deviation to which the others that hold the level must know the conicity of a
+            measured wheel, so that they confirm it.
+        uneven_slope: By how much conicities may rise more with those of the wheels on one section than on most others,
+            relative; twice ``slope_std``.
+        spread_open: Relative standard deviation above which known rails say little of how far the conicities of wheels
+            are spread.
+        most_interaction: Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is
+            published.
+        least_wheelsets: Different wheelsets that must connect a section to its reference.
+        period_days: Length of a period, in which rails hardly wear.
+        known_days: How long rails that are as on file on a day are taken to be so.
+        least_periods: Fewest periods of a trend.
+        limit: On the excess of the reference wheel's conicity.
+        limit_amplitude: m, at which the limit is looked at, or the largest amplitude below that is known.
     """
 
     slope_std: float = 0.3
@@ -90,13 +76,7 @@ class ReferenceWheel:
         object.__setattr__(self, "on_reference", on_reference)
 
     def of(self, section: str) -> FloatArray:
-        """Return its conicity (k,) on the rails of a section as on file; NaN where it has none.
-
-        Parameters
-        ----------
-        section
-            Code.
-        """
+        """Return its conicity (k,) on the rails of a section as on file; NaN where it has none."""
         return self.on_file.get(section, np.full(len(self.on_reference), np.nan))
 
 
@@ -126,10 +106,8 @@ class Anchors:
     def without(self, sections: Mapping[str, Reason], wheelsets: Mapping[str, Reason]) -> Anchors:
         """Return the anchors without some sections and measured wheelsets, and why.
 
-        Parameters
-        ----------
-        sections, wheelsets
-            By code, and by serial.
+        Args:
+            sections, wheelsets: By code, and by serial.
         """
         return replace(
             self,

@@ -71,17 +71,7 @@ class Answer:
 
 
 def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParameters) -> Answer:
-    """Return what may be published of connected cells.
-
-    Parameters
-    ----------
-    component
-        The cells.
-    wheel
-        The wheel as designed.
-    parameters
-        Of the model.
-    """
+    """Return what may be published of connected cells."""
     solution = part(component.two_way, parameters)
     refused = refusal(component, solution, wheel, parameters)
     if refused is not None:
@@ -99,15 +89,7 @@ def parted(component: Component, wheel: ReferenceWheel, parameters: RailsParamet
 def refusal(
     component: Component, solution: Parted, wheel: ReferenceWheel, parameters: RailsParameters
 ) -> Reason | None:
-    """Return why nothing of a solution is published; None where it is.
-
-    Parameters
-    ----------
-    component, wheel, parameters
-        As for :func:`parted`.
-    solution
-        Of the cells.
-    """
+    """Return why nothing of a solution is published; None where it is."""
     if not solution.converged:
         return NOT_CONVERGED
     if _is_steep(component, wheel.on_reference, parameters):

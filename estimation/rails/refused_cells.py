@@ -15,15 +15,7 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 def with_refused(found: RailsApart, cells: Sequence[StoredCell]) -> RailsApart:
-    """Return what was found, with the wheels and rails whose cells are all refused, in the order of their keys.
-
-    Parameters
-    ----------
-    found
-        From the cells that can be used.
-    cells
-        All.
-    """
+    """Return what was found, with the wheels and rails whose cells are all refused, in the order of their keys."""
     known = {one.rail for one in found.rails}, {one.wheel for one in found.wheels}
     of_rails = _of((one.rail, one) for one in cells if one.rail not in known[0])
     of_wheels = _of((one.wheel, one) for one in cells if one.wheel not in known[1])

@@ -40,10 +40,8 @@ class Line:
     def fits(self, groups: float) -> bool:
         """Whether the values are on a line, as far as their errors say.
 
-        Parameters
-        ----------
-        groups
-            Degrees of freedom behind the scale of the errors.
+        Args:
+            groups: Degrees of freedom behind the scale of the errors.
         """
         if self.freedom < 1:
             return True
@@ -53,14 +51,10 @@ class Line:
 def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
     """Return the line through correlated values.
 
-    Parameters
-    ----------
-    at
-        (p,) where they are.
-    value
-        (p,) they.
-    covariance
-        (p, p) of them.
+    Args:
+        at: (p,) where they are.
+        value: (p,) they.
+        covariance: (p, p) of them.
     """
     columns = np.column_stack([np.ones(len(at)), at - at.mean()])
     weighted = np.linalg.solve(covariance, columns)
@@ -72,27 +66,13 @@ def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
 
 
 def not_a_line(periods: int) -> TrendAt:
-    """Return that the periods of a section are not on a line.
-
-    Parameters
-    ----------
-    periods
-        How many there are.
-    """
+    """Return that the periods of a section are not on a line."""
     text = f"the excess of {periods} periods is not on a line: the rails were ground or replaced, or wear unevenly"
     return TrendAt.unknown(Reason(ReasonCode.TREND_NOT_A_LINE, text))
 
 
 def too_few(periods: int, least: int) -> TrendAt:
-    """Return that a section has too few periods.
-
-    Parameters
-    ----------
-    periods
-        How many there are.
-    least
-        How many are needed.
-    """
+    """Return that a section has too few periods."""
     text = f"{periods} period{'s' * (periods != 1)} of the section {'are' if periods != 1 else 'is'} known, "
     return TrendAt.unknown(Reason(ReasonCode.TOO_FEW_PERIODS, f"{text}{least} are needed"))
 

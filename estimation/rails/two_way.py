@@ -76,13 +76,7 @@ class Parted:
     shared: csr_array  # (w, 2 s) by how much a theta falls with rho and beta
 
     def reference_wheel(self, conicity: float) -> tuple[FloatArray, FloatArray]:
-        """Return the conicity (s,) of a wheel on all rails, and its covariance (s, s), what is left not included.
-
-        Parameters
-        ----------
-        conicity
-            Of the wheel on the reference rails.
-        """
+        """Return the conicity (s,) of a wheel on all rails, and its covariance (s, s), what is left not included."""
         above = conicity - self.centre
         s = len(self.rail)
         half = self.covariance[:s] + above * self.covariance[s:]
@@ -94,12 +88,8 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
 
     Where known wheels differ by more than their errors and the interaction explain, their errors count as larger.
 
-    Parameters
-    ----------
-    cells
-        Of wheels and rails that are connected.
-    parameters
-        What is known beforehand.
+    Args:
+        parameters: What is known beforehand.
     """
     found = _Search(cells, parameters)
     if found.surplus(LOWEST_TAU) > 0.0 > found.surplus(HIGHEST_TAU):
@@ -115,14 +105,9 @@ def with_known(cells: TwoWay, parameters: RailsParameters, without: Parted) -> P
 
     It is one step from there: slopes of the rails do not follow a wheel that is known wrongly.
 
-    Parameters
-    ----------
-    cells
-        With the known wheels.
-    parameters
-        As for :func:`part`.
-    without
-        Solution of the same cells without the known wheels.
+    Args:
+        cells: With the known wheels.
+        without: Solution of the same cells without the known wheels.
     """
     point = _Point(without.wheel, np.concatenate([without.rail, without.slope]), without.centre)
     problem = _Problem.of(cells, parameters, without.interaction)

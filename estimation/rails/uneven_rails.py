@@ -23,13 +23,6 @@ def uneven(component: Component, parameters: RailsParameters) -> list[int]:
 
     Uneven are rails on which conicities rise with those of the wheels otherwise than on half of all rails or more,
     themselves counted. Of two that differ both are; what is known is not.
-
-    Parameters
-    ----------
-    component
-        Connected cells, with the measured wheels.
-    parameters
-        Of the model.
     """
     two_way = component.two_way
     if not two_way.anchored:

@@ -52,12 +52,9 @@ class _Alike:
 class Libraries:
     """The libraries that some entries make, each made once.
 
-    Attributes
-    ----------
-    entries
-        Those that were retired left out.
-    parameters
-        What a library must hold.
+    Attributes:
+        entries: Those that were retired left out.
+        parameters: What a library must hold.
     """
 
     entries: Sequence[LibraryEntry]
@@ -66,13 +63,7 @@ class Libraries:
     _made: dict[tuple[_Key, frozenset[str]], Library | Reason] = field(default_factory=dict)
 
     def admitted(self, subject: Subject) -> Admitted:
-        """Return the entries from which something may be concluded about a wheelset.
-
-        Parameters
-        ----------
-        subject
-            Who is judged.
-        """
+        """Return the entries from which something may be concluded about a wheelset."""
         alike = self._of(subject)
         outside = _outside(alike, subject)
         own = frozenset().union(*(alike.holding.get(name, frozenset()) for name in _names(subject)))
@@ -85,13 +76,7 @@ class Libraries:
         return Admitted(kept, {code: count for code, count in left_out.items() if count})
 
     def library(self, subject: Subject) -> Library | Reason:
-        """Return the library that a wheelset is judged by, or why there is none.
-
-        Parameters
-        ----------
-        subject
-            Who is judged.
-        """
+        """Return the library that a wheelset is judged by, or why there is none."""
         alike = self._of(subject)
         key = _key(subject), _outside(alike, subject)
         if key not in self._made:

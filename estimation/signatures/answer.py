@@ -33,16 +33,9 @@ def judged(
 ) -> SignatureAnswer:
     """Return what a library says of a wheelset.
 
-    Parameters
-    ----------
-    wheelset
-        Serial.
-    signatures
-        Of it, since it was last turned.
-    library
-        Of entries that may be learned from (``admission``); none of them shares data with the wheelset.
-    parameters
-        What an answer must keep to.
+    Args:
+        library: Of entries that may be learned from (``admission``); none of them shares data with the wheelset.
+        parameters: What an answer must keep to.
     """
     same = [one for one in signatures if one.place in library.places]
     chosen = same or list(signatures)
@@ -136,12 +129,8 @@ def _outside(found: Likelihood, library: Library, parameters: SignatureParameter
 def states(conicity: float, std: float, ends: Sequence[float]) -> tuple[StateProbability, ...]:
     """Return the probabilities of the states of wear.
 
-    Parameters
-    ----------
-    conicity, std
-        Of the answer.
-    ends
-        Conicities between the states, increasing.
+    Args:
+        ends: Conicities between the states, increasing.
     """
     bounds = [0.0, *ends, float("inf")]
     below = stats.norm.cdf([-np.inf, *ends, np.inf], conicity, std)
@@ -152,25 +141,16 @@ def states(conicity: float, std: float, ends: Sequence[float]) -> tuple[StatePro
 
 
 def most_likely(found: Sequence[StateProbability]) -> StateProbability:
-    """Return the state of the largest probability.
-
-    Parameters
-    ----------
-    found
-        States of an answer.
-    """
+    """Return the state of the largest probability."""
     return max(found, key=lambda one: one.probability)
 
 
 def compared(answer: Estimate, geometry: Estimate) -> Disagreement | None:
     """Return how far signature and geometry are apart; None where one of them says nothing.
 
-    Parameters
-    ----------
-    answer
-        Conicity at 3 mm by the signature.
-    geometry
-        The same by the geometry.
+    Args:
+        answer: Conicity at 3 mm by the signature.
+        geometry: The same by the geometry.
     """
     numbers = (answer.value, answer.low, answer.high, geometry.value, geometry.low, geometry.high)
     if any(number is None for number in numbers) or answer.std is None or geometry.std is None:

@@ -71,12 +71,8 @@ class Calibration:
     def std(self, posterior: float, shared: FloatArray) -> float:
         """Return half a 95 % interval over that of a normal error.
 
-        Parameters
-        ----------
-        posterior
-            Standard deviation of the posterior of an answer.
-        shared
-            (k,) std of what the conicities on file may be off by in common, by share.
+        Args:
+            shared: (k,) std of what the conicities on file may be off by in common, by share.
         """
         each = np.hypot(FACTORS * posterior, shared[:, None])
 
@@ -90,11 +86,6 @@ class Calibration:
 
         Roll over R is that of the contact angles, whatever the track: wheels of other profiles that move from side to
         side like those of the library roll otherwise. Among all features it is lost.
-
-        Parameters
-        ----------
-        found
-            Of the judged wheelset.
         """
         return max(found.whole / self.whole.largest, found.roll / self.roll.largest)
 
@@ -116,16 +107,10 @@ def calibrated(
 ) -> Mapping[Basis, Calibration | Reason]:
     """Return the calibration of a library by basis of its answers, or why it has none.
 
-    Parameters
-    ----------
-    rows
-        Entries.
-    known
-        What the conicities on file may be off by.
-    groups
-        Of every entry the wheelsets whose data are in it: what shares one is left out together.
-    parameters
-        What a library must hold.
+    Args:
+        known: What the conicities on file may be off by.
+        groups: Of every entry the wheelsets whose data are in it: what shares one is left out together.
+        parameters: What a library must hold.
     """
     apart = _folds(rows, groups)
     judged = partial(_judged, rows, known, apart, margin=parameters.margin)
@@ -146,16 +131,8 @@ def calibrated(
 def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], margin: float) -> Differences:
     """Return how far wheelsets are judged by the others from what is on file of them, on places that these have.
 
-    Parameters
-    ----------
-    rows
-        Entries, whose conicities are those on file.
-    known
-        What these may be off by.
-    groups
-        As in :func:`calibrated`.
-    margin
-        As in :func:`outside`.
+    Args:
+        known: What these may be off by.
     """
     found = list(_judged(rows, known, _folds(rows, groups), Basis.SAME_PLACES, margin))
     answers = np.unique([one.wheelset for one in found], return_counts=True)[1].astype(np.float64)
@@ -170,12 +147,9 @@ def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], mar
 def conicity_grid(known: FloatArray, margin: float) -> FloatArray:
     """Return the conicities (k,) that are tried.
 
-    Parameters
-    ----------
-    known
-        (n,) of the library.
-    margin
-        How far beyond them an answer may be.
+    Args:
+        known: (n,) of the library.
+        margin: How far beyond them an answer may be.
     """
     low, high = max(float(known.min()) - 2 * margin, 0.01), float(known.max()) + 2 * margin
     return np.asarray(np.arange(low, high + GRID, GRID))
@@ -196,14 +170,8 @@ def _folds(rows: Rows, groups: Sequence[frozenset[str]]) -> list[BoolArray]:
 def outside(found: Likelihood, known: tuple[float, float], margin: float) -> bool:
     """Return whether the conicity may be one that a library does not cover: then it says nothing.
 
-    Parameters
-    ----------
-    found
-        Of the judged wheelset.
-    known
-        Least and largest conicity of the library.
-    margin
-        By which an answer may be outside them.
+    Args:
+        margin: By which an answer may be outside them.
     """
     beyond = (found.conicity < known[0] - margin) | (found.conicity > known[1] + margin)
     return float(found.posterior[beyond].sum()) > RARE

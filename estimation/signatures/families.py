@@ -11,13 +11,7 @@ ALONE = 12  # families, up to which each of them is a fold of its own
 
 
 def families(groups: Iterable[frozenset[str]]) -> list[frozenset[str]]:
-    """Return groups of wheelsets that share no data with each other, in the order of their first serials.
-
-    Parameters
-    ----------
-    groups
-        Wheelsets whose data are in one entry.
-    """
+    """Return groups of wheelsets that share no data with each other, in the order of their first serials."""
     member: dict[str, set[str]] = {}
     for group in set(groups):
         joined = set(group).union(*(member[name] for name in group if name in member))
@@ -29,11 +23,6 @@ def folds(entries: Sequence[LibraryEntry]) -> list[frozenset[str]]:
     """Return wheelsets that are left out together, none of whose data are in entries of others.
 
     In a small library each family is a fold. In a larger one there are six, each with all kinds of conicity.
-
-    Parameters
-    ----------
-    entries
-        Of one library.
     """
     known: dict[str, list[float]] = {}
     for entry in entries:
@@ -47,11 +36,5 @@ def folds(entries: Sequence[LibraryEntry]) -> list[frozenset[str]]:
 
 
 def sharers(entry: LibraryEntry) -> frozenset[str]:
-    """Return the wheelsets whose samples are in an entry.
-
-    Parameters
-    ----------
-    entry
-        Of a library.
-    """
+    """Return the wheelsets whose samples are in an entry."""
     return frozenset(entry.shares_data) | {entry.wheelset}

@@ -41,11 +41,6 @@ class Library:
         """Return between which levels the mean of some places is where their section is like those of the library.
 
         It may be as far outside as the outermost section is from the next: so far the calibration has gone, too.
-
-        Parameters
-        ----------
-        places
-            How many.
         """
         section = np.array([self.sections[place.section] for place in sorted(self.places, key=self.places.__getitem__)])
         return levels_between(self.model, section, places)
@@ -54,12 +49,9 @@ class Library:
 def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> Library | Reason:
     """Return the library of some entries of one class and axle position, or why they make none.
 
-    Parameters
-    ----------
-    entries
-        That may be learned from (``admission``), with places.
-    parameters
-        What a library must hold.
+    Args:
+        entries: That may be learned from (``admission``), with places.
+        parameters: What a library must hold.
     """
     ordered = sorted((entry for entry in entries if entry.signature.place is not None), key=_order)
     wheelsets = {entry.wheelset: entry for entry in ordered}
@@ -103,12 +95,8 @@ def rows_of(entries: Sequence[LibraryEntry], own: FloatArray) -> Rows:
     A regressor with errors flattens a regression; what is expected of the true conicity, given the known one, does not
     (R. J. Carroll and others, "Measurement Error in Nonlinear Models", 2006, chapter 4).
 
-    Parameters
-    ----------
-    entries
-        With places.
-    own
-        (n,) std of the errors of the known conicities that are of each wheelset alone.
+    Args:
+        own: (n,) std of the errors of the known conicities that are of each wheelset alone.
     """
     names = sorted({entry.wheelset for entry in entries})
     places = sorted({_place(entry) for entry in entries})

@@ -78,13 +78,7 @@ class Rows:
     variance: FloatArray  # (n,) of the logarithm of the conicity: how well it is known
 
     def chosen(self, which: Sequence[int] | IntArray) -> Rows:
-        """Return some of the rows.
-
-        Parameters
-        ----------
-        which
-            Their numbers.
-        """
+        """Return some of the rows."""
         at = np.asarray(which, dtype=np.int64)
         return Rows(
             self.powers[at],
@@ -101,10 +95,8 @@ class Rows:
 def features_of(powers: FloatArray) -> FloatArray:
     """Return features (n, f), the level first.
 
-    Parameters
-    ----------
-    powers
-        (n, f) logarithms, signal after signal: y, R, roll.
+    Args:
+        powers: (n, f) logarithms, signal after signal: y, R, roll.
     """
     y, difference, roll = np.split(powers, SIGNALS, axis=1)
     level = 0.5 * (y.mean(axis=1) + difference.mean(axis=1))
@@ -115,23 +107,15 @@ def features_of(powers: FloatArray) -> FloatArray:
 def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
     """Return the terms (..., 5) of the response, the logarithm of the conicity first.
 
-    Parameters
-    ----------
-    conicity, speed
-        Of shapes that broadcast; speed in m/s.
+    Args:
+        conicity, speed: Of shapes that broadcast; speed in m/s.
     """
     c, v = np.broadcast_arrays(np.log(conicity / CONICITY), np.log(speed / SPEED))
     return np.stack([c, c * c, v, v * v, c * v], axis=-1)
 
 
 def track_effects(rows: Rows) -> FloatArray:
-    """Return what the features (n, f) of entries have beyond the response: track, wheelset and rest.
-
-    Parameters
-    ----------
-    rows
-        Entries of one class and axle position.
-    """
+    """Return what the features (n, f) of entries have beyond the response: track, wheelset and rest."""
     features, regressors, place = features_of(rows.powers), terms(rows.conicity, rows.speed), rows.place
     return np.asarray(features - regressors @ _within(regressors, features, place))
 
@@ -142,11 +126,6 @@ def fitted(rows: Rows) -> MixedModel:
     The response is that within places (their effects are fixed in it), and covariances follow from its residuals,
     step by step: of wheelsets, of places, of sections. What the errors of the known conicities add to the covariance
     of wheelsets is taken out again: they are none of the features.
-
-    Parameters
-    ----------
-    rows
-        Entries of one class and axle position.
     """
     kept, place = np.unique(rows.place, return_inverse=True)
     response, left = _response(rows, place)
@@ -197,14 +176,10 @@ class Scatter:
 def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter:
     """Return how residuals scatter from wheelset to wheelset, and within these.
 
-    Parameters
-    ----------
-    residuals
-        (n, f) of features.
-    wheelset
-        (n,) numbers from 0.
-    means
-        How many means, as those of places, have been taken out.
+    Args:
+        residuals: (n, f) of features.
+        wheelset: (n,) numbers from 0.
+        means: How many means, as those of places, have been taken out.
     """
     own = _means(residuals, wheelset)
     freedom = max(len(residuals) - means - len(own), 1)
@@ -273,14 +248,8 @@ def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
 def level_of(model: MixedModel, rows: Rows, conicity: float) -> float:
     """Return the level of the track under some signatures, from the mean of the known places.
 
-    Parameters
-    ----------
-    model
-        Of the library.
-    rows
-        Signatures of one wheelset; their conicities are not read.
-    conicity
-        Of the wheelset.
+    Args:
+        rows: Signatures of one wheelset; their conicities are not read.
     """
     response = terms(np.array(conicity), rows.speed).mean(axis=0) @ model.response[:TERMS, LEVEL]
     return float(features_of(rows.powers)[:, LEVEL].mean() - response - model.mean[LEVEL])
@@ -291,14 +260,8 @@ def levels_between(model: MixedModel, section: IntArray, places: int) -> tuple[f
 
     It may be as far outside as the outermost section is from the next.
 
-    Parameters
-    ----------
-    model
-        Of the library.
-    section
-        (p,) numbers of the sections of its places.
-    places
-        How many.
+    Args:
+        section: (p,) numbers of the sections of its places.
     """
     section = np.unique(section, return_inverse=True)[1]
     mean = np.bincount(section, model.levels) / np.bincount(section)
@@ -339,16 +302,10 @@ class Likelihood:
 def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: FloatArray) -> Likelihood:
     """Return how well conicities explain the mean of some signatures of one wheelset.
 
-    Parameters
-    ----------
-    model
-        Of the library.
-    rows
-        Signatures of the wheelset; their conicities are not read.
-    known
-        (n,) numbers of their places in the model; None where the library does not have them.
-    conicity
-        (k,) increasing.
+    Args:
+        rows: Signatures of the wheelset; their conicities are not read.
+        known: (n,) numbers of their places in the model; None where the library does not have them.
+        conicity: (k,) increasing.
     """
     n = len(rows.powers)
     features = features_of(rows.powers).mean(axis=0)

@@ -50,11 +50,6 @@ class OnFile:
 
         Errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
         those near by, whichever is larger.
-
-        Parameters
-        ----------
-        conicity
-            Of an answer.
         """
         each = self.shared[:, None] + np.sqrt(1.0 - SHARES) * self.claimed[:, None]
         near = np.exp(-0.5 * ((self.conicity - conicity) / NEAR) ** 2) + np.finfo(np.float64).tiny
@@ -62,13 +57,7 @@ class OnFile:
 
 
 def unjudged(entries: Sequence[LibraryEntry]) -> OnFile:
-    """Return what entries may be off by before anything of them is judged: of measured profiles all is their own.
-
-    Parameters
-    ----------
-    entries
-        Of one library.
-    """
+    """Return what entries may be off by before anything of them is judged: of measured profiles all is their own."""
     conicity, std = np.array([entry.conicity for entry in entries]), np.array([entry.std for entry in entries])
     measured = np.array([entry.source is ConicitySource.MEASURED_PROFILES for entry in entries])
     return OnFile(conicity, measured * std, 0.0 * std, ~measured * std, _NONE)
@@ -85,15 +74,7 @@ class Differences:
 
 
 def judged_by(before: OnFile, seen: Differences) -> OnFile:
-    """Return what entries may be off by, given how far each wheelset is judged from what is on file.
-
-    Parameters
-    ----------
-    before
-        Of :func:`unjudged`.
-    seen
-        By the others of the library.
-    """
+    """Return what entries may be off by, given how far each wheelset is judged from what is on file."""
     share = 1.0
     if before.own.any():
         measured = seen.own > 0.0

@@ -47,13 +47,7 @@ class Current:
 
 
 def current(entries: Sequence[LibraryEntry]) -> Current:
-    """Return the entries of the present track of every place.
-
-    Parameters
-    ----------
-    entries
-        Of one class and axle position, with places.
-    """
+    """Return the entries of the present track of every place."""
     if not entries:
         return Current((), (), (), ())
     rows = rows_of(entries, np.zeros(len(entries)))
@@ -87,13 +81,7 @@ def current(entries: Sequence[LibraryEntry]) -> Current:
 
 
 def place_name(place: Place) -> str:
-    """Return a place in words.
-
-    Parameters
-    ----------
-    place
-        The place.
-    """
+    """Return a place in words."""
     return f"section {place.section}, stretch {place.cell}"
 
 

@@ -19,12 +19,8 @@ def band_spectra(signals: FloatArray, parameters: SignatureParameters) -> tuple[
     Blocks lose their mean and slope and have Hann's window; they overlap by half (P. D. Welch, IEEE Trans. Audio and
     Electroacoustics 15, 1967).
 
-    Parameters
-    ----------
-    signals
-        (3, n) y in m, R in m, roll in rad, every ``step`` m.
-    parameters
-        Step, blocks and bands.
+    Args:
+        signals: (3, n) y in m, R in m, roll in rad, every ``step`` m.
     """
     size = round(parameters.block / parameters.step)
     starts = range(0, signals.shape[1] - size + 1, size // 2)

@@ -46,16 +46,9 @@ def window_signatures(
 
     Where section or position are not known every stretch of that length has one, without a place.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations of one wheelset, (n,) each.
-    parameters
-        Gates, vehicle and filters.
-    signature
-        Cells, blocks and bands.
-    layout
-        Curves of the section, which are left out; None where none is on file.
+    Args:
+        window: Measured accelerations of one wheelset, (n,) each.
+        layout: Curves of the section, which are left out; None where none is on file.
     """
     placed = gate(window.quality, window.track_section, parameters.gates)
     if placed is not None:
@@ -96,12 +89,9 @@ def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
 
     The axle of the lower number is in front where the vehicle runs forwards.
 
-    Parameters
-    ----------
-    window
-        Its axle, and which end of its vehicle goes first.
-    parameters
-        Of its vehicle's class.
+    Args:
+        window: Its axle, and which end of its vehicle goes first.
+        parameters: Of its vehicle's class.
     """
     partner = parameters.vehicle_class.partner(window.axle)
     if partner is None:

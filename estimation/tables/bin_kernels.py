@@ -36,12 +36,9 @@ def group(block: int, groups: int) -> int:
 def write_groups(block: IntArray, groups: int, found: IntArray) -> None:
     """Write the group (n,) of each block (n,).
 
-    Parameters
-    ----------
-    block, groups
-        (n,) blocks, and number of groups.
-    found
-        (n,), written.
+    Args:
+        block, groups: (n,) blocks, and number of groups.
+        found: (n,), written.
     """
     for i in range(len(block)):
         found[i] = group(block[i], groups)
@@ -54,16 +51,10 @@ def assign(
 ) -> int:  # fmt: skip
     """Write the cell of each sample, or ``OUTSIDE``, and where in its bin it is; return how many have a cell.
 
-    Parameters
-    ----------
-    displacement, valid, block
-        (n,) of the samples.
-    groups
-        Number of groups.
-    first_edge, width, bins
-        Of the bins, m, and their number.
-    cell, u
-        Written: (n,) cell, and place in the bin, -0.5 to 0.5.
+    Args:
+        displacement, valid, block: (n,) of the samples.
+        first_edge, width, bins: Of the bins, m, and their number.
+        cell, u: Written: (n,) cell, and place in the bin, -0.5 to 0.5.
     """
     inside, last_block, first_cell = 0, -1, 0
     for i in range(len(displacement)):
@@ -83,14 +74,9 @@ def assign(
 def radius_difference(signals: Signals, k: Coefficients, cell: IntArray, difference: FloatArray) -> None:
     """Write rL - rR by Eq. 2 with the other terms left out; NaN where a sample has no cell.
 
-    Parameters
-    ----------
-    signals, k
-        Of the motion and the vehicle.
-    cell
-        (n,) from :func:`assign`.
-    difference
-        (n,) m, written.
+    Args:
+        cell: (n,) from :func:`assign`.
+        difference: (n,) m, written.
     """
     c = radius_factor(k)
     for i in range(len(cell)):
@@ -105,12 +91,9 @@ def add_products(row: FloatArray, regressors: int, sums: FloatArray, at: int) ->
 
     And the square of the measurement.
 
-    Parameters
-    ----------
-    row, regressors
-        (m,) of one sample, and how many of it are regressors; the measurement is behind them.
-    sums, at
-        (c, p + 1, m), and which of them is added to.
+    Args:
+        row, regressors: (m,) of one sample, and how many of it are regressors; the measurement is behind them.
+        sums, at: (c, p + 1, m), and which of them is added to.
     """
     for a in range(regressors):
         x = row[a]
@@ -126,18 +109,9 @@ def add_samples(
 ) -> None:  # fmt: skip
     """Add every sample to the sums of its cell, which are in slot ``slot[cell]``; ``noise`` is the variance of R.
 
-    Parameters
-    ----------
-    signals, k
-        Of the motion and the vehicle.
-    noise
-        Variance of R by vibration, m2.
-    cell, u
-        From :func:`assign`.
-    slot
-        Place of each cell in the sums.
-    weight, lateral, yaw
-        (c,), (c, p + 1, m) for each equation, added to.
+    Args:
+        noise: Variance of R by vibration, m2.
+        weight, lateral, yaw: (c,), (c, p + 1, m) for each equation, added to.
     """
     equation, row, yaw_row = np.empty(9), np.empty(LATERAL_COLUMNS), np.empty(yaw.shape[2])
     regressors = yaw.shape[2] - YAW_TARGET_COLUMNS

@@ -82,13 +82,7 @@ def _key(parameters: BinParameters) -> str:
 
 
 def init(parameters: BinParameters) -> BinTable:
-    """Return the empty table.
-
-    Parameters
-    ----------
-    parameters
-        Bins, groups and key of the table.
-    """
+    """Return the empty table."""
     edges = parameters.edges
     shape = (parameters.groups, len(edges) - 1)
     return BinTable(
@@ -107,12 +101,8 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 
     Were it in turn alone, a vehicle that passes at the same time every day would fill the same few groups for ever.
 
-    Parameters
-    ----------
-    block
-        (n,) number of the block.
-    groups
-        Number of groups.
+    Args:
+        block: (n,) number of the block.
     """
     found = np.empty(len(block), np.int64)
     kernels.write_groups(np.asarray(block, np.int64), groups, found)
@@ -122,24 +112,15 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
     """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`.
 
-    Parameters
-    ----------
-    motion
-        Motion of one wheelset relative to the track, (n,) samples.
-    parameters
-        Bins, groups, and the vehicle of Eq. 1 and Eq. 2.
+    Args:
+        motion: Motion of one wheelset relative to the track, (n,) samples.
+        parameters: Bins, groups, and the vehicle of Eq. 1 and Eq. 2.
     """
     return fill_cells(motion, parameters).table()
 
 
 def fill_cells(motion: Motion, parameters: BinParameters) -> FilledCells:
-    """Return what :func:`tabulate` does without the cells that have no sample.
-
-    Parameters
-    ----------
-    motion, parameters
-        As :func:`tabulate` takes them.
-    """
+    """Return what :func:`tabulate` does without the cells that have no sample."""
     edges, cell, u = parameters.edges, np.empty(len(motion), np.int64), np.empty(len(motion))
     place = (parameters.groups, float(edges[0]), parameters.width, len(edges) - 1)
     samples = kernels.assign(motion.displacement, motion.valid, motion.block, *place, cell, u)
@@ -182,12 +163,9 @@ def fast_noise(difference: FloatArray, valid: BoolArray) -> float:
 
     The median of what a running mean over some hundredths of a second leaves, so that contact jumps do not count.
 
-    Parameters
-    ----------
-    difference
-        (n,) rL - rR sample by sample, m; NaN where not known.
-    valid
-        (n,) samples that count.
+    Args:
+        difference: (n,) rL - rR sample by sample, m; NaN where not known.
+        valid: (n,) samples that count.
     """
     known = valid & np.isfinite(difference)
     if not known.any():
@@ -204,17 +182,12 @@ MEDIAN_TO_STD = 1.4826  # of the absolute value of a normal variable
 def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTable:
     """Return ``forgetting * first + second``; associative, and commutative without forgetting.
 
-    Parameters
-    ----------
-    first, second
-        Tables of the same parameters.
-    forgetting
-        Weight of the first table, 0 to 1; that of the second is 1.
+    Args:
+        first, second: Tables of the same parameters.
+        forgetting: Weight of the first table, 0 to 1; that of the second is 1.
 
-    Raises
-    ------
-    ValueError
-        The tables were made with different parameters.
+    Raises:
+        ValueError: The tables were made with different parameters.
     """
     if first.parameter_key != second.parameter_key:
         raise ValueError(f"bin tables of parameters {first.parameter_key} and {second.parameter_key} do not merge")
@@ -232,17 +205,12 @@ def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTabl
 def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameters) -> BinTable:
     """Merge in the order given, without forgetting.
 
-    Parameters
-    ----------
-    tables
-        Of the same parameters; one is in memory at a time where they come one by one.
-    parameters
-        Those of the tables; of the empty table where there are none.
+    Args:
+        tables: Of the same parameters; one is in memory at a time where they come one by one.
+        parameters: Those of the tables; of the empty table where there are none.
 
-    Raises
-    ------
-    ValueError
-        A table was made with other parameters.
+    Raises:
+        ValueError: A table was made with other parameters.
     """
     merged = TableSum(init(parameters))
     for table in tables:
@@ -255,19 +223,13 @@ def merge_with_mileage(
 ) -> BinTable:
     """Merge tables in order of mileage, halving the weight of what was seen ``half_life_km`` earlier.
 
-    Parameters
-    ----------
-    tables
-        (mileage in km, table), ascending; one is in memory at a time where they come one by one.
-    half_life_km
-        Distance after which an observation counts half.
-    parameters
-        Those of the tables; of the empty table where there are none.
+    Args:
+        tables: (mileage in km, table), ascending; one is in memory at a time where they come one by one.
+        half_life_km: Distance after which an observation counts half.
+        parameters: Those of the tables; of the empty table where there are none.
 
-    Raises
-    ------
-    ValueError
-        A table was made with other parameters.
+    Raises:
+        ValueError: A table was made with other parameters.
     """
     merged, before = TableSum(init(parameters)), None
     for mileage, table in tables:
@@ -288,13 +250,7 @@ def tabulate_window(
     mounted_reversed: bool = False,
     layout: TrackLayout | None = None,
 ) -> BinTable | Reason:
-    """Return the bin table of ``window`` on ``track``, or why the window is refused.
-
-    Parameters
-    ----------
-    window, track, parameters, correction, misplaced, mounted_reversed, layout
-        As :func:`~estimation.motion.window_motion.window_motion` takes them.
-    """
+    """Return the bin table of ``window`` on ``track``, or why the window is refused."""
     filled = cells_of_window(
         window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
     )
@@ -311,13 +267,7 @@ def cells_of_window(
     mounted_reversed: bool = False,
     layout: TrackLayout | None = None,
 ) -> FilledCells | Reason:
-    """Return the cells with samples of the bin table of ``window`` on ``track``, or why the window is refused.
-
-    Parameters
-    ----------
-    window, track, parameters, correction, misplaced, mounted_reversed, layout
-        As :func:`~estimation.motion.window_motion.window_motion` takes them.
-    """
+    """Return the cells with samples of the bin table of ``window`` on ``track``, or why the window is refused."""
     moved = window_motion(
         window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
     )
@@ -330,10 +280,8 @@ def cells_of_window(
 def bin_parameters(parameters: WindowParameters) -> BinParameters:
     """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion.
 
-    Parameters
-    ----------
-    parameters
-        Class of the vehicle and filters, which go into the key of the tables.
+    Args:
+        parameters: Class of the vehicle and filters, which go into the key of the tables.
     """
     bogie = parameters.vehicle_class.bogie
     return BinParameters(

@@ -34,34 +34,20 @@ class ExactSum:
     def add(self, cells: FilledCells, weight: float = 1.0) -> None:
         """Add a table times a weight.
 
-        Parameters
-        ----------
-        cells
-            Filled cells of the table.
-        weight
-            From 0; the product is rounded before it is added.
+        Args:
+            weight: From 0; the product is rounded before it is added.
 
-        Raises
-        ------
-        ValueError
-            It was made with other parameters.
-        OverflowError
-            A sum is beyond what the numbers hold.
+        Raises:
+            ValueError: It was made with other parameters.
+            OverflowError: A sum is beyond what the numbers hold.
         """
         self._put(cells, weight, take=False)
 
     def take(self, cells: FilledCells, weight: float = 1.0) -> None:
         """Take away what :meth:`add` added with the same arguments, to the last bit.
 
-        Parameters
-        ----------
-        cells, weight
-            As they were added.
-
-        Raises
-        ------
-        ValueError
-            It was made with other parameters.
+        Raises:
+            ValueError: It was made with other parameters.
         """
         self._put(cells, weight, take=True)
 
@@ -95,12 +81,9 @@ class ExactSum:
 def nothing(empty: BinTable, parameters: BinParameters) -> ExactTable:
     """Return the sum of no table.
 
-    Parameters
-    ----------
-    empty
-        The table of the parameters without samples.
-    parameters
-        Whose axle load sets the unit.
+    Args:
+        empty: The table of the parameters without samples.
+        parameters: Whose axle load sets the unit.
     """
     groups, bins = empty.weight.shape
     columns = 1 + empty.lateral.shape[2] + empty.yaw.shape[2]

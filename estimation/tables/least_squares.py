@@ -24,12 +24,8 @@ SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction
 def packed_size(regressors: int, targets: int) -> int:
     """Return the length of the packed moments of one cell.
 
-    Parameters
-    ----------
-    regressors
-        Number p of regressors.
-    targets
-        Number t of targets.
+    Args:
+        targets: Number t of targets.
     """
     return regressors * (regressors + 1) // 2 + regressors * targets + 1
 
@@ -83,21 +79,13 @@ def _collect(
 def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: int) -> Moments:
     """Reduce samples to the moments of their cells, in one pass, in the order given.
 
-    Parameters
-    ----------
-    features
-        (n, p) regressors.
-    targets
-        (n, t) targets; column 0 is the measurement.
-    cell
-        (n,) cell of each sample, 0..cells-1; negative: the sample belongs nowhere.
-    cells
-        Number of cells.
+    Args:
+        features: (n, p) regressors.
+        targets: (n, t) targets; column 0 is the measurement.
+        cell: (n,) cell of each sample, 0..cells-1; negative: the sample belongs nowhere.
 
-    Raises
-    ------
-    ValueError
-        Lengths differ, or a cell is out of range.
+    Raises:
+        ValueError: Lengths differ, or a cell is out of range.
     """
     if not len(features) == len(targets) == len(cell):
         raise ValueError(f"lengths differ: {len(features)}, {len(targets)}, {len(cell)}")
@@ -133,16 +121,10 @@ class Solution:
 def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int) -> Solution:
     """Solve the normal equations of every cell after scaling each regressor to unit length.
 
-    Parameters
-    ----------
-    packed
-        (c, packed_size) moments.
-    weight
-        (c,) sums of weights.
-    regressors
-        Number p of regressors.
-    targets
-        Number t of targets.
+    Args:
+        packed: (c, packed_size) moments.
+        weight: (c,) sums of weights.
+        targets: Number t of targets.
     """
     p, t = regressors, targets
     c = len(packed)
@@ -169,14 +151,9 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
 def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return X'X (c, p, p), X'Z (c, p, t) and z'z (c,) from packed moments (c, packed_size).
 
-    Parameters
-    ----------
-    packed
-        (c, packed_size) moments.
-    regressors
-        Number p of regressors.
-    targets
-        Number t of targets.
+    Args:
+        packed: (c, packed_size) moments.
+        targets: Number t of targets.
     """
     p, t = regressors, targets
     c = len(packed)

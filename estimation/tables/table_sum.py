@@ -16,10 +16,8 @@ class TableSum:
 
     Adding and forgetting in turn gives the same bits as ``estimation.tables.bin_table.merge`` table by table.
 
-    Attributes
-    ----------
-    empty
-        The table of the same parameters without samples.
+    Attributes:
+        empty: The table of the same parameters without samples.
     """
 
     empty: BinTable
@@ -37,10 +35,8 @@ class TableSum:
     def forget(self, weight: float) -> None:
         """Give what was added so far another weight.
 
-        Parameters
-        ----------
-        weight
-            From 0 to 1; 1 changes nothing.
+        Args:
+            weight: From 0 to 1; 1 changes nothing.
         """
         if weight != 1.0:
             for array in (self._weight, self._lateral, self._yaw):
@@ -49,15 +45,11 @@ class TableSum:
     def add(self, table: BinTable | FilledCells) -> None:
         """Add a table with weight 1.
 
-        Parameters
-        ----------
-        table
-            Whole, or its filled cells.
+        Args:
+            table: Whole, or its filled cells.
 
-        Raises
-        ------
-        ValueError
-            It was made with other parameters.
+        Raises:
+            ValueError: It was made with other parameters.
         """
         if table.parameter_key != self.empty.parameter_key:
             both = f"{self.empty.parameter_key} and {table.parameter_key}"

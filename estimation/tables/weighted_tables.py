@@ -11,15 +11,11 @@ from estimation.values.geometry import BinTable
 def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
     """Return the sum of tables times their weights; samples and windows are counted without weights.
 
-    Parameters
-    ----------
-    tables
-        Weight and table, at least one; all of the same parameters.
+    Args:
+        tables: Weight and table, at least one; all of the same parameters.
 
-    Raises
-    ------
-    ValueError
-        The tables were made with different parameters.
+    Raises:
+        ValueError: The tables were made with different parameters.
     """
     total: BinTable | None = None
     for weight, table in tables:

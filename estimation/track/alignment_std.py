@@ -29,16 +29,9 @@ def merged_alignment(
 ) -> TrackAlignment:
     """Return the solution as an alignment, NaN where it is not known; places without a pass stay as they were.
 
-    Parameters
-    ----------
-    section
-        Its code.
-    iterated
-        The solution.
-    prior
-        What was known before; None where nothing was.
-    p
-        Cut-off of the alignment, and the standard deviations that blocks of data cannot show.
+    Args:
+        prior: What was known before; None where nothing was.
+        p: Cut-off of the alignment, and the standard deviations that blocks of data cannot show.
     """
     grid = iterated.panel.grid
     found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)

@@ -34,15 +34,7 @@ class Peak:
 
 
 def filtered_displacements(passes: Sequence[Pass], grid: SectionGrid) -> list[FilteredDisplacement]:
-    """Return the high-passed lateral displacements of passes; empty ones of passes that the filter uses up.
-
-    Parameters
-    ----------
-    passes
-        At their positions.
-    grid
-        Of the section.
-    """
+    """Return the high-passed lateral displacements of passes; empty ones of passes that the filter uses up."""
     found, m = [], len(grid.kernel) // 2
     for item in passes:
         first, displacement, _ = gridded(item, grid.step)
@@ -57,15 +49,7 @@ def filtered_displacements(passes: Sequence[Pass], grid: SectionGrid) -> list[Fi
 
 
 def mean_displacement(filtered: Sequence[FilteredDisplacement], grid: SectionGrid) -> FloatArray:
-    """Return the mean filtered y (n,), m, over all passes; zero where there is none.
-
-    Parameters
-    ----------
-    filtered
-        Displacements of the passes.
-    grid
-        Of the section.
-    """
+    """Return the mean filtered y (n,), m, over all passes; zero where there is none."""
     total, count = np.zeros(grid.points), np.zeros(grid.points)
     for one in filtered:
         np.add.at(total, one.points, one.displacement)
@@ -80,16 +64,10 @@ def clear_peaks(
 
     In pieces, because over a long pass an error of the scale moves the two ends against each other.
 
-    Parameters
-    ----------
-    points, y
-        (m,) grid points, increasing by one, and the signal there.
-    reference
-        (n,) on the grid.
-    grid
-        Of the section.
-    parameters
-        Length of a piece, reach and least correlation.
+    Args:
+        points, y: (m,) grid points, increasing by one, and the signal there.
+        reference: (n,) on the grid.
+        parameters: Length of a piece, reach and least correlation.
     """
     pieces = max(round(len(points) * grid.step / parameters.piece), 1)
     parts = [part for part in np.array_split(np.arange(len(points)), pieces) if len(part)]
@@ -102,16 +80,9 @@ def peak(
 ) -> Peak | None:
     """Return where a piece of a signal agrees best with a reference; None where the piece is too short.
 
-    Parameters
-    ----------
-    points, y
-        (m,) grid points, increasing by one, and the signal there.
-    reference
-        (n,) on the grid.
-    grid
-        Of the section.
-    parameters
-        How far is searched.
+    Args:
+        points, y: (m,) grid points, increasing by one, and the signal there.
+        reference: (n,) on the grid.
     """
     reach = int(parameters.largest_offset / grid.step)
     if len(points) < 4 * reach:

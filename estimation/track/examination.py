@@ -29,14 +29,8 @@ class Examined:
 def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: bool = False) -> Examined:
     """Return the passes of a window along its section, with the reason where there is none or not all of it is used.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations and distance along its section.
-    parameters
-        Vehicle, gates and filters.
-    mounted_reversed
-        The wheelset's left wheel is on the vehicle's right-hand side.
+    Args:
+        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
     """
     refusal = gate(window.quality, window.track_section, parameters.gates) or check_moving(window, parameters.signals)
     if refusal is not None:

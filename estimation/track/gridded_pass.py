@@ -58,14 +58,8 @@ class GriddedPass:
 def grid_pass(item: Pass, grid: SectionGrid, ratio: float = 1.0) -> GriddedPass:
     """Return a pass on the grid of its section.
 
-    Parameters
-    ----------
-    item
-        The pass, at its position.
-    grid
-        Of the section.
-    ratio
-        Yaw stiffness over creep coefficient of its vehicle, relative to the assumed one.
+    Args:
+        ratio: Yaw stiffness over creep coefficient of its vehicle, relative to the assumed one.
     """
     first, displacement, difference = gridded(item, grid.step)
     points = np.arange(first, first + len(displacement), dtype=np.int64)
@@ -86,14 +80,8 @@ def grid_pass(item: Pass, grid: SectionGrid, ratio: float = 1.0) -> GriddedPass:
 def with_ratio(item: GriddedPass, ratio: float, grid: SectionGrid) -> GriddedPass:
     """Return a gridded pass for another stiffness ratio of its vehicle, neither resampled nor filtered again.
 
-    Parameters
-    ----------
-    item
-        The pass.
-    ratio
-        Yaw stiffness over creep coefficient, relative to the assumed one.
-    grid
-        On which it is.
+    Args:
+        ratio: Yaw stiffness over creep coefficient, relative to the assumed one.
     """
     if ratio == item.ratio or not len(item.points):
         return replace(item, ratio=ratio)
@@ -135,18 +123,9 @@ def place(
 ) -> dict[Journey, PlacedJourney]:
     """Return the passes at corrected positions on the grid; a journey that has not moved is taken as it was.
 
-    Parameters
-    ----------
-    grouped
-        Passes as measured, by journey.
-    corrections
-        Of their positions.
-    ratios
-        Stiffness ratios by vehicle; 1 where there is none.
-    grid
-        Of the section.
-    before
-        The journeys where they were last.
+    Args:
+        grouped: Passes as measured, by journey.
+        ratios: Stiffness ratios by vehicle; 1 where there is none.
     """
     placed = {}
     for journey, members in grouped.items():
@@ -162,14 +141,9 @@ def place(
 def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) -> dict[Journey, PlacedJourney]:
     """Return the passes for other stiffness ratios, by vehicle; 1 where there is none.
 
-    Parameters
-    ----------
-    placed
-        Passes by journey.
-    ratios
-        Yaw stiffness over creep coefficient by vehicle, relative to the assumed one.
-    grid
-        On which they are.
+    Args:
+        placed: Passes by journey.
+        ratios: Yaw stiffness over creep coefficient by vehicle, relative to the assumed one.
     """
     return {
         journey: replace(
@@ -182,9 +156,7 @@ def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) 
 def all_passes(placed: Placed) -> list[GriddedPass]:
     """Return the passes of all journeys in order.
 
-    Parameters
-    ----------
-    placed
-        Passes by journey.
+    Args:
+        placed: Passes by journey.
     """
     return [item for one in placed.values() for item in one.passes]

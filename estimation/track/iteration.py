@@ -140,18 +140,11 @@ def iterate(
 ) -> IterationResult:
     """Return where alignment, curves, positions and ratios agree; with the gauge where it is known or shows.
 
-    Parameters
-    ----------
-    grouped
-        Passes as measured, by journey.
-    prior
-        What was known of the section; None where nothing was.
-    panel
-        Without a gauge.
-    positions
-        How far positions may be off.
-    parameters
-        When the rounds end.
+    Args:
+        grouped: Passes as measured, by journey.
+        prior: What was known of the section; None where nothing was.
+        positions: How far positions may be off.
+        parameters: When the rounds end.
     """
     anchored = prior is not None and prior.has_alignment
     setting = Setting(grouped, prior, anchored, parameters)
@@ -186,16 +179,8 @@ def first_rounds(
     positions are another error of R, so both are found in turn. A gauge that varies is noise in that
     regression, and not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
 
-    Parameters
-    ----------
-    setting
-        Passes and prior alignment.
-    panel
-        Without a gauge.
-    corrections
-        Of the positions, to begin with.
-    std
-        Whether to compute standard deviations.
+    Args:
+        std: Whether to compute standard deviations.
     """
     prior = setting.prior
     if prior is None or not setting.anchored or not prior.surveyed:
@@ -246,17 +231,7 @@ def _hardly_moved(setting: Setting, found: IterationResult, corrections: Mapping
 
 
 def with_slope(found: IterationResult, prior: PriorAlignment | None, most_weight: float) -> IterationResult:
-    """Return ``found`` with the curves as steep as they are without the errors of R.
-
-    Parameters
-    ----------
-    found
-        Where the rounds ended.
-    prior
-        As the rounds had it.
-    most_weight
-        Of the prior alignment, in passes.
-    """
+    """Return ``found`` with the curves as steep as they are without the errors of R."""
     if found.solution.report.curves_fixed:
         return found
     state = found.state if prior is None else add_prior(found.state, prior, found.noise, most_weight)

@@ -25,15 +25,7 @@ Journey = tuple[str, int]  # vehicle, start of its first window, ns
 
 
 def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Journey, list[Pass]]:
-    """Group passes by vehicle and run.
-
-    Parameters
-    ----------
-    passes
-        Of one section.
-    parameters
-        Pause that begins a new journey.
-    """
+    """Group passes by vehicle and run."""
     found: dict[Journey, list[Pass]] = {}
     last: dict[str, tuple[Journey, int]] = {}
     for item in sorted(passes, key=lambda p: (p.vehicle, p.start_ns, p.life)):
@@ -50,13 +42,5 @@ def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Jou
 
 
 def apply_correction(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
-    """Return the passes at their corrected positions.
-
-    Parameters
-    ----------
-    passes
-        As measured.
-    correction
-        Of their positions.
-    """
+    """Return the passes at their corrected positions."""
     return [replace(item, at=correction.at(item.at)) for item in passes]

@@ -54,15 +54,11 @@ def first_epoch(
 ) -> Group:
     """Return the windows of the first epoch.
 
-    Parameters
-    ----------
-    entries
-        Windows of one section that no earlier epoch holds, by start and wheelset, with the life of their profiles;
-        at least one.
-    most_windows, most_wheelsets
-        Of an epoch; one journey may be more, by the windows of a vehicle at one time.
-    parameters
-        When an epoch ends.
+    Args:
+        entries: Windows of one section that no earlier epoch holds, by start and wheelset, with the life of their
+            profiles; at least one.
+        most_windows, most_wheelsets: Of an epoch; one journey may be more, by the windows of a vehicle at one time.
+        parameters: When an epoch ends.
     """
     p = parameters or PartitionParameters()
     pause_ns, journey_ns = round(p.pause_h * 3600 * NANOSECONDS), round(p.journey_pause_s * NANOSECONDS)
@@ -108,12 +104,8 @@ def _place(entry: Entry) -> tuple[int, str]:
 def newest_within(entries: Sequence[Entry], most_windows: int, most_wheelsets: int) -> tuple[list[Entry], list[Entry]]:
     """Return the newest windows that one solution holds, newest first, and the rest in the same order.
 
-    Parameters
-    ----------
-    entries
-        Windows with the life of their profiles, in any order.
-    most_windows, most_wheelsets
-        Of a solution.
+    Args:
+        entries: Windows with the life of their profiles, in any order.
     """
     ordered = sorted(entries, key=lambda entry: (-entry[0].start_ns, entry[0].wheelset))
     chosen: list[Entry] = []

@@ -13,14 +13,8 @@ from estimation.track.profile_life import ProfileLife
 def resampled(item: Pass, life: ProfileLife, step: float) -> Pass:
     """Return a pass on a grid, under the life of its wheelset's profile.
 
-    Parameters
-    ----------
-    item
-        The pass.
-    life
-        Of the profile of its wheelset.
-    step
-        Grid spacing, m.
+    Args:
+        step: Grid spacing, m.
     """
     first, displacement, difference = gridded(item, step)
     at = (first + np.arange(len(displacement))) * step

@@ -51,12 +51,8 @@ class Pass:
 def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
     """Return the first grid point, and y and R (m,) at the grid points ``k * step`` that the pass covers.
 
-    Parameters
-    ----------
-    item
-        The pass.
-    step
-        Grid spacing, m.
+    Args:
+        step: Grid spacing, m.
     """
     first, last = int(np.ceil(item.at[0] / step)), int(np.floor(item.at[-1] / step))
     grid = np.arange(first, last + 1) * step
@@ -77,18 +73,10 @@ def passes(
     section's right, and its left wheels run on the section's right rail. One that runs the other way with its rear end
     first has not.
 
-    Parameters
-    ----------
-    window
-        Measured accelerations and distance along its section.
-    vehicle
-        Parameters of Eq. 2, which turns the yaw motion into rL - rR.
-    parameters
-        Gates on gaps, length and speed.
-    mounted_reversed
-        The wheelset's left wheel is on the vehicle's right-hand side.
-    integrated
-        The moving samples of the window, integrated; by default that is done here.
+    Args:
+        vehicle: Parameters of Eq. 2, which turns the yaw motion into rL - rR.
+        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
+        integrated: The moving samples of the window, integrated; by default that is done here.
     """
     if integrated is None:
         integrated = integrate(window, moving_samples(window, parameters), parameters)

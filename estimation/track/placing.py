@@ -33,18 +33,9 @@ def place_alone(
 
     Nothing is placed on an alignment whose gauge is known to vary: that takes the wheels of all.
 
-    Parameters
-    ----------
-    section
-        The section.
-    grouped
-        Passes as measured, by journey.
-    alignment
-        In force.
-    parameters
-        Grid, filter, rounds.
-    measured
-        Curves of measured profiles, by profile life.
+    Args:
+        grouped: Passes as measured, by journey.
+        measured: Curves of measured profiles, by profile life.
     """
     panel = Panel.of(replace(parameters.panel, length=section.length_m), KnownBeforehand(measured=measured or {}))
     prior = prior_on_grid(alignment, panel.grid, parameters.panel.cutoff_wavelength)

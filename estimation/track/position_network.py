@@ -65,14 +65,9 @@ def adjusted_positions(
 ) -> dict[Journey, Correction]:
     """Return a correction for every journey; one that agrees with no other keeps its place.
 
-    Parameters
-    ----------
-    grouped
-        Passes by journey.
-    grid
-        Of the section.
-    parameters
-        How far positions may be off.
+    Args:
+        grouped: Passes by journey.
+        parameters: How far positions may be off.
     """
     signals, extents = [], []
     for members in grouped.values():

@@ -16,13 +16,7 @@ REPORTED_STD = 1.0  # m, of a position as it was reported
 
 
 def position_std(iterated: IterationResult) -> dict[Journey, float]:
-    """Return the std, m, of the offset of each journey, by the slope of the alignment and the residuals; inf for none.
-
-    Parameters
-    ----------
-    iterated
-        Where the rounds ended.
-    """
+    """Return the std of each journey's offset, m, by the slope of the alignment and the residuals; inf for none."""
     panel, solution = iterated.panel, iterated.solution
     slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
     weight = panel.grid.step / CORRELATED / max(iterated.noise, 1e-9) ** 2
@@ -34,13 +28,7 @@ def position_std(iterated: IterationResult) -> dict[Journey, float]:
 
 
 def shrunk(iterated: IterationResult) -> Mapping[Journey, Correction]:
-    """Return the corrections of journeys, each as far as it is better known than the reported position.
-
-    Parameters
-    ----------
-    iterated
-        Where the rounds ended.
-    """
+    """Return the corrections of journeys, each as far as it is better known than the reported position."""
     found = {}
     for journey, std in position_std(iterated).items():
         share = REPORTED_STD**2 / (REPORTED_STD**2 + std**2)

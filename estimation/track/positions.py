@@ -40,17 +40,11 @@ def correlate_positions(
 
     A journey that agrees with nothing keeps its place.
 
-    Parameters
-    ----------
-    grouped
-        Passes by journey.
-    grid
-        Of the section.
-    parameters
-        How far positions may be off.
-    alignment
-        (n,) m, as known: every journey is placed by it, and the fleet as a whole is moved to it. By default, journeys
-        are placed by each other.
+    Args:
+        grouped: Passes by journey.
+        parameters: How far positions may be off.
+        alignment: (n,) m, as known: every journey is placed by it, and the fleet as a whole is moved to it. By default,
+            journeys are placed by each other.
     """
     if alignment is None:
         return adjusted_positions(grouped, grid, parameters)
@@ -70,14 +64,8 @@ def refine(
 ) -> dict[Journey, Correction]:
     """Return better corrections: one Gauss-Newton step on y - d - h(R) = d' (offset + scale (s - middle)).
 
-    Parameters
-    ----------
-    placed
-        Passes at their corrections so far.
-    solution, panel
-        As solved.
-    anchored
-        Whether the alignment holds prior knowledge of positions; else the mean journey keeps its place.
+    Args:
+        anchored: Whether the alignment holds prior knowledge of positions; else the mean journey keeps its place.
     """
     slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
     certain = np.isfinite(solution.alignment)
@@ -106,16 +94,10 @@ def register(
 ) -> tuple[Correction, float]:
     """Return how ``found`` (n,) must be moved onto ``reference`` (n,), and the mean correlation of its pieces.
 
-    Parameters
-    ----------
-    found
-        (n,) signal along the section.
-    reference
-        (n,) signal to compare with.
-    grid
-        Of the section.
-    parameters
-        How far positions may be off.
+    Args:
+        found: (n,) signal along the section.
+        reference: (n,) signal to compare with.
+        parameters: How far positions may be off.
     """
     pieces = np.array_split(np.arange(grid.points), max(round(grid.length / (2 * parameters.piece)), 1))
     peaks = [peak(part, found[part], reference, grid, parameters) for part in pieces]

@@ -18,17 +18,7 @@ class ProfileLife:
 
 
 def profile_life(wheelset: WheelsetRecord, record: WindowRecord, interval_km: float) -> ProfileLife:
-    """Return the profile life that a window belongs to.
-
-    Parameters
-    ----------
-    wheelset
-        With its reprofilings.
-    record
-        The window.
-    interval_km
-        Mileage in which a profile hardly wears.
-    """
+    """Return the profile life that a window belongs to."""
     turned = [item for item in wheelset.reprofilings if item.at_ns <= record.start_ns]
     begin_km = max((item.mileage_km for item in turned), default=0.0)
     return ProfileLife(record.wheelset, len(turned), int((record.mileage_km - begin_km) // interval_km))

@@ -28,12 +28,8 @@ class SectionResults:
 def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResults:
     """Return what the passes show; ``gauge_estimated`` where the gauge of the panel came from them.
 
-    Parameters
-    ----------
-    iterated
-        The solution.
-    gauge_estimated
-        Whether the gauge of the panel was estimated from the passes.
+    Args:
+        gauge_estimated: Whether the gauge of the panel was estimated from the passes.
     """
     ratios = {vehicle: one.value for vehicle, one in iterated.ratios.items()}
     std = max((one.std for one in iterated.ratios.values()), default=0.0)
@@ -126,12 +122,9 @@ def _json(value: object) -> JsonValue:
 def nothing(reason: Reason, evidence: tuple[str, ...] = ()) -> AlignmentReport:
     """Return the report of passes from which nothing follows, for this reason.
 
-    Parameters
-    ----------
-    reason
-        Why nothing is estimated.
-    evidence
-        What was known besides the passes.
+    Args:
+        reason: Why nothing is estimated.
+        evidence: What was known besides the passes.
     """
     return AlignmentReport(
         status=Status.UNESTIMATED,

@@ -75,18 +75,10 @@ def estimate_section(
 ) -> SectionEstimate:
     """Return the alignment of a section from ``passes`` and what was known before.
 
-    Parameters
-    ----------
-    section
-        Its code.
-    passes
-        Of this epoch; passes of one profile life share a curve.
-    prior
-        The last version, or a survey; None where nothing is known.
-    parameters
-        Grid, filter, rounds.
-    measured
-        Curves of measured profiles, by profile life.
+    Args:
+        passes: Of this epoch; passes of one profile life share a curve.
+        prior: The last version, or a survey; None where nothing is known.
+        measured: Curves of measured profiles, by profile life.
     """
     named = () if prior is None else (evidence_of_version(prior.source, prior.version),)
     grouped: Grouped = journeys(passes, parameters.positions)

@@ -96,14 +96,8 @@ class SurveyBands:
 def survey_bands(iterated: IterationResult, survey: TrackAlignment, systematic: float) -> SurveyBands | None:
     """Return what a survey and the passes that were placed on it say, band by band; None where they do not meet.
 
-    Parameters
-    ----------
-    iterated
-        Where the rounds with the survey ended.
-    survey
-        As it is on file.
-    systematic
-        m, std of the passes' alignment that their scatter does not show.
+    Args:
+        systematic: m, std of the passes' alignment that their scatter does not show.
     """
     grid = iterated.panel.grid
     on_grid, std, known = survey_on_grid(survey, grid)
@@ -134,15 +128,7 @@ def survey_bands(iterated: IterationResult, survey: TrackAlignment, systematic: 
 
 
 def survey_on_grid(survey: TrackAlignment, grid: SectionGrid) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return a survey on the grid of the section, averaged over its step: alignment, std (n,), m, and where known.
-
-    Parameters
-    ----------
-    survey
-        On its own grid.
-    grid
-        Of the section.
-    """
+    """Return a survey on the grid of the section, averaged over its step: alignment, std (n,), m, and where known."""
     certain = np.isfinite(survey.alignment) & np.isfinite(survey.alignment_std)
     step = float(survey.s[1] - survey.s[0])
     width = 2 * (round(grid.step / step) // 2) + 1  # odd: nothing is moved
@@ -281,13 +267,7 @@ def _local_excess(rest: FloatArray, compared: BoolArray, square: float, length: 
 
 
 def total_variance(variances: Sequence[FloatArray]) -> FloatArray:
-    """Return the variance (n,) of the sum of neighbouring bands, whose filters overlap, from those of each (n,).
-
-    Parameters
-    ----------
-    variances
-        From the longest band to the shortest.
-    """
+    """Return the variance (n,) of the sum of neighbouring bands, whose filters overlap, from those of each (n,)."""
     stds = np.sqrt(np.stack(variances))
     count = len(stds)
     apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))

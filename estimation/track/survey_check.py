@@ -73,17 +73,11 @@ def check_survey(
 ) -> SurveyCheck:
     """Return whether a recorded alignment may be used, by an alignment that was found without it.
 
-    Parameters
-    ----------
-    recorded
-        With its standard deviation.
-    fleet
-        Found by the fleet alone, high-passed at its ``cutoff_wavelength``, with its std; NaN where not known.
-    place_std
-        Std of the position of the fleet as a whole along the section, m: the scatter of its journeys' positions
-        over the root of their number. A shift within it is not held against the survey.
-    parameters
-        Limits.
+    Args:
+        recorded: With its standard deviation.
+        fleet: Found by the fleet alone, high-passed at its ``cutoff_wavelength``, with its std; NaN where not known.
+        place_std: Std of the position of the fleet as a whole along the section, m: the scatter of its journeys'
+            positions over the root of their number. A shift within it is not held against the survey.
     """
     p = parameters or SurveyCheckParameters()
     both = _on_one_grid(recorded, fleet)
@@ -121,10 +115,8 @@ def check_survey(
 def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
     """Return whether an alignment of the fleet is certain enough to stand for a survey that is wrong.
 
-    Parameters
-    ----------
-    fleet, survey
-        The alignments; they are compared at the wavelengths and places that the fleet knows.
+    Args:
+        fleet, survey: The alignments; they are compared at the wavelengths and places that the fleet knows.
     """
     both = _on_one_grid(survey, fleet)
     if both is None:

@@ -44,15 +44,7 @@ class SurveyFit:
 
 
 def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit | None:
-    """Return how well a survey fits the passes that were placed on it; None where too little of it was passed.
-
-    Parameters
-    ----------
-    iterated
-        Where the rounds with the survey ended.
-    survey
-        On the grid of the panel.
-    """
+    """Return how well a survey fits the passes that were placed on it; None where too little of it was passed."""
     state = _on_survey(iterated, survey)
     if state is None:
         return None

@@ -35,16 +35,9 @@ def judge_gauge(
 ) -> Reason | None:
     """Return what is wrong with a surveyed gauge; None where nothing is, or where the passes cannot show it.
 
-    Parameters
-    ----------
-    iterated
-        Where the rounds with the survey ended; None where there were none.
-    survey
-        With its gauge.
-    converged
-        Whether positions and stiffness ratios have converged: until then nothing is refused.
-    limits
-        When a gauge is right.
+    Args:
+        iterated: Where the rounds with the survey ended; None where there were none.
+        converged: Whether positions and stiffness ratios have converged: until then nothing is refused.
     """
     p = limits or GaugeLimits()
     size = float(np.std(survey.gauge_deviation))

@@ -57,16 +57,9 @@ def positions_on_survey(
 
     The journeys of a vehicle whose places are not found keep them.
 
-    Parameters
-    ----------
-    placed
-        Passes at first corrections, within a few metres.
-    survey
-        Alignment on the grid, high-passed as the passes are.
-    grid
-        Of the section.
-    parameters
-        Of the search.
+    Args:
+        placed: Passes at first corrections, within a few metres.
+        survey: Alignment on the grid, high-passed as the passes are.
     """
     p = parameters or SurveyPositionParameters()
     found = {journey: one.correction for journey, one in placed.items()}

@@ -50,14 +50,9 @@ def survey_posterior(
 ) -> SurveyPosterior | None:
     """Return what a survey and the passes that were placed on it give together; None where they do not meet.
 
-    Parameters
-    ----------
-    iterated
-        Where the rounds with the survey ended.
-    survey
-        With the std on file.
-    parameters
-        What the scatter of passes does not show of their errors.
+    Args:
+        survey: With the std on file.
+        parameters: What the scatter of passes does not show of their errors.
     """
     grid, p = iterated.panel.grid, parameters
     of_gauge = p.systematic_per_gauge[0] * float(np.std(survey.gauge_deviation))

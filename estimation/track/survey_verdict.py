@@ -85,18 +85,12 @@ def survey_verdict(
 
     Its errors, however large, are no reason to refuse it: they are learnt, and it counts by them.
 
-    Parameters
-    ----------
-    fit
-        How well it explains them; None where too little of it was passed.
-    witnesses
-        Journeys that were placed on it, and what their curves leave open.
-    filed_std
-        Of the survey, m, as on file.
-    converged
-        Whether positions and stiffness ratios have converged: until then nothing but another section is refused.
-    limits
-        When a survey is right.
+    Args:
+        fit: How well it explains them; None where too little of it was passed.
+        witnesses: Journeys that were placed on it, and what their curves leave open.
+        filed_std: Of the survey, m, as on file.
+        converged: Whether positions and stiffness ratios have converged: until then nothing but another section is
+            refused.
     """
     p = limits or VerdictLimits()
     if fit is None or not np.isfinite(fit.factor_std):
@@ -129,15 +123,6 @@ def is_mirrored(
     """Return whether a survey that does not fit where it is said to be is the mirror image of its section.
 
     Where the track has waves of one length, the mirror image half a wave away is not unlike the section.
-
-    Parameters
-    ----------
-    verdict, fit
-        On the survey as it is.
-    image, image_fit
-        On its mirror image.
-    limits
-        When a survey is right.
     """
     p = limits or VerdictLimits()
     if fit is None or image_fit is None or image.refused or image.contradicted or image.elsewhere:
@@ -211,13 +196,7 @@ def _at_fault(fit: SurveyFit, witnesses: Witnesses, p: VerdictLimits) -> str:
 
 
 def place_of(corrections: Mapping[Journey, Correction]) -> tuple[float, float]:
-    """Return the mean by which journeys were moved and its std, m.
-
-    Parameters
-    ----------
-    corrections
-        Of their positions.
-    """
+    """Return the mean by which journeys were moved and its std, m."""
     offsets = [correction.offset for correction in corrections.values()]
     if not offsets:
         return 0.0, 0.0

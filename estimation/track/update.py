@@ -102,20 +102,10 @@ def update_alignment(
 ) -> AlignmentUpdate:
     """Return what an epoch of passes makes of the alignment of a section.
 
-    Parameters
-    ----------
-    section
-        The section.
-    passes
-        Of the epoch.
-    in_force
-        Its alignment so far; None where there is none.
-    settings
-        Grid, filter, limits.
-    survey_checked
-        Whether the survey in force has been confirmed: then it is not refused any more.
-    measured
-        Curves of measured profiles, by profile life.
+    Args:
+        in_force: Its alignment so far; None where there is none.
+        survey_checked: Whether the survey in force has been confirmed: then it is not refused any more.
+        measured: Curves of measured profiles, by profile life.
     """
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))

@@ -22,13 +22,6 @@ def requires_reestimation(old: TrackAlignment, new: TrackAlignment, settings: Al
     It should where ``new`` differs by more than ``old`` left unknown, is much more certain, reaches further, knows
     more of the section, or holds another gauge. What it holds of one vehicle matters for that one's windows alone:
     ``changed_vehicles``.
-
-    Parameters
-    ----------
-    old, new
-        Two versions of an alignment.
-    settings
-        Differences that matter.
     """
     if old.source != new.source or old.cutoff_wavelength != new.cutoff_wavelength or old.gauge_known != new.gauge_known:
         return True
@@ -72,19 +65,11 @@ def changed_vehicles(
 
     Its ratio is another, or was not known; or the gauge moves a wheelset of it by what was not known.
 
-    Parameters
-    ----------
-    old, new
-        Two versions of an alignment.
-    settings
-        Differences that matter.
-    vehicles
-        Vehicle of every wheelset that has passed, by serial.
-    since
-        Ratios of vehicles whose windows have been estimated with a later version than ``old``; by default there are
-        none.
-    last
-        The version before ``new``; by default ``old``.
+    Args:
+        vehicles: Vehicle of every wheelset that has passed, by serial.
+        since: Ratios of vehicles whose windows have been estimated with a later version than ``old``; by default there
+            are none.
+        last: The version before ``new``; by default ``old``.
     """
     if new.findings is None:
         return {}
@@ -103,15 +88,7 @@ def changed_vehicles(
 
 
 def gauge_shift_changed(old: TrackAlignment, new: TrackAlignment, settings: AlignmentSettings) -> bool:
-    """Whether ``new`` holds another gauge shift of a wheelset, as after wear or the lathe; both on one gauge.
-
-    Parameters
-    ----------
-    old, new
-        Two versions on one gauge.
-    settings
-        Difference that matters.
-    """
+    """Whether ``new`` holds another gauge shift of a wheelset, as after wear or the lathe; both on one gauge."""
     if old.findings is None or new.findings is None:
         return False
     size = float(np.std(new.gauge_deviation))
@@ -131,12 +108,8 @@ def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) ->
     Their windows are estimated again with it as those of the others. Shifts belong to the gauge that
     makes them: it stays where the epoch has found that gauge again.
 
-    Parameters
-    ----------
-    found
-        The alignment of this epoch.
-    before
-        The version before; None where there is none.
+    Args:
+        before: The version before; None where there is none.
     """
     if before is None or before.findings is None or found.findings is None:
         return found

@@ -95,12 +95,8 @@ class Series(NamedTuple):
 def newest_change(series: Series, model: StepModel | None = None) -> ChangePoint | None:
     """Return the newest step; None where there is none.
 
-    Parameters
-    ----------
-    series
-        In order of distance.
-    model
-        Of the indicator.
+    Args:
+        series: In order of distance.
     """
     model, begin, newest = model or StepModel(), 0, None
     while (found := _change_of(series.part(begin, len(series.value)), model)) is not None:

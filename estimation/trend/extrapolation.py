@@ -82,16 +82,9 @@ def _estimates(geometry: WheelsetGeometry) -> list[tuple[float, Estimate]]:
 def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
     """Return the conicity that a limit is compared with: that at 3 mm.
 
-    Parameters
-    ----------
-    geometry
-        Of one wheelset.
-
-    Returns
-    -------
-    Estimate
-        As the geometry has it; where the motion does not cover 3 mm extrapolated, with the reason
-        ``amplitude_extrapolated``; unknown where neither is possible.
+    Returns:
+        Estimate: As the geometry has it; where the motion does not cover 3 mm extrapolated, with the reason
+            ``amplitude_extrapolated``; unknown where neither is possible.
     """
     known = _estimates(geometry)
     covered = [e for a, e in known if abs(a - LIMIT_AMPLITUDE) < SAME_AMPLITUDE]
@@ -112,25 +105,16 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
 
 
 def below_limit(geometry: WheelsetGeometry) -> list[KnownConicity]:
-    """Return the conicities that are known at smaller amplitudes than the limit's, increasing.
-
-    Parameters
-    ----------
-    geometry
-        Of one wheelset.
-    """
+    """Return the conicities that are known at smaller amplitudes than the limit's, increasing."""
     return [one for one in known_conicities(geometry) if one.amplitude < LIMIT_AMPLITUDE - SAME_AMPLITUDE]
 
 
 def marked(estimate: Estimate, amplitude: float) -> Estimate:
     """Return an estimate with the reason that it is extrapolated.
 
-    Parameters
-    ----------
-    estimate
-        At the limit's amplitude.
-    amplitude
-        From which it is extrapolated, m.
+    Args:
+        estimate: At the limit's amplitude.
+        amplitude: From which it is extrapolated, m.
     """
     return Estimate(
         estimate.value,
@@ -158,12 +142,9 @@ def not_comparable(amplitude: float) -> Reason:
 def extrapolated(known: Sequence[KnownConicity], family: WornFamily | None = None) -> Extrapolation | None:
     """Return the conicity at the limit's amplitude from those at smaller ones; None where it cannot be known.
 
-    Parameters
-    ----------
-    known
-        At amplitudes below the limit's, increasing.
-    family
-        Curves of wheelsets like it; by default the new and worn design pairs.
+    Args:
+        known: At amplitudes below the limit's, increasing.
+        family: Curves of wheelsets like it; by default the new and worn design pairs.
     """
     return _of_design_pairs(tuple(known)) if family is None else _extrapolated(tuple(known), family)
 

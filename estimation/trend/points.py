@@ -46,11 +46,6 @@ def conicity_points(records: Sequence[IntervalConicities]) -> TrendPoints:
     extrapolated to 3 mm from the largest amplitude that as many cover (else the one that most of them cover). Where
     that is not possible the points are at that amplitude, and no limit is compared with them. Conicity depends on
     amplitude, so values at different amplitudes are never mixed in one trend.
-
-    Parameters
-    ----------
-    records
-        Of the intervals of one wheelset and baseline.
     """
     covered = [{_key(one.amplitude): one for one in r.known} for r in records]
     if not any(covered):

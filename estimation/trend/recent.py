@@ -25,15 +25,8 @@ NORMAL_MAD = 1.4826
 def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
     """Fit the curve to the newest points that it agrees with.
 
-    Parameters
-    ----------
-    x, value, std
-        As :func:`estimation.trend.wear_curve.fit_wear_curve` takes them, whose curve this is.
-
-    Raises
-    ------
-    ValueError
-        As there.
+    Raises:
+        ValueError: As there.
     """
     scatter = _scatter(value, std)
     first = 0

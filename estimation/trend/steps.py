@@ -32,12 +32,8 @@ def newest_step(records: Sequence[IntervalConicities], model: StepModel | None =
     It is looked for at the largest amplitude up to 3 mm that intervals on both sides cover, never by extrapolation:
     a profile that was turned moves further than before.
 
-    Parameters
-    ----------
-    records
-        Of the intervals of one wheelset and baseline.
-    model
-        Of conicity; by default the usual one.
+    Args:
+        model: Of conicity; by default the usual one.
     """
     model = model or StepModel()
     covered = sorted(((r, _by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
@@ -68,12 +64,8 @@ def newest_step(records: Sequence[IntervalConicities], model: StepModel | None =
 def behind_step(records: Sequence[IntervalConicities], step: TrendStep | None) -> list[IntervalConicities]:
     """Return the intervals behind a step; all where there is none.
 
-    Parameters
-    ----------
-    records
-        Of one wheelset.
-    step
-        Its newest.
+    Args:
+        step: Its newest.
     """
     return [record for record in records if step is None or record.from_ns >= step.after_ns]
 
@@ -81,12 +73,9 @@ def behind_step(records: Sequence[IntervalConicities], step: TrendStep | None) -
 def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
     """Return the trend of the points behind a step; where they are few it says so and forecasts nothing.
 
-    Parameters
-    ----------
-    trend
-        Of the points behind it alone.
-    step
-        That it begins behind.
+    Args:
+        trend: Of the points behind it alone.
+        step: That it begins behind.
     """
     if len(trend.value) >= ENOUGH_BEHIND:
         return replace(trend, step=step)

@@ -75,12 +75,9 @@ def suspension_changes(
 ) -> dict[str, SuspensionChange]:
     """Return by vehicle how its ratio has changed; of those with enough findings.
 
-    Parameters
-    ----------
-    findings
-        Of all vehicles that share sections, in any order.
-    parameters
-        What counts as now, and what friction may do.
+    Args:
+        findings: Of all vehicles that share sections, in any order.
+        parameters: What counts as now, and what friction may do.
     """
     newest = ((code, next(changes, None)) for code, changes in suspension_histories(findings, parameters).items())
     return {code: change for code, change in newest if change is not None}
@@ -93,12 +90,9 @@ def suspension_histories(
 
     Computed as far as read. The other vehicles are as they are known now: late data of theirs count, too.
 
-    Parameters
-    ----------
-    findings
-        Of all vehicles that share sections, in any order.
-    parameters
-        What counts as now, and what friction may do.
+    Args:
+        findings: Of all vehicles that share sections, in any order.
+        parameters: What counts as now, and what friction may do.
     """
     p = parameters or SuspensionParameters()
     by_vehicle = _by_vehicle(findings, p)

@@ -54,28 +54,17 @@ def refresh(
 ) -> WearTrend:
     """Return the trend of the points, in whatever order they come.
 
-    Parameters
-    ----------
-    points
-        Values since the last reprofiling with their standard deviations; those that are not finite are left out.
-    limit
-        The value not to be exceeded, in units of the points.
-    params
-        What shapes the trend.
-    quantity
-        Name of the indicator.
-    note
-        Remark on the points, part of the reason.
-    shared_std
-        Standard deviation of an error that all points have in common, in their units.
-    not_comparable
-        Why the points cannot be compared with the limit, which then nothing is said about; None where they can.
+    Args:
+        points: Values since the last reprofiling with their standard deviations; those that are not finite are left
+            out.
+        limit: The value not to be exceeded, in units of the points.
+        shared_std: Standard deviation of an error that all points have in common, in their units.
+        not_comparable: Why the points cannot be compared with the limit, which then nothing is said about; None where
+            they can.
 
-    Returns
-    -------
-    WearTrend
-        The slopes are those at the last point; ``fitted`` is the fitted value there. With too few points the trend is
-        ``unestimated`` and says why; ``fitted`` is then the last value itself, where there is one.
+    Returns:
+        WearTrend: The slopes are those at the last point; ``fitted`` is the fitted value there. With too few points the
+            trend is ``unestimated`` and says why; ``fitted`` is then the last value itself, where there is one.
     """
     params = params or TrendParameters()
     usable = sorted(

@@ -149,22 +149,15 @@ class _Scaled:
 def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
     """Fit the curve.
 
-    Parameters
-    ----------
-    x
-        Distance or time of each point, (k,), not decreasing, the last greater than the first.
-    value, std
-        Value and standard deviation of each point, (k,); every std greater than 0.
+    Args:
+        x: Distance or time of each point, (k,), not decreasing, the last greater than the first.
+        value, std: Value and standard deviation of each point, (k,); every std greater than 0.
 
-    Returns
-    -------
-    WearCurve
-        Level in units of ``value``, slope in units of ``value`` per unit of ``x``, both at ``x[-1]``.
+    Returns:
+        WearCurve: Level in units of ``value``, slope in units of ``value`` per unit of ``x``, both at ``x[-1]``.
 
-    Raises
-    ------
-    ValueError
-        Fewer than two points, or no span between them, or a standard deviation that is not positive.
+    Raises:
+        ValueError: Fewer than two points, or no span between them, or a standard deviation that is not positive.
     """
     if len(x) < 2 or not x[-1] > x[0] or not np.all(std > 0.0):  # noqa: PLR2004 - a line needs two points
         raise ValueError("a wear curve needs two points, a span between them and positive standard deviations")

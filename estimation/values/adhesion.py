@@ -44,23 +44,16 @@ class FrictionSums:
 class WindowAdhesion:
     """Creep forces of one wheelset over one window, and what they say of the friction along its way.
 
-    Attributes
-    ----------
-    wheelset, start_ns, vehicle, track_section
-        Of the window.
-    content_digest
-        Of the samples it was made from.
-    contact_force, lateral_creep, yaw_creep
-        Rms over the window, N and N m, in the band of wavelengths up to the cut-off; the std of each is that of the
-        filter and of the load.
-    used_adhesion
-        Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at least that.
-    sums
-        None where nothing can be said of friction.
-    reason
-        Why there are no forces, or no sums.
-    smoothed
-        The forces are without vibration of the axle boxes, and without what is as fast.
+    Attributes:
+        wheelset, start_ns, vehicle, track_section: Of the window.
+        content_digest: Of the samples it was made from.
+        contact_force, lateral_creep, yaw_creep: Rms over the window, N and N m, in the band of wavelengths up to the
+            cut-off; the std of each is that of the filter and of the load.
+        used_adhesion: Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at
+            least that.
+        sums: None where nothing can be said of friction.
+        reason: Why there are no forces, or no sums.
+        smoothed: The forces are without vibration of the axle boxes, and without what is as fast.
     """
 
     wheelset: str

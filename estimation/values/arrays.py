@@ -15,10 +15,8 @@ BoolArray = npt.NDArray[np.bool_]
 def bin_centres(edges: FloatArray) -> FloatArray:
     """Return the centres (b,) of adjoining bins, in the unit of the edges.
 
-    Parameters
-    ----------
-    edges
-        (b + 1,) increasing.
+    Args:
+        edges: (b + 1,) increasing.
     """
     return np.asarray(0.5 * (edges[:-1] + edges[1:]))
 
@@ -26,10 +24,8 @@ def bin_centres(edges: FloatArray) -> FloatArray:
 def runs(mask: BoolArray) -> IntArray:
     """Return (k, 2) the first index of every run of True, and the one behind its last.
 
-    Parameters
-    ----------
-    mask
-        (n,) samples.
+    Args:
+        mask: (n,) samples.
     """
     return np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))).reshape(-1, 2)
 
@@ -37,10 +33,8 @@ def runs(mask: BoolArray) -> IntArray:
 def as_slice(index: IntArray) -> IntArray | slice:
     """Return increasing indices as a slice where none is left out: many times quicker to take and to add to.
 
-    Parameters
-    ----------
-    index
-        (n,) increasing.
+    Args:
+        index: (n,) increasing.
     """
     if len(index) == 0 or index[-1] - index[0] + 1 != len(index):
         return index
@@ -52,21 +46,12 @@ def frozen_array(
 ) -> npt.NDArray[Any]:
     """Return ``value`` as a read-only, C-contiguous array of ``dtype`` and ``shape``.
 
-    Parameters
-    ----------
-    value
-        Anything numpy takes. Never modified: an array that is still writable is copied.
-    shape
-        Expected shape; ``None`` stands for any length.
-    dtype
-        Wanted dtype.
-    name
-        The field, for the message.
+    Args:
+        value: Anything numpy takes. Never modified: an array that is still writable is copied.
+        shape: Expected shape; ``None`` stands for any length.
 
-    Raises
-    ------
-    ValueError
-        The number of axes or a length differs.
+    Raises:
+        ValueError: The number of axes or a length differs.
     """
     array = np.ascontiguousarray(value, dtype=dtype)
     wanted = len(shape)

@@ -9,12 +9,8 @@ from scipy.special import chdtrc
 def log10_chance(statistic: float, degrees: float) -> float:
     """Return the decimal logarithm of the chance that a chi-square variable exceeds a value; -inf beyond about 1400.
 
-    Parameters
-    ----------
-    statistic
-        The value, 0 or more.
-    degrees
-        Degrees of freedom.
+    Args:
+        statistic: The value, 0 or more.
     """
     with np.errstate(divide="ignore"):
         return float(np.log10(chdtrc(degrees, statistic)))

@@ -13,16 +13,11 @@ MOST_ENDED = 3
 class Claimed:
     """What came of asking for some things.
 
-    Attributes
-    ----------
-    keys
-        Of those that may be worked on under the lease.
-    ended
-        Of those at which workers have ended: by key, how many. They are free, and to be asked for one by one.
-    elsewhere
-        How many are worked on under other leases.
-    begun_ns
-        When work on each of ``keys`` was begun, ns by the clock of the claims.
+    Attributes:
+        keys: Of those that may be worked on under the lease.
+        ended: Of those at which workers have ended: by key, how many. They are free, and to be asked for one by one.
+        elsewhere: How many are worked on under other leases.
+        begun_ns: When work on each of ``keys`` was begun, ns by the clock of the claims.
     """
 
     keys: tuple[str, ...]

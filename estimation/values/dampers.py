@@ -40,22 +40,14 @@ class DamperSums:
 class WindowDamper:
     """What one window says of the damper of a running gear.
 
-    Attributes
-    ----------
-    vehicle, first_axle, wheelset, start_ns
-        Which running gear, the wheelset of its first axle, and when.
-    odometer_km
-        Of the vehicle.
-    content_digest
-        Of the samples of that wheelset.
-    class_digest
-        Of the class that it was judged by: sums of another one do not add up with these.
-    mass_std
-        Relative, of the mass above the wheelsets on file. Accelerations show damping over mass.
-    innovation
-        Mean square of the innovations over the largest that is believed; None without a filter.
-    sums
-        None with ``reason``.
+    Attributes:
+        vehicle, first_axle, wheelset, start_ns: Which running gear, the wheelset of its first axle, and when.
+        odometer_km: Of the vehicle.
+        content_digest: Of the samples of that wheelset.
+        class_digest: Of the class that it was judged by: sums of another one do not add up with these.
+        mass_std: Relative, of the mass above the wheelsets on file. Accelerations show damping over mass.
+        innovation: Mean square of the innovations over the largest that is believed; None without a filter.
+        sums: None with ``reason``.
     """
 
     vehicle: str
@@ -80,22 +72,14 @@ class WindowDamper:
 class GearDamper:
     """The damper of a running gear, from its newest windows.
 
-    Attributes
-    ----------
-    vehicle, first_axle
-        Which running gear.
-    share
-        Damping over that of the class on file.
-    weak_probability
-        Of a share below the limit; None where the share is not estimated.
-    weak
-        Whether that is likely; None where nothing is known.
-    windows, diverged, refused
-        How many say something, were not followed, were of no use.
-    from_ns, to_ns
-        Starts of the first and of the last window that counts.
-    from_km, to_km
-        The odometer there.
+    Attributes:
+        vehicle, first_axle: Which running gear.
+        share: Damping over that of the class on file.
+        weak_probability: Of a share below the limit; None where the share is not estimated.
+        weak: Whether that is likely; None where nothing is known.
+        windows, diverged, refused: How many say something, were not followed, were of no use.
+        from_ns, to_ns: Starts of the first and of the last window that counts.
+        from_km, to_km: The odometer there.
     """
 
     vehicle: str

@@ -4,24 +4,10 @@ from __future__ import annotations
 
 
 def evidence_of_measurement(name: str) -> str:
-    """Return what stands for a measurement of wheels.
-
-    Parameters
-    ----------
-    name
-        Of the measurement.
-    """
+    """Return what stands for a measurement of wheels."""
     return f"measured profiles of {name}"
 
 
 def evidence_of_version(source: str, version: int) -> str:
-    """Return what stands for an alignment that was known before.
-
-    Parameters
-    ----------
-    source
-        Where that alignment comes from.
-    version
-        Its number.
-    """
+    """Return what stands for an alignment that was known before."""
     return f"{source} version {version}"

@@ -222,10 +222,8 @@ class WheelsetGeometry:
     def against(self, found: Contradiction | None) -> WheelsetGeometry:
         """Return the geometry beside what contradicts its class: without numbers where that is certain, else wider.
 
-        Parameters
-        ----------
-        found
-            What contradicts it; None changes nothing.
+        Args:
+            found: What contradicts it; None changes nothing.
         """
         if found is None or self.status is Status.MODEL_MISMATCH:
             return self
@@ -246,10 +244,8 @@ class WheelsetGeometry:
     def mismatched(self, reason: Reason) -> WheelsetGeometry:
         """Return the geometry of a wheelset that does not follow the equations: no number is published.
 
-        Parameters
-        ----------
-        reason
-            What does not fit.
+        Args:
+            reason: What does not fit.
         """
         nothing, b = np.full(len(self.samples), np.nan), len(self.samples)
         unknown = Estimate.unknown(reason, float(self.windows), Status.MODEL_MISMATCH)

@@ -36,10 +36,8 @@ class IdentityChange:
 def latest_identity_change(alerts: Iterable[Alert]) -> IdentityChange | None:
     """Return the last change; None where there is none.
 
-    Parameters
-    ----------
-    alerts
-        Of one wheelset, open and closed; those of other kinds are left out.
+    Args:
+        alerts: Of one wheelset, open and closed; those of other kinds are left out.
     """
     changes = [_change(alert) for alert in alerts if alert.kind == IDENTITY]
     return max((change for change in changes if change is not None), key=lambda change: change.after_ns, default=None)
@@ -48,12 +46,9 @@ def latest_identity_change(alerts: Iterable[Alert]) -> IdentityChange | None:
 def since_change(records: Sequence[_Record], change: IdentityChange | None) -> list[_Record]:
     """Return the geometries of the wheelset that it is now.
 
-    Parameters
-    ----------
-    records
-        Geometries of one wheelset, or what is left of them.
-    change
-        Its last; None keeps all records.
+    Args:
+        records: Geometries of one wheelset, or what is left of them.
+        change: Its last; None keeps all records.
     """
     return [record for record in records if change is None or record.from_ns >= change.after_ns]
 
@@ -66,12 +61,9 @@ def _change(alert: Alert) -> IdentityChange | None:
 def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) -> bool:
     """Return whether two times are of the same wheelset: both before its identity change, or both after it.
 
-    Parameters
-    ----------
-    change
-        The last one; None where there was none.
-    first_ns, second_ns
-        Times, ns UTC.
+    Args:
+        change: The last one; None where there was none.
+        first_ns, second_ns: Times, ns UTC.
     """
     if change is None:
         return True

@@ -40,13 +40,7 @@ class IntervalConicities:
 
 
 def known_conicities(geometry: WheelsetGeometry) -> tuple[KnownConicity, ...]:
-    """Return the conicities of a geometry that are estimated, in the order of their amplitudes.
-
-    Parameters
-    ----------
-    geometry
-        Of one wheelset.
-    """
+    """Return the conicities of a geometry that are estimated, in the order of their amplitudes."""
     pairs = list(zip(geometry.amplitude.tolist(), geometry.conicity, strict=True))
     if np.isfinite(geometry.reported_amplitude):
         pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
@@ -59,24 +53,12 @@ def known_conicities(geometry: WheelsetGeometry) -> tuple[KnownConicity, ...]:
 
 
 def why_no_conicity(geometry: WheelsetGeometry) -> Reason | None:
-    """Return why a geometry has no conicity, of the conicity or else of the geometry; None where it has one.
-
-    Parameters
-    ----------
-    geometry
-        Of one wheelset.
-    """
+    """Return why a geometry has no conicity, of the conicity or else of the geometry; None where it has one."""
     return None if known_conicities(geometry) else geometry.equivalent_conicity.reason or geometry.reason
 
 
 def interval_conicities(record: GeometryRecord) -> IntervalConicities:
-    """Return the conicities of an interval's geometry.
-
-    Parameters
-    ----------
-    record
-        Geometry with its provenance.
-    """
+    """Return the conicities of an interval's geometry."""
     geometry = record.geometry
     return IntervalConicities(
         baseline=record.baseline,

@@ -15,17 +15,12 @@ NORMAL_95 = 1.959963984540054
 def leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:
     """Return sums over all groups of blocks (row 0), then over all but one.
 
-    Parameters
-    ----------
-    groups
-        (n, ...) sums of each group.
-    present
-        (n,) which groups have data, g of them.
+    Args:
+        groups: (n, ...) sums of each group.
+        present: (n,) which groups have data, g of them.
 
-    Returns
-    -------
-    FloatArray
-        (1 + g, ...) sums.
+    Returns:
+        FloatArray: (1 + g, ...) sums.
     """
     total = groups.sum(axis=0)
     return np.concatenate([total[None], total[None] - groups[present]])
@@ -34,10 +29,9 @@ def leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:
 def jackknife_std(replicates: FloatArray) -> FloatArray:
     """Return the delete-a-group standard deviation along axis 0.
 
-    Parameters
-    ----------
-    replicates
-        (1 + g, ...) the number from all data (row 0, takes no part), then with each of the g groups left out.
+    Args:
+        replicates: (1 + g, ...) the number from all data (row 0, takes no part), then with each of the g groups left
+            out.
     """
     g = len(replicates) - 1
     if g < 2:  # noqa: PLR2004 - one group has no spread
@@ -50,12 +44,9 @@ def jackknife_std(replicates: FloatArray) -> FloatArray:
 def normal_equivalent(jackknife: FloatArray, groups: int) -> FloatArray:
     """Return the std of a normal distribution with the same 95 % interval as Student's t.
 
-    Parameters
-    ----------
-    jackknife
-        (...) delete-a-group standard deviations.
-    groups
-        Number of groups; with one the std is returned as it is.
+    Args:
+        jackknife: (...) delete-a-group standard deviations.
+        groups: Number of groups; with one the std is returned as it is.
     """
     if groups < 2:  # noqa: PLR2004 - one group has no spread
         return jackknife
@@ -67,18 +58,13 @@ def with_interval(
 ) -> Estimate:
     """Return a number with its 95 % interval; every published interval is made here.
 
-    Parameters
-    ----------
-    value
-        The number, in any unit.
-    sampled
-        Its standard deviation from the spread of the data.
-    systematic
-        Its standard deviation that more data of the same kind do not lessen.
-    groups
-        Groups behind ``sampled``, two or more: Student's t then widens its part; None for a normal distribution.
-    count
-        Effective number of windows behind the number.
+    Args:
+        value: The number, in any unit.
+        sampled: Its standard deviation from the spread of the data.
+        systematic: Its standard deviation that more data of the same kind do not lessen.
+        groups: Groups behind ``sampled``, two or more: Student's t then widens its part; None for a normal
+            distribution.
+        count: Effective number of windows behind the number.
     """
     factor = NORMAL_95 if groups is None else _student_95(groups)
     half = float(np.hypot(factor * sampled, NORMAL_95 * systematic))
@@ -89,12 +75,8 @@ def with_interval(
 def parts_of(estimate: Estimate, groups: int) -> tuple[float, float]:
     """Return what :func:`with_interval` made an interval from: the sampled and the systematic standard deviation.
 
-    Parameters
-    ----------
-    estimate
-        With an interval.
-    groups
-        Groups behind its sampled part, two or more.
+    Args:
+        groups: Groups behind its sampled part, two or more.
     """
     if estimate.std is None or estimate.low is None or estimate.high is None:
         return float("nan"), float("nan")

@@ -14,15 +14,7 @@ class Look:
     number: int | None = None  # of the newest result that was looked at
 
     def holds(self, inputs: str, now_ns: int) -> bool:
-        """Whether a look at these inputs would find nothing to do either.
-
-        Parameters
-        ----------
-        inputs
-            Digest of what there is now.
-        now_ns
-            Our time.
-        """
+        """Whether a look at these inputs would find nothing to do either."""
         return self.inputs == inputs and (self.until_ns is None or now_ns < self.until_ns)
 
 

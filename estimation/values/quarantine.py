@@ -45,20 +45,13 @@ AT_ONCE = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.
 class Quarantined:
     """One thing at which one stage of the work failed.
 
-    Attributes
-    ----------
-    kind, key, stage
-        What, and in which job (``ingest`` for recordings).
-    code, error
-        Why: a stable code and the first line of the error.
-    inputs
-        Digest or counter of what it was made from; with another one it is tried at once.
-    first_ns, last_ns, due_ns
-        First and last failure and begin of the next attempt, ns UTC of our clock.
-    attempts
-        Failures in a row.
-    state
-        Held, or resolved by a later success.
+    Attributes:
+        kind, key, stage: What, and in which job (``ingest`` for recordings).
+        code, error: Why: a stable code and the first line of the error.
+        inputs: Digest or counter of what it was made from; with another one it is tried at once.
+        first_ns, last_ns, due_ns: First and last failure and begin of the next attempt, ns UTC of our clock.
+        attempts: Failures in a row.
+        state: Held, or resolved by a later success.
     """
 
     kind: SubjectKind
@@ -74,15 +67,7 @@ class Quarantined:
     state: QuarantineState = QuarantineState.HELD
 
     def waits(self, inputs: str, now_ns: int) -> bool:
-        """Whether it is too early for another attempt; never once the clock is behind the last failure.
-
-        Parameters
-        ----------
-        inputs
-            What it would be made from now.
-        now_ns
-            Our time.
-        """
+        """Whether it is too early for another attempt; never once the clock is behind the last failure."""
         return self.state is QuarantineState.HELD and inputs == self.inputs and self.last_ns <= now_ns < self.due_ns
 
 
@@ -92,15 +77,7 @@ def resolved(item: Quarantined) -> Quarantined:
 
 
 def delay_s(code: ReasonCode, attempts: int) -> float:
-    """Return how long to wait after so many failures, s: longer each time, up to an hour or a day.
-
-    Parameters
-    ----------
-    code
-        Why it failed.
-    attempts
-        Failures in a row, this one included.
-    """
+    """Return how long to wait after so many failures, s: longer each time, up to an hour or a day."""
     if code in AT_ONCE:
         attempts -= 1
     if attempts < 1:

@@ -121,10 +121,8 @@ class RailTrend:
     def with_tonnage(self, tonnage: float | None) -> RailTrend:
         """Return the trend with that by traffic, which runs evenly.
 
-        Parameters
-        ----------
-        tonnage
-            Million gross tonnes a year; None where it is not on file.
+        Args:
+            tonnage: Million gross tonnes a year; None where it is not on file.
         """
         if tonnage is None:
             return self

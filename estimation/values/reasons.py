@@ -402,10 +402,8 @@ class Reason:
 def combined(reasons: Sequence[Reason | None]) -> Reason | None:
     """Return several reasons as one: the code of the first and all sentences; None where there is none.
 
-    Parameters
-    ----------
-    reasons
-        The most important one first.
+    Args:
+        reasons: The most important one first.
     """
     given = [reason for reason in reasons if reason is not None]
     return replace(given[0], text="; ".join(reason.text for reason in given)) if given else None

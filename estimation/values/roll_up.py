@@ -114,15 +114,7 @@ MOST_CHOSEN = 16
 
 
 def with_member(roll_up: RollUp, member: Member) -> RollUp:
-    """Return the roll-up with one more window.
-
-    Parameters
-    ----------
-    roll_up
-        Without it.
-    member
-        The window.
-    """
+    """Return the roll-up with one more window."""
     record, weight = member.window.record, round(member.forgetting / WEIGHT_UNIT)
     mileage_mm = round(member.mileage_km * MILLIMETRES)
     empty = roll_up.windows == 0
@@ -148,12 +140,8 @@ def with_member(roll_up: RollUp, member: Member) -> RollUp:
 def of_members(roll_up: RollUp, members: Sequence[Member]) -> RollUp:
     """Return the roll-up of the same key and number with just these windows.
 
-    Parameters
-    ----------
-    roll_up
-        Whose key and number are kept.
-    members
-        In any order.
+    Args:
+        members: In any order.
     """
     found = RollUp(roll_up.key, roll_up.number, sealed=roll_up.sealed)
     for member in members:

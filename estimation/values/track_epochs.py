@@ -16,14 +16,10 @@ OPEN_NS = (1 << 63) - 1
 class FoldState:
     """What is known of a section after some of its epochs.
 
-    Attributes
-    ----------
-    version
-        Of the alignment in force; None where there is none.
-    same_since
-        Oldest version of the chain from which it does not differ materially.
-    survey
-        What the fleet has found of the survey; None where it was not checked.
+    Attributes:
+        version: Of the alignment in force; None where there is none.
+        same_since: Oldest version of the chain from which it does not differ materially.
+        survey: What the fleet has found of the survey; None where it was not checked.
     """
 
     version: int | None
@@ -40,22 +36,14 @@ class FoldState:
 class TrackEpoch:
     """One epoch of a section as it was computed last. Key: (section, number), from 1 in vehicle time.
 
-    Attributes
-    ----------
-    before
-        Key of the state that it started from.
-    input_digest
-        Of the windows that it rests on, with what is assumed of each.
-    horizon_ns
-        Up to when another window would change which windows are its own.
-    waits
-        It identified nothing: its windows are looked at again together with those of the next.
-    after
-        What is known after it.
-    estimated_on
-        Version that its own windows are estimated on, as long as the last one does not differ materially.
-    report
-        Number of its report.
+    Attributes:
+        before: Key of the state that it started from.
+        input_digest: Of the windows that it rests on, with what is assumed of each.
+        horizon_ns: Up to when another window would change which windows are its own.
+        waits: It identified nothing: its windows are looked at again together with those of the next.
+        after: What is known after it.
+        estimated_on: Version that its own windows are estimated on, as long as the last one does not differ materially.
+        report: Number of its report.
     """
 
     section: str
@@ -75,12 +63,9 @@ class TrackEpoch:
 class FoundOfVehicles:
     """Of which vehicles an epoch has found what matters for their windows alone.
 
-    Attributes
-    ----------
-    version
-        That holds it: windows of these vehicles are estimated on no older one.
-    stiffness_ratio
-        By vehicle, as that version has it; 1 where it has none.
+    Attributes:
+        version: That holds it: windows of these vehicles are estimated on no older one.
+        stiffness_ratio: By vehicle, as that version has it; 1 where it has none.
     """
 
     version: int
@@ -100,12 +85,9 @@ class EpochMember:
 class EpochNews:
     """What has changed under the epochs of a section since they were computed.
 
-    Attributes
-    ----------
-    from_ns
-        Start of the first window that is new, changed or gone; None where none is.
-    unplaced
-        Epochs with windows whose positions have been forgotten.
+    Attributes:
+        from_ns: Start of the first window that is new, changed or gone; None where none is.
+        unplaced: Epochs with windows whose positions have been forgotten.
     """
 
     from_ns: int | None

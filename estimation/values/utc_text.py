@@ -11,10 +11,8 @@ _SECOND = 1_000_000_000
 def utc_text(t_ns: int) -> str:
     """Return a time in UTC, to the second where it is a whole one.
 
-    Parameters
-    ----------
-    t_ns
-        ns since 1970, UTC.
+    Args:
+        t_ns: ns since 1970, UTC.
     """
     seconds, rest = divmod(t_ns, _SECOND)
     decimals = f".{rest:09d}".rstrip("0") if rest else ""

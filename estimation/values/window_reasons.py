@@ -13,16 +13,11 @@ from estimation.values.windows import WindowState
 class WindowsOfReason:
     """Windows of one wheelset with one state and one reason.
 
-    Attributes
-    ----------
-    state
-        Of all of them.
-    reason
-        Why they were refused or what they wait for, as it is of the newest; None of estimated ones.
-    windows
-        How many.
-    newest_ns
-        End of the newest, ns UTC on the vehicle's clock.
+    Attributes:
+        state: Of all of them.
+        reason: Why they were refused or what they wait for, as it is of the newest; None of estimated ones.
+        windows: How many.
+        newest_ns: End of the newest, ns UTC on the vehicle's clock.
     """
 
     state: WindowState
@@ -35,18 +30,12 @@ class WindowsOfReason:
 class WithoutEstimate:
     """Why nothing is estimated of a wheelset, and what to do.
 
-    Attributes
-    ----------
-    reason
-        In one sentence.
-    what_to_do
-        In sentences; empty where there is nothing to do but to wait.
-    windows
-        Its newest windows by state and reason, the most frequent first.
-    from_ns
-        Begin of the oldest window that was counted, ns UTC on the vehicle's clock; None where there is none.
-    last_ns
-        End of its newest window, whatever became of it; None where there is none.
+    Attributes:
+        reason: In one sentence.
+        what_to_do: In sentences; empty where there is nothing to do but to wait.
+        windows: Its newest windows by state and reason, the most frequent first.
+        from_ns: Begin of the oldest window that was counted, ns UTC on the vehicle's clock; None where there is none.
+        last_ns: End of its newest window, whatever became of it; None where there is none.
     """
 
     reason: Reason
@@ -68,9 +57,7 @@ class WithoutEstimate:
 def remedies(reasons: Sequence[Reason | None]) -> str:
     """Return what to do about some reasons, each remedy once, in their order.
 
-    Parameters
-    ----------
-    reasons
-        The most important one first.
+    Args:
+        reasons: The most important one first.
     """
     return " ".join(dict.fromkeys(one.code.remedy for one in reasons if one is not None and one.code.remedy))

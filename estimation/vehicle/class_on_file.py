@@ -20,14 +20,10 @@ _CHANNELS = ("lateral", "yaw", "roll", "mass_lateral")
 class ClassOnFile:
     """A version of a vehicle class.
 
-    Attributes
-    ----------
-    vehicle_class
-        Its value.
-    version
-        From 1, as registered; ``SHIPPED_VERSION`` for a class of the package.
-    recorded_ns
-        When this version was registered, ns UTC; None for a class of the package.
+    Attributes:
+        vehicle_class: Its value.
+        version: From 1, as registered; ``SHIPPED_VERSION`` for a class of the package.
+        recorded_ns: When this version was registered, ns UTC; None for a class of the package.
     """
 
     vehicle_class: VehicleClass
@@ -41,13 +37,7 @@ class ClassOnFile:
 
 
 def class_document(vehicle_class: VehicleClass) -> dict[str, Any]:
-    """Return a class as JSON can hold it: a limit that is infinite is None.
-
-    Parameters
-    ----------
-    vehicle_class
-        The class.
-    """
+    """Return a class as JSON can hold it: a limit that is infinite is None."""
     document = asdict(vehicle_class)
     document["relative_std"] = dict(sorted(vehicle_class.relative_std.items()))
     for name in _CHANNELS:
@@ -59,17 +49,12 @@ def class_document(vehicle_class: VehicleClass) -> dict[str, Any]:
 def class_of_document(document: Mapping[str, Any]) -> VehicleClass:
     """Return the class that :func:`class_document` described.
 
-    Parameters
-    ----------
-    document
-        As stored; a field that it does not have takes its default.
+    Args:
+        document: As stored; a field that it does not have takes its default.
 
-    Raises
-    ------
-    ParameterError
-        A value is impossible.
-    TypeError
-        A field is unknown, or one without default is missing.
+    Raises:
+        ParameterError: A value is impossible.
+        TypeError: A field is unknown, or one without default is missing.
     """
     bogie, sensors = document["bogie"], dict(document["sensors"])
     for name in _CHANNELS:
@@ -87,25 +72,13 @@ def class_of_document(document: Mapping[str, Any]) -> VehicleClass:
 
 
 def same_motion(first: VehicleClass, second: VehicleClass) -> bool:
-    """Return whether two classes turn a window into the same motion; their standard deviations may differ.
-
-    Parameters
-    ----------
-    first, second
-        The classes.
-    """
+    """Return whether two classes turn a window into the same motion; their standard deviations may differ."""
     return all(
         getattr(first, name) == getattr(second, name) for name in ("arrangement", "parameters", "bogie", "sensors")
     )
 
 
 def class_digest(vehicle_class: VehicleClass) -> str:
-    """Return the digest of the whole value of a class.
-
-    Parameters
-    ----------
-    vehicle_class
-        The class.
-    """
+    """Return the digest of the whole value of a class."""
     text = json.dumps(class_document(vehicle_class), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

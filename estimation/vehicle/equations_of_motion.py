@@ -43,10 +43,8 @@ class VehicleParameters:
     W acts through the contact angles and the roll. The paper's is the wheelset's own weight, m g. What stands on the
     rails is the ``axle_load`` of wheelset and suspended mass; with it f23/r0 - W/2, the factor of dL - dR, is negative.
 
-    Raises
-    ------
-    ParameterError
-        A parameter is not finite, or is not positive where it must be.
+    Raises:
+        ParameterError: A parameter is not finite, or is not positive where it must be.
     """
 
     longitudinal_creep_coefficient: float = 7.44e6  # f11, N
@@ -104,12 +102,8 @@ class ContactState:
 def lateral_suspension_force(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
     """Return Fsy (n,), N: the force of spring and damper on the wheelset, positive to the left (Eq. 4).
 
-    Parameters
-    ----------
-    parameters
-        Spring ky and damper fy.
-    state
-        (n,) displacements and velocities.
+    Args:
+        state: (n,) displacements and velocities.
     """
     y, v, ym, vm = (_array(value) for value in _lateral(state))
     return parameters.lateral_stiffness * (ym - y) + parameters.lateral_damping * (vm - v)
@@ -118,12 +112,8 @@ def lateral_suspension_force(parameters: VehicleParameters, state: WheelsetState
 def yaw_suspension_moment(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
     """Return Mpsi (n,), N m: the moment of the yaw suspension on the wheelset (Eq. 5).
 
-    Parameters
-    ----------
-    parameters
-        Yaw spring and damper.
-    state
-        (n,) yaw and yaw rate.
+    Args:
+        state: (n,) yaw and yaw rate.
     """
     psi, psi_rate = _array(state.yaw), _array(state.yaw_rate)
     return -parameters.yaw_stiffness * psi - parameters.yaw_damping * psi_rate
@@ -134,16 +124,11 @@ def lateral_acceleration(
 ) -> FloatArray:
     """Return y'' (n,), m/s2, of the wheelset (Eq. 1); ``speed`` V in m/s, positive.
 
-    Parameters
-    ----------
-    parameters
-        Table A.1.
-    speed
-        V, (n,) or scalar, m/s, positive.
-    state
-        (n,) states of wheelset and mass.
-    contact
-        (n,) radii, angles and roll.
+    Args:
+        parameters: Table A.1.
+        speed: V, (n,) or scalar, m/s, positive.
+        state: (n,) states of wheelset and mass.
+        contact: (n,) radii, angles and roll.
     """
     p = parameters
     f11, f22, f23 = p.longitudinal_creep_coefficient, p.lateral_creep_coefficient, p.lateral_spin_creep_coefficient
@@ -165,16 +150,11 @@ def yaw_acceleration(
 ) -> FloatArray:
     """Return psi'' (n,), rad/s2, of the wheelset (Eq. 2 and 5); ``speed`` V in m/s, positive.
 
-    Parameters
-    ----------
-    parameters
-        Table A.1.
-    speed
-        V, (n,) or scalar, m/s, positive.
-    state
-        (n,) states of wheelset and mass.
-    contact
-        (n,) radii, angles and roll.
+    Args:
+        parameters: Table A.1.
+        speed: V, (n,) or scalar, m/s, positive.
+        state: (n,) states of wheelset and mass.
+        contact: (n,) radii, angles and roll.
     """
     p = parameters
     f11, f23, f33 = p.longitudinal_creep_coefficient, p.lateral_spin_creep_coefficient, p.spin_creep_coefficient
@@ -198,12 +178,8 @@ def yaw_acceleration(
 def mass_lateral_acceleration(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
     """Return ym'' (n,), m/s2, of the suspended mass (Eq. 3).
 
-    Parameters
-    ----------
-    parameters
-        Suspended mass, spring and damper.
-    state
-        (n,) displacements and velocities.
+    Args:
+        state: (n,) displacements and velocities.
     """
     return -lateral_suspension_force(parameters, state) / parameters.suspended_mass
 
@@ -211,14 +187,10 @@ def mass_lateral_acceleration(parameters: VehicleParameters, state: WheelsetStat
 def lateral_slip_velocity(speed: npt.ArrayLike, state: WheelsetState, contact: ContactState) -> FloatArray:
     """Return y' + (rL+rR)/2 phi' - V psi (n,), m/s: the lateral slip that Eq. 1 and 2 share.
 
-    Parameters
-    ----------
-    speed
-        V, (n,) or scalar, m/s.
-    state
-        (n,) lateral velocity and yaw.
-    contact
-        (n,) radii and roll rate.
+    Args:
+        speed: V, (n,) or scalar, m/s.
+        state: (n,) lateral velocity and yaw.
+        contact: (n,) radii and roll rate.
     """
     return (
         _array(state.lateral_velocity)
@@ -232,12 +204,8 @@ def creep_rate(parameters: VehicleParameters, speed: float) -> float:
 
     It bounds the step of an explicit integration: the rate grows without limit as the speed falls.
 
-    Parameters
-    ----------
-    parameters
-        Creep coefficients, mass and yaw inertia.
-    speed
-        V, m/s, positive.
+    Args:
+        speed: V, m/s, positive.
     """
     p = parameters
     lateral = 2.0 * p.lateral_creep_coefficient / (p.wheelset_mass * speed)

@@ -52,10 +52,8 @@ class ContactRadii:
 
     A radius is positive where the body is convex, negative where it is hollow, and infinite where it is straight.
 
-    Raises
-    ------
-    ParameterError
-        The surfaces do not touch in one point, or a number is impossible.
+    Raises:
+        ParameterError: The surfaces do not touch in one point, or a number is impossible.
     """
 
     wheel_rolling_radius: float  # m
@@ -107,11 +105,6 @@ def contact_ellipse(contact: ContactRadii) -> tuple[float, float]:
 
     The ratio of the curvatures determines the shape by the complete elliptic integrals of first and second kind
     (K. L. Johnson, "Contact Mechanics", Cambridge 1985, Eq. 4.25 to 4.28).
-
-    Parameters
-    ----------
-    contact
-        Radii and load.
     """
     along, across = 1.0 / contact.wheel_rolling_radius, contact.transverse_curvature
     ratio = max(along, across) / min(along, across)
@@ -148,15 +141,11 @@ def _semi_axis_ratio(curvature_ratio: float) -> float:
 def table_coefficients(ratio: float) -> tuple[float, float, float, float]:
     """Return Kalker's C11, C22, C23 and C33 for the semi-axis ratio a/b, interpolated in its logarithm.
 
-    Parameters
-    ----------
-    ratio
-        a/b, 0.1 to 10.
+    Args:
+        ratio: a/b, 0.1 to 10.
 
-    Raises
-    ------
-    ParameterError
-        The ratio is outside the table.
+    Raises:
+        ParameterError: The ratio is outside the table.
     """
     ratios = _ROWS[:, 0]
     if not ratios[0] <= ratio <= ratios[-1]:
@@ -169,15 +158,8 @@ def table_coefficients(ratio: float) -> tuple[float, float, float, float]:
 def creep_coefficients(contact: ContactRadii) -> CreepCoefficients:
     """Return the linear creep coefficients of one wheel: f11 = G a b C11, f23 = G (a b)^1.5 C23, f33 = G (a b)^2 C33.
 
-    Parameters
-    ----------
-    contact
-        Radii and load.
-
-    Raises
-    ------
-    ParameterError
-        The contact ellipse is outside Kalker's table.
+    Raises:
+        ParameterError: The contact ellipse is outside Kalker's table.
     """
     a, b = contact_ellipse(contact)
     c11, c22, c23, c33 = table_coefficients(a / b)
@@ -195,14 +177,9 @@ def creep_coefficient_std(
 ) -> CreepCoefficients:
     """Return the relative standard deviation of each coefficient: from radii and load, and from the rail's condition.
 
-    Parameters
-    ----------
-    contact
-        Radii and load.
-    std
-        Relative standard deviation of each.
-    rail_condition_std
-        Relative std of all coefficients beside: what dirt, water and roughness take away.
+    Args:
+        std: Relative standard deviation of each.
+        rail_condition_std: Relative std of all coefficients beside: what dirt, water and roughness take away.
     """
     values = creep_coefficients(contact)
     variances = dict.fromkeys((item.name for item in fields(CreepCoefficients)), rail_condition_std**2)

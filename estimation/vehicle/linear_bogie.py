@@ -40,16 +40,8 @@ def bogie_model(
 ) -> LinearModel:
     """Return the model of a bogie whose two wheelsets are alike.
 
-    Parameters
-    ----------
-    parameters
-        Of each wheelset and its primary suspension.
-    bogie
-        Frame, body and secondary suspension.
-    speed
-        V, m/s, positive.
-    contact
-        The geometry of both wheelsets.
+    Args:
+        speed: V, m/s, positive.
     """
     arms = bogie.wheelbase / 2, -bogie.wheelbase / 2
 

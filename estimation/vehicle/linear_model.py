@@ -35,14 +35,10 @@ class Mode:
 def linear_model(vehicle_class: VehicleClass, speed: float, contact: LinearContact) -> LinearModel:
     """Return the state space of a class.
 
-    Parameters
-    ----------
-    vehicle_class
-        Single wheelset or bogie.
-    speed
-        V, m/s, positive.
-    contact
-        The geometry of all its wheelsets.
+    Args:
+        vehicle_class: Single wheelset or bogie.
+        speed: V, m/s, positive.
+        contact: The geometry of all its wheelsets.
     """
     if vehicle_class.bogie is None:
         return single_wheelset_model(vehicle_class.parameters, speed, contact)
@@ -55,11 +51,6 @@ def modes(model: LinearModel) -> tuple[Mode, ...]:
     The name is that of the coordinate with the largest participation (product of left and right eigenvector; I. J.
     Perez-Arriaga et al., IEEE Trans. Power Apparatus and Systems 101, 1982). A mode of the wheelsets that hardly
     oscillates is one of creep; one up to twice Klingel's frequency is kinematic.
-
-    Parameters
-    ----------
-    model
-        State space.
     """
     values, right = np.linalg.eig(model.matrix)
     left = np.linalg.inv(right).T  # rows of the inverse are the left eigenvectors
@@ -94,12 +85,9 @@ def _name(model: LinearModel, shares: FloatArray, shape: FloatArray, value: comp
 def critical_speed(vehicle_class: VehicleClass, contact: LinearContact) -> float:
     """Return the lowest speed, m/s, above which a mode grows; infinite where none does up to 150 m/s.
 
-    Parameters
-    ----------
-    vehicle_class
-        Single wheelset or bogie.
-    contact
-        The geometry of all its wheelsets.
+    Args:
+        vehicle_class: Single wheelset or bogie.
+        contact: The geometry of all its wheelsets.
     """
 
     def grows(speed: float) -> bool:

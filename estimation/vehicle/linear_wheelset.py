@@ -38,10 +38,8 @@ ANGLE_SUM = 0.1  # A, rad: twice 1:20
 class LinearContact:
     """Contact geometry of one conicity.
 
-    Raises
-    ------
-    ParameterError
-        The conicity is not positive.
+    Raises:
+        ParameterError: The conicity is not positive.
     """
 
     conicity: float = 0.2  # gamma
@@ -68,10 +66,8 @@ class LinearModel:
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the coordinates (f, n) per metre of alignment under the leading wheelset.
 
-        Parameters
-        ----------
-        frequency_hz
-            (f,) positive.
+        Args:
+            frequency_hz: (f,) positive.
         """
         n = len(self.coordinates)
         s = 2j * np.pi * frequency_hz
@@ -84,28 +80,14 @@ class LinearModel:
 def klingel_frequency(parameters: VehicleParameters, speed: float, contact: LinearContact) -> float:
     """Return the frequency of a free wheelset that rolls without slip, Hz (Klingel: wavelength 2 pi sqrt(r0 l/gamma)).
 
-    Parameters
-    ----------
-    parameters
-        Nominal radius and half the contact distance.
-    speed
-        m/s.
-    contact
-        Its conicity.
+    Args:
+        speed: m/s.
     """
     return speed / klingel_wavelength(parameters, contact)
 
 
 def klingel_wavelength(parameters: VehicleParameters, contact: LinearContact) -> float:
-    """Return the wavelength of a free wheelset that rolls without slip, m.
-
-    Parameters
-    ----------
-    parameters
-        Nominal radius and half the contact distance.
-    contact
-        Its conicity.
-    """
+    """Return the wavelength of a free wheelset that rolls without slip, m."""
     return 2 * math.pi * math.sqrt(parameters.nominal_radius * parameters.half_contact_distance / contact.conicity)
 
 
@@ -114,14 +96,8 @@ def contact_state(
 ) -> ContactState:
     """Return the contact geometry at x = y - d.
 
-    Parameters
-    ----------
-    contact
-        Conicity and angles.
-    parameters
-        Nominal radius and half the contact distance.
-    displacement, rate
-        (n,) x in m, x' in m/s.
+    Args:
+        displacement, rate: (n,) x in m, x' in m/s.
     """
     radius = contact.conicity * displacement
     angle = contact.angle_per_difference * radius
@@ -141,14 +117,10 @@ def wheelset_accelerations(
 ) -> tuple[FloatArray, FloatArray]:
     """Return y'' and psi'' (n,) of a wheelset; its yaw spring is tied to a body that does not yaw.
 
-    Parameters
-    ----------
-    parameters, speed, contact
-        The vehicle, V in m/s, and the geometry.
-    state
-        (n,) states.
-    alignment
-        (2, n) d in m and d' in m/s.
+    Args:
+        parameters, speed, contact: The vehicle, V in m/s, and the geometry.
+        state: (n,) states.
+        alignment: (2, n) d in m and d' in m/s.
     """
     y, v = np.asarray(state.lateral_displacement), np.asarray(state.lateral_velocity)
     at = contact_state(contact, parameters, y - alignment[0], v - alignment[1])
@@ -164,18 +136,10 @@ def assemble(
 ) -> LinearModel:
     """Return the state space of accelerations that are linear in coordinates, rates and alignment.
 
-    Parameters
-    ----------
-    accelerations
-        Of (n, m) coordinates, (n, m) rates and (2k, m) alignments (d of each wheelset, then d'), (n, m).
-    speed
-        m/s.
-    klingel_hz
-        Frequency of a free wheelset.
-    coordinates
-        n names.
-    wheelset_offsets
-        k distances behind the leading wheelset, m.
+    Args:
+        accelerations: Of (n, m) coordinates, (n, m) rates and (2k, m) alignments (d of each wheelset, then d'), (n, m).
+        speed: m/s.
+        wheelset_offsets: k distances behind the leading wheelset, m.
     """
     n, k = len(coordinates), len(wheelset_offsets)
     units = np.eye(2 * n + 2 * k)
@@ -190,14 +154,8 @@ def assemble(
 def single_wheelset_model(parameters: VehicleParameters, speed: float, contact: LinearContact) -> LinearModel:
     """Return the model of a wheelset and its suspended mass.
 
-    Parameters
-    ----------
-    parameters
-        The vehicle.
-    speed
-        V, m/s, positive.
-    contact
-        The geometry.
+    Args:
+        speed: V, m/s, positive.
     """
 
     def accelerations(q: FloatArray, v: FloatArray, d: FloatArray) -> FloatArray:

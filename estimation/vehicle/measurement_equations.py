@@ -40,13 +40,7 @@ class Combinations:
 
 
 def combinations(contact: LinearContact) -> Combinations:
-    """Return the combinations of a contact geometry.
-
-    Parameters
-    ----------
-    contact
-        Conicity and angles.
-    """
+    """Return the combinations of a contact geometry."""
     slope = 2 * contact.conicity * contact.angle_per_difference
     return Combinations(contact.conicity, 0.0, slope, contact.angle_sum)
 
@@ -54,16 +48,10 @@ def combinations(contact: LinearContact) -> Combinations:
 def equations(p: VehicleParameters, wheelbase: float | None, speed: float, at: Combinations) -> FloatArray:
     """Return the coefficients (2, signals, 3) of e by the signals and their first and second derivatives, N and N m.
 
-    Parameters
-    ----------
-    p
-        The wheelset.
-    wheelbase
-        m, of the bogie, of which this is the front wheelset; None where the yaw spring is tied to a fixed body.
-    speed
-        V, m/s.
-    at
-        The contact geometry.
+    Args:
+        wheelbase: m, of the bogie, of which this is the front wheelset; None where the yaw spring is tied to a fixed
+            body.
+        speed: V, m/s.
     """
     units = np.eye(2 * SIGNALS)
     u, du = units[:SIGNALS], units[SIGNALS:]
@@ -85,12 +73,9 @@ def equations(p: VehicleParameters, wheelbase: float | None, speed: float, at: C
 def filtered(coefficients: FloatArray, s: ComplexArray) -> ComplexArray:
     """Return E(s) (f, 2, signals).
 
-    Parameters
-    ----------
-    coefficients
-        (2, signals, 3), see :func:`equations`.
-    s
-        (f,) i omega, 1/s.
+    Args:
+        coefficients: (2, signals, 3), see :func:`equations`.
+        s: (f,) i omega, 1/s.
     """
     powers = np.stack([np.ones_like(s), s, s * s])
     return np.asarray(np.einsum("ejk,kf->fej", coefficients, powers), dtype=np.complex128)
@@ -99,14 +84,9 @@ def filtered(coefficients: FloatArray, s: ComplexArray) -> ComplexArray:
 def true_signals(model: LinearModel, contact: LinearContact, p: VehicleParameters, s: ComplexArray) -> ComplexArray:
     """Return u (f, signals) of the front wheelset per metre of alignment.
 
-    Parameters
-    ----------
-    model
-        Single wheelset or bogie.
-    contact, p
-        As of the model.
-    s
-        (f,) i omega, 1/s.
+    Args:
+        model: Single wheelset or bogie.
+        s: (f,) i omega, 1/s.
     """
     q = model.response(s.imag / (2 * np.pi))
     u = np.zeros((len(s), SIGNALS), dtype=np.complex128)
@@ -125,12 +105,8 @@ def sensor_filters(layout: SensorLayout, s: ComplexArray) -> tuple[ComplexArray,
 
     The second integrates, and takes gravity off the lateral signal by the roll.
 
-    Parameters
-    ----------
-    layout
-        Kinds of the sensors.
-    s
-        (f,) i omega, 1/s.
+    Args:
+        s: (f,) i omega, 1/s.
     """
     orders = 2, 1 if layout.yaw_is_gyroscope else 2, 1 if layout.roll_is_gyroscope else 2, 2, 2
     measured = np.zeros((len(s), len(SENSORS), SIGNALS), dtype=np.complex128)

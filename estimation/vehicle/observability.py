@@ -107,13 +107,6 @@ def observability(vehicle_class: VehicleClass, running: Running) -> tuple[Observ
 
     Conicity stands twice: with the yaw stiffness of the class, and where the data alone give the yaw stiffness; there
     dL + dR, which turns a single wheelset exactly as the yaw spring does, is that of the contact geometry.
-
-    Parameters
-    ----------
-    vehicle_class
-        The class with its sensors and stds.
-    running
-        Speed, contact geometry, track and duration.
     """
     sensitivity = _sensitivity(vehicle_class, running)
     bounds = _bounds(sensitivity)
@@ -140,13 +133,6 @@ def conicity_shifts(vehicle_class: VehicleClass, running: Running) -> Mapping[st
 
     Per unit of relative error, of the front wheelset; the first number with the yaw stiffness of the class, the second
     where the data alone give it. The names are fields of the class, and ``scale of lateral``, ... of the sensors.
-
-    Parameters
-    ----------
-    vehicle_class
-        The class with its sensors.
-    running
-        Speed, contact geometry and track.
     """
     sensitivity = _sensitivity(vehicle_class, running)
     errors = {**sensitivity.by_parameter, **{f"scale of {name}": item for name, item in sensitivity.by_scale.items()}}

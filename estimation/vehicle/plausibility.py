@@ -40,16 +40,9 @@ class PlausibleRange:
 def check_plausible(vehicle_class: VehicleClass) -> None:
     """Check that no quantity is outside its range.
 
-    Parameters
-    ----------
-    vehicle_class
-        The class.
-
-    Raises
-    ------
-    ParameterError
-        Names the mode or quantity, its value and range, and as field the parameter whose correction by a unit mends
-        most.
+    Raises:
+        ParameterError: Names the mode or quantity, its value and range, and as field the parameter whose correction by
+            a unit mends most.
     """
     failing = [item for item in plausible_ranges(vehicle_class) if not item.holds]
     if not failing:
@@ -68,13 +61,7 @@ def check_plausible(vehicle_class: VehicleClass) -> None:
 
 
 def plausible_ranges(vehicle_class: VehicleClass) -> tuple[PlausibleRange, ...]:
-    """Return the quantities of a class with their ranges, modes first.
-
-    Parameters
-    ----------
-    vehicle_class
-        The class.
-    """
+    """Return the quantities of a class with their ranges, modes first."""
     p, bogie = vehicle_class.parameters, vehicle_class.bogie
     found = list(_wheelset_modes(p))
     found += _mass_modes(p) if bogie is None else _bogie_modes(p, bogie)

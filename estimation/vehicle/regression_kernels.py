@@ -65,10 +65,8 @@ class Coefficients(NamedTuple):
 def signals_of(motion: Motion) -> Signals:
     """Return the signals of a motion.
 
-    Parameters
-    ----------
-    motion
-        (n,) samples.
+    Args:
+        motion: (n,) samples.
     """
     plain = {name: getattr(motion, name) for name in Signals._fields if name not in OF_FRAME}
     if motion.frame_yaw is None or motion.frame_yaw_rate is None or motion.frame_displacement is None:
@@ -90,20 +88,12 @@ def coefficients_of(
 ) -> Coefficients:
     """Return the coefficients of a vehicle.
 
-    Parameters
-    ----------
-    p
-        Its parameters.
-    angle_factor
-        x2, N.
-    difference_noise
-        Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
-    displacement_noise
-        Variance of y - d by the noise of the sensors, m2.
-    wheelbase
-        Of the bogie, m; without one it plays no part.
-    in_bogie
-        Whether the yaw spring is tied to the frame of a bogie.
+    Args:
+        angle_factor: x2, N.
+        difference_noise: Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
+        displacement_noise: Variance of y - d by the noise of the sensors, m2.
+        wheelbase: Of the bogie, m; without one it plays no part.
+        in_bogie: Whether the yaw spring is tied to the frame of a bogie.
     """
     return Coefficients(
         p.longitudinal_creep_coefficient,
@@ -133,14 +123,8 @@ def coefficients_of(
 def lateral_equation(signals: Signals, k: Coefficients, i: int, row: FloatArray) -> None:
     """Write x1, x2 and the targets of Eq. 1 of sample ``i``.
 
-    Parameters
-    ----------
-    signals, k
-        Of the motion and the vehicle.
-    i
-        Number of the sample.
-    row
-        (9,), written.
+    Args:
+        row: (9,), written.
     """
     speed, yaw, roll_rate = signals.speed[i], signals.yaw[i], signals.roll_rate[i]
     slip = signals.lateral_velocity[i] - speed * yaw  # without the roll term, which carries S
@@ -158,15 +142,7 @@ def lateral_equation(signals: Signals, k: Coefficients, i: int, row: FloatArray)
 
 @compiled(nogil=True, error_model="numpy")
 def yaw_moments(signals: Signals, k: Coefficients, i: int) -> tuple[float, float, float, float, float, float]:
-    """Return the moments of sample ``i`` that make z2, and first their sum: inertia, creep, spring, damper, spin.
-
-    Parameters
-    ----------
-    signals, k
-        Of the motion and the vehicle.
-    i
-        Number of the sample.
-    """
+    """Return the moments of sample ``i`` that make z2, and first their sum: inertia, creep, spring, damper, spin."""
     speed, yaw, yaw_rate, roll_rate = signals.speed[i], signals.yaw[i], signals.yaw_rate[i], signals.roll_rate[i]
     l, r0 = k.half_contact_distance, k.nominal_radius  # noqa: E741 - the paper's l
     deflection, deflection_rate = yaw, yaw_rate
@@ -186,14 +162,8 @@ def yaw_moments(signals: Signals, k: Coefficients, i: int) -> tuple[float, float
 def yaw_targets(signals: Signals, k: Coefficients, i: int, row: FloatArray, at: int) -> None:
     """Write c and behind it the targets of Eq. 2 of sample ``i``, from ``row[at]``.
 
-    Parameters
-    ----------
-    signals, k
-        Of the motion and the vehicle.
-    i
-        Number of the sample.
-    row, at
-        Where c and the targets are written.
+    Args:
+        row, at: Where c and the targets are written.
     """
     z2, inertia, creep, spring, damper, spin = yaw_moments(signals, k, i)
     c = radius_factor(k)
@@ -220,17 +190,7 @@ def radius_factor(k: Coefficients) -> float:
 
 @compiled(nogil=True, error_model="numpy")
 def yaw_regressors(signals: Signals, k: Coefficients, i: int, row: FloatArray) -> int:
-    """Write the regressors of Eq. 2 before c of sample ``i``; return how many there are.
-
-    Parameters
-    ----------
-    signals, k
-        Of the motion and the vehicle.
-    i
-        Number of the sample.
-    row
-        Written from its beginning.
-    """
+    """Write the regressors of Eq. 2 before c of sample ``i``; return how many there are."""
     speed, yaw, roll_rate = signals.speed[i], signals.yaw[i], signals.roll_rate[i]
     if not k.in_bogie:
         row[0] = (k.half_contact_distance * k.load / 2) * yaw
@@ -247,15 +207,7 @@ def yaw_regressors(signals: Signals, k: Coefficients, i: int, row: FloatArray) -
 
 @compiled(nogil=True, error_model="numpy")
 def write_equations(signals: Signals, k: Coefficients, lateral: FloatArray, yaw: FloatArray) -> None:
-    """Write x1, x2 and targets of Eq. 1 (n, 9), regressors and targets of Eq. 2 (n, 2 or 4, and 8) of all samples.
-
-    Parameters
-    ----------
-    signals, k
-        Of the motion and the vehicle.
-    lateral, yaw
-        Written.
-    """
+    """Write x1, x2 and targets of Eq. 1 (n, 9), regressors and targets of Eq. 2 (n, 2 or 4, and 8) of all samples."""
     for i in range(len(signals.speed)):
         lateral_equation(signals, k, i, lateral[i])
         before_c = yaw_regressors(signals, k, i, yaw[i])

@@ -50,13 +50,7 @@ class Regression:
 
 
 def angle_difference_factor(parameters: VehicleParameters) -> float:
-    """Return x2 = f23/r0 - W/2, N: the factor of D in Eq. 1, positive or negative.
-
-    Parameters
-    ----------
-    parameters
-        Of the vehicle.
-    """
+    """Return x2 = f23/r0 - W/2, N: the factor of D in Eq. 1, positive or negative."""
     return parameters.lateral_spin_creep_coefficient / parameters.nominal_radius - parameters.load / 2
 
 
@@ -65,10 +59,8 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
 
     The data determine the product x2 D, so that D changes by as much the other way, whatever the samples.
 
-    Parameters
-    ----------
-    parameters
-        Of the vehicle; f23 and W make the factor.
+    Args:
+        parameters: Of the vehicle; f23 and W make the factor.
     """
     by_name = dict.fromkeys(LATERAL_TARGETS[1:], 0.0)
     by_name["spin_creep"] = parameters.lateral_spin_creep_coefficient / parameters.nominal_radius
@@ -83,16 +75,11 @@ def regression(
 
     What is known of the vehicle's stiffness ratio is taken into account.
 
-    Parameters
-    ----------
-    motion
-        (n,) samples relative to the track.
-    parameters
-        As assumed; the longitudinal creep coefficient is divided by the stiffness ratio of the motion.
-    difference_noise
-        Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
-    wheelbase
-        Of the bogie, m; without one it plays no part.
+    Args:
+        motion: (n,) samples relative to the track.
+        parameters: As assumed; the longitudinal creep coefficient is divided by the stiffness ratio of the motion.
+        difference_noise: Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
+        wheelbase: Of the bogie, m; without one it plays no part.
     """
     signals, k = signals_of(motion), coefficients(motion, parameters, difference_noise, wheelbase)
     before_c = SHARED_IN_BOGIE if k.in_bogie else 1
@@ -105,13 +92,7 @@ def regression(
 def coefficients(
     motion: Motion, parameters: VehicleParameters, difference_noise: float = 0.0, wheelbase: float = 1.0
 ) -> Coefficients:
-    """Return the coefficients of both equations.
-
-    Parameters
-    ----------
-    motion, parameters, difference_noise, wheelbase
-        As :func:`regression` takes them.
-    """
+    """Return the coefficients of both equations."""
     f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
     p = replace(parameters, longitudinal_creep_coefficient=f11)
     in_bogie = motion.frame_yaw is not None and motion.frame_displacement is not None

@@ -18,12 +18,9 @@ def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> f
     and without what is slower than f_c = V / L, has the variance n^2 / (3 (2 pi)^4 f_c^3); that of a gyroscope,
     integrated once, n^2 / ((2 pi)^2 f_c), which is taken at 20 m/s. In a bogie the two sensors of the frame add theirs.
 
-    Parameters
-    ----------
-    vehicle_class
-        Yaw spring, creep coefficient and sensors; a noise density that is not on file is zero.
-    cutoff_wavelength
-        L, m, of the high-pass of the motion.
+    Args:
+        vehicle_class: Yaw spring, creep coefficient and sensors; a noise density that is not on file is zero.
+        cutoff_wavelength: L, m, of the high-pass of the motion.
     """
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     per_yaw = p.yaw_stiffness * p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
@@ -41,12 +38,8 @@ def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
     A stiff yaw spring turns the slow noise of the yaw sensor into rolling radius difference. Where that is large,
     longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
 
-    Parameters
-    ----------
-    vehicle_class
-        Yaw spring, creep coefficient and sensors.
-    longest
-        m, where there is no such noise.
+    Args:
+        longest: m, where there is no such noise.
     """
     cutoff = longest
     while cutoff - CUTOFF_STEP >= SHORTEST_CUTOFF and _usual_noise(vehicle_class, cutoff) > MOST_DIFFERENCE_NOISE:
@@ -72,14 +65,10 @@ def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, sp
     vehicle takes longer over a wave: twice integrated, the variance grows with the third power of its period, and that
     of g times the roll with the seventh.
 
-    Parameters
-    ----------
-    vehicle_class
-        Sensors and radius; a noise density that is not on file is zero.
-    cutoff_wavelength
-        m, of the high-pass of the motion.
-    speed
-        (n,) m/s.
+    Args:
+        vehicle_class: Sensors and radius; a noise density that is not on file is zero.
+        cutoff_wavelength: m, of the high-pass of the motion.
+        speed: (n,) m/s.
     """
     slowest = speed / cutoff_wavelength
     sensors, height = vehicle_class.sensors, vehicle_class.parameters.nominal_radius

@@ -28,10 +28,8 @@ class Arrangement(StrEnum):
 class BogieParameters:
     """A bogie frame, what it carries, and its suspension to the body.
 
-    Raises
-    ------
-    ParameterError
-        A parameter is not finite, is negative, or is zero where it must not be.
+    Raises:
+        ParameterError: A parameter is not finite, is negative, or is zero where it must not be.
     """
 
     wheelbase: float  # m, between its two axles
@@ -103,10 +101,9 @@ class VehicleClass:
     ``relative_std`` holds for fields of ``parameters`` or ``bogie`` how well each is known; a field that is
     missing has the default of its kind (``default_relative_std``).
 
-    Raises
-    ------
-    ParameterError
-        A bogie without its parameters, or the reverse; a standard deviation of an unknown field, or an impossible one.
+    Raises:
+        ParameterError: A bogie without its parameters, or the reverse; a standard deviation of an unknown field, or an
+            impossible one.
     """
 
     code: str
@@ -147,10 +144,8 @@ UNSTATED_SCALE_STD = 0.03  # of a sensor whose scale has no std on file
 def default_relative_std(name: str) -> float:
     """Return the relative standard deviation of a parameter of which none is on file.
 
-    Parameters
-    ----------
-    name
-        Of a field of :class:`VehicleParameters` or :class:`BogieParameters`.
+    Args:
+        name: Of a field of :class:`VehicleParameters` or :class:`BogieParameters`.
     """
     ends = {
         "_coefficient": CREEP_STD,

@@ -17,22 +17,16 @@ from estimation.vehicle.vehicle_class import VehicleClass
 class WorklistInputs:
     """All that is stored of a wheelset and decides how urgent it is.
 
-    Attributes
-    ----------
-    wheelset, vehicle, vehicle_class
-        Its records; no vehicle where it is not mounted, no class where that is not on file.
-    geometry, trend
-        The current geometry and the latest trend.
-    last_window_ns
-        End of its newest window that was estimated or waits for it.
-    mileage
-        Last reading that is believed.
-    alerts
-        Open ones, in any order.
-    failure
-        Why its geometry or trend cannot be read or understood; None where they can.
-    refused
-        How many of its newest windows are refused, by reason, the most frequent first; where it has no geometry.
+    Attributes:
+        wheelset, vehicle, vehicle_class: Its records; no vehicle where it is not mounted, no class where that is not on
+            file.
+        geometry, trend: The current geometry and the latest trend.
+        last_window_ns: End of its newest window that was estimated or waits for it.
+        mileage: Last reading that is believed.
+        alerts: Open ones, in any order.
+        failure: Why its geometry or trend cannot be read or understood; None where they can.
+        refused: How many of its newest windows are refused, by reason, the most frequent first; where it has no
+            geometry.
     """
 
     wheelset: WheelsetRecord

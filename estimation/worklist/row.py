@@ -27,13 +27,7 @@ _SEVERITIES = list(Severity)
 
 
 def worklist_row(inputs: WorklistInputs) -> WorklistRow:
-    """Return what the worklist says of a wheelset.
-
-    Parameters
-    ----------
-    inputs
-        What is stored of it.
-    """
+    """Return what the worklist says of a wheelset."""
     return WorklistRow(
         wheelset=inputs.wheelset,
         vehicle_class=None if inputs.vehicle is None else inputs.vehicle.vehicle_class,

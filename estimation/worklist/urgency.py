@@ -58,18 +58,9 @@ def judged(
 ) -> Verdict:
     """Return how urgent a wheelset is.
 
-    Parameters
-    ----------
-    mounted
-        Whether it runs under a vehicle.
-    ahead
-        What is known of its limit.
-    alerts
-        Its open alerts, the worst first.
-    last_ns
-        End of its newest usable data, ns UTC; None where there are none.
-    refused
-        Whether windows of it are received and refused.
+    Args:
+        ahead: What is known of its limit.
+        last_ns: End of its newest usable data, ns UTC; None where there are none.
     """
     standing = [alert for alert in alerts if alert.condition in {Condition.ACTIVE, Condition.UNKNOWN}]
     found: list[tuple[Urgency, Reason]] = []
@@ -90,11 +81,6 @@ def urgency_key(state: WorklistState) -> float:
     """Return the number that orders wheelsets by urgency, the most urgent first.
 
     Within a class the one comes first whose limit may be reached first (p10); over the limit, the most certain one.
-
-    Parameters
-    ----------
-    state
-        Of a wheelset.
     """
     within = FAR_KM if state.distance_to_limit_km.p10 is None else state.distance_to_limit_km.p10
     if state.urgency is Urgency.OVER_LIMIT:
@@ -106,11 +92,6 @@ def distance_key(state: WorklistState) -> float | None:
     """Return the number that orders wheelsets by their distance to the limit: its median; None where it is not known.
 
     A median beyond the horizon comes behind all others, those first whose limit may be reached within it (p10).
-
-    Parameters
-    ----------
-    state
-        Of a wheelset.
     """
     distance = state.distance_to_limit_km
     if distance.p50 is not None:

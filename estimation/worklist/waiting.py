@@ -19,20 +19,13 @@ ESTIMATION, ALIGNMENT, GEOMETRY = "estimate_windows", "refresh_alignment", "refr
 class SectionFacts:
     """What is stored of a section and decides what its windows wait for.
 
-    Attributes
-    ----------
-    code
-        Of the section.
-    in_force
-        Its alignment; None where there is none.
-    looked_at
-        Whether its passes have been looked at.
-    found
-        Why the last look found no alignment; None where it did.
-    survey
-        Why the survey on file is not used; None where it is, or there is none.
-    failed
-        What is kept of the last failure of :data:`ALIGNMENT` at it; None where it succeeded.
+    Attributes:
+        code: Of the section.
+        in_force: Its alignment; None where there is none.
+        looked_at: Whether its passes have been looked at.
+        found: Why the last look found no alignment; None where it did.
+        survey: Why the survey on file is not used; None where it is, or there is none.
+        failed: What is kept of the last failure of :data:`ALIGNMENT` at it; None where it succeeded.
     """
 
     code: str
@@ -58,16 +51,10 @@ def waits_for(
 ) -> Reason:
     """Return what a window waits for.
 
-    Parameters
-    ----------
-    section
-        That it is on; None where that is not known.
-    no_class
-        That the class of its vehicle is not on file; None where it is.
-    last_run
-        Newest run of :data:`ESTIMATION`; None where it has never run.
-    placed
-        Whether its place on the section is found.
+    Args:
+        section: That it is on; None where that is not known.
+        no_class: That the class of its vehicle is not on file; None where it is.
+        last_run: Newest run of :data:`ESTIMATION`; None where it has never run.
     """
     if no_class is not None:
         return no_class
@@ -80,13 +67,7 @@ def waits_for(
 
 
 def no_alignment(section: SectionFacts) -> Reason:
-    """Return that a section has no alignment, and why.
-
-    Parameters
-    ----------
-    section
-        The section.
-    """
+    """Return that a section has no alignment, and why."""
     survey = "" if section.survey is None else f"; the survey is {section.survey.text}"
     text = f"the alignment of section {section.code} is not known yet: {_looked(section)}{survey}"
     return Reason(ReasonCode.ALIGNMENT_UNKNOWN, text)
@@ -95,12 +76,8 @@ def no_alignment(section: SectionFacts) -> Reason:
 def tried_again(reason: Reason, failed: Quarantined | None) -> Reason:
     """Return a reason with when it is tried again.
 
-    Parameters
-    ----------
-    reason
-        Why something failed.
-    failed
-        What is kept of the failure; None where nothing is.
+    Args:
+        failed: What is kept of the failure; None where nothing is.
     """
     if failed is None:
         return reason
@@ -110,12 +87,9 @@ def tried_again(reason: Reason, failed: Quarantined | None) -> Reason:
 def no_geometry_yet(last_run: JobRun | None, failed: Quarantined | None) -> Reason:
     """Return why estimated windows have given no geometry.
 
-    Parameters
-    ----------
-    last_run
-        Newest run of :data:`GEOMETRY`; None where it has never run.
-    failed
-        What is kept of its last failure at the wheelset; None where nothing is.
+    Args:
+        last_run: Newest run of :data:`GEOMETRY`; None where it has never run.
+        failed: What is kept of its last failure at the wheelset; None where nothing is.
     """
     if failed is not None:
         return Reason(failed.code, f"{GEOMETRY} failed at it: {failed.error}; {_again(failed)}")

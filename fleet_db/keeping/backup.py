@@ -37,12 +37,10 @@ Progress = Callable[[int, int], None]
 class BackupPlan:
     """What a backup holds beside the database.
 
-    Attributes
-    ----------
-    windows
-        Whether window files; without them a restore makes them again from the recordings.
-    recordings
-        Whether recordings; None: where the store has no copies of its own. Of others their digests are kept.
+    Attributes:
+        windows: Whether window files; without them a restore makes them again from the recordings.
+        recordings: Whether recordings; None: where the store has no copies of its own. Of others their digests are
+            kept.
     """
 
     windows: bool = True
@@ -61,27 +59,16 @@ def back_up(
     refer to them, and only a purge deletes them, which waits for a backup. Files that an earlier backup of the folder
     has already are not copied again.
 
-    Parameters
-    ----------
-    storage, raw
-        What is backed up.
-    folder
-        Of the backups; made if it is not there.
-    now_ns
-        Our time, ns UTC.
-    plan
-        What it holds.
-    progress
-        Called with (done, total) files.
+    Args:
+        folder: Of the backups; made if it is not there.
+        now_ns: Our time, ns UTC.
+        progress: Called with (done, total) files.
 
-    Raises
-    ------
-    ConflictError
-        Another backup, restore or purge is running.
-    MigrationError
-        The database is not at the migration of this version.
-    StorageError, PassingFaultError
-        The database, a file or a recording cannot be read or written; the folder holds no manifest then.
+    Raises:
+        ConflictError: Another backup, restore or purge is running.
+        MigrationError: The database is not at the migration of this version.
+        StorageError, PassingFaultError: The database, a file or a recording cannot be read or written; the folder holds
+            no manifest then.
     """
     check_head(storage.engine)
     name = backup_name(now_ns)

@@ -13,13 +13,7 @@ BATCH = 2000
 
 
 def row_counts(connection: Connection) -> dict[str, int]:
-    """Return the number of rows of every table.
-
-    Parameters
-    ----------
-    connection
-        Of a transaction that sees one snapshot.
-    """
+    """Return the number of rows of every table."""
     return {
         table.name: int(connection.execute(select(func.count()).select_from(table)).scalar_one())
         for table in Base.metadata.sorted_tables
@@ -29,12 +23,8 @@ def row_counts(connection: Connection) -> dict[str, int]:
 def copy_rows(source: Connection, target: Connection) -> dict[str, int]:
     """Make every table hold the rows of another database; return their numbers by table.
 
-    Parameters
-    ----------
-    source
-        Of a transaction that sees one snapshot.
-    target
-        Of a writing transaction; its tables are those of this version. Rows that are there are deleted first.
+    Args:
+        target: Of a writing transaction; its tables are those of this version. Rows that are there are deleted first.
     """
     for table in reversed(Base.metadata.sorted_tables):
         target.execute(delete(table))

@@ -34,16 +34,11 @@ OF_TABLE = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == T
 class Finding:
     """Something that does not belong together.
 
-    Attributes
-    ----------
-    kind
-        What was compared: ``recording``, ``window file``, ``rows``, ``packed values``, ``database``, ``orphan``.
-    subject
-        What it is about.
-    detail
-        What is wrong.
-    harmless
-        Whether nothing is lost by it: a file that nothing refers to.
+    Attributes:
+        kind: What was compared: ``recording``, ``window file``, ``rows``, ``packed values``, ``database``, ``orphan``.
+        subject: What it is about.
+        detail: What is wrong.
+        harmless: Whether nothing is lost by it: a file that nothing refers to.
     """
 
     kind: str
@@ -69,17 +64,11 @@ class DeepCheck:
 def check_deep(storage: SqlStorage, raw: RawStore, progress: Callable[[int, int], None]) -> DeepCheck:
     """Read everything that is stored and compare it; changes nothing, and services may run.
 
-    Parameters
-    ----------
-    storage, raw
-        What is checked.
-    progress
-        Called with (done, total) files.
+    Args:
+        progress: Called with (done, total) files.
 
-    Raises
-    ------
-    StorageError, PassingFaultError
-        The database, a file or the store of raw recordings cannot be read now.
+    Raises:
+        StorageError, PassingFaultError: The database, a file or the store of raw recordings cannot be read now.
     """
     with storage.read() as unit:
         findings = [*_database(unit.connection), *_rows(unit.connection), *_bins(unit)]

@@ -20,17 +20,9 @@ BUSY = "a backup, restore or purge of this database is running"
 def keeping_alone(engine: Engine) -> Iterator[None]:
     """Hold the lock of those who copy or delete files of a database.
 
-    Parameters
-    ----------
-    engine
-        Of the database.
-
-    Raises
-    ------
-    ConflictError
-        Another process holds it.
-    StorageError
-        The database cannot be reached.
+    Raises:
+        ConflictError: Another process holds it.
+        StorageError: The database cannot be reached.
     """
     file = sqlite_file(engine)
     if file is not None:

@@ -25,14 +25,8 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
     A window is estimated and rolled up, or refused for good. It is of no epoch of an alignment that may be computed
     again when a recording comes late: nor of one that identified nothing, until a later one has.
 
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    before_ns
-        They start before it, ns UTC.
-    limit
-        Largest number.
+    Args:
+        before_ns: They start before it, ns UTC.
     """
     rolled = exists().where(
         TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns, TABLES.c.rolled
@@ -59,14 +53,8 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
 def mark_purged(connection: Connection, windows: Sequence[Row[Any, Any, Any, Any]], now_ns: int) -> None:
     """Store that the samples of windows are gone, in the transaction that found them.
 
-    Parameters
-    ----------
-    connection
-        Of that transaction.
-    windows
-        With wheelset and start_ns.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        now_ns: Our time, ns UTC.
     """
     same = (WINDOWS.c.wheelset == bindparam("of_wheelset"), WINDOWS.c.start_ns == bindparam("of_start_ns"))
     keys = [{"of_wheelset": one.wheelset, "of_start_ns": one.start_ns} for one in windows]

@@ -33,14 +33,9 @@ def expired_tables(connection: Connection, before_ns: int, number: int | None = 
     whole: no table of its wheelset from before waits to be added, none is to be taken away, and it has as many windows
     as there are tables.
 
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    before_ns
-        Their windows start before it, ns UTC.
-    number
-        Of the one that is looked at; None: all are.
+    Args:
+        before_ns: Their windows start before it, ns UTC.
+        number: Of the one that is looked at; None: all are.
     """
     same = TABLES.c.wheelset == ROLL_UPS.c.wheelset
     older = exists().where(same, OF_ROLL_UP, TABLES.c.start_ns < before_ns)
@@ -63,14 +58,8 @@ def seal(connection: Connection, roll_up: int, now_ns: int) -> int:
 
     Where its windows were, and of which epochs, goes with them: no alignment is computed from them again.
 
-    Parameters
-    ----------
-    connection
-        Of the transaction that found it.
-    roll_up
-        Its number.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        now_ns: Our time, ns UTC.
     """
     span = select(func.min(TABLES.c.start_ns), func.max(TABLES.c.start_ns)).where(TABLES.c.roll_up == roll_up)
     first_ns, last_ns = connection.execute(span).one()

@@ -26,16 +26,11 @@ SAMPLES = "windows"
 class KeptFile:
     """A file that a row refers to.
 
-    Attributes
-    ----------
-    digest
-        That the window in it must have.
-    size
-        In bytes.
-    path
-        Relative to the data folder.
-    owner
-        Whose it is, for messages.
+    Attributes:
+        digest: That the window in it must have.
+        size: In bytes.
+        path: Relative to the data folder.
+        owner: Whose it is, for messages.
     """
 
     digest: str
@@ -46,10 +41,8 @@ class KeptFile:
     def fault(self, folder: Path) -> str | None:
         """Return what is wrong with this file in a data folder or backup; None where nothing is.
 
-        Raises
-        ------
-        StorageError
-            It cannot be read now; it may be whole.
+        Raises:
+            StorageError: It cannot be read now; it may be whole.
         """
         place = folder / self.path
         try:
@@ -67,13 +60,7 @@ class KeptFile:
 
 
 def kept_files(connection: Connection) -> Iterator[KeptFile]:
-    """Yield every file that the rows refer to, each once.
-
-    Parameters
-    ----------
-    connection
-        Of a transaction that sees one snapshot.
-    """
+    """Yield every file that the rows refer to, each once."""
     samples = WindowFiles(Path(SAMPLES))
     columns = (WINDOWS.c.content_digest, WINDOWS.c.sample_bytes, WINDOWS.c.wheelset, WINDOWS.c.start_ns)
     of_samples = select(*columns).where(WINDOWS.c.samples_purged_ns.is_(None)).order_by(WINDOWS.c.content_digest)
@@ -91,17 +78,11 @@ def copy_kept(file: KeptFile, source: Path, target: Path) -> str | None:
 
     A file of this content that is there already stays as it is; one of the same name that is not is replaced.
 
-    Parameters
-    ----------
-    file
-        Which.
-    source, target
-        The folders: data folders or backups.
+    Args:
+        source, target: The folders: data folders or backups.
 
-    Raises
-    ------
-    StorageError
-        It cannot be read or written now.
+    Raises:
+        StorageError: It cannot be read or written now.
     """
     place = target / file.path
     if file.fault(target) is None:

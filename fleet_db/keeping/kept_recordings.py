@@ -22,12 +22,9 @@ RAW = "raw"
 class KeptRecording:
     """A recording that a row refers to.
 
-    Attributes
-    ----------
-    digest, suffix, size
-        Of its bytes.
-    owner
-        Whose it is, for messages.
+    Attributes:
+        digest, suffix, size: Of its bytes.
+        owner: Whose it is, for messages.
     """
 
     digest: str
@@ -47,13 +44,7 @@ class KeptRecording:
 
 
 def kept_recordings(connection: Connection) -> Iterator[KeptRecording]:
-    """Yield every recording that the rows refer to.
-
-    Parameters
-    ----------
-    connection
-        Of a transaction that sees one snapshot.
-    """
+    """Yield every recording that the rows refer to."""
     chunks = select(CHUNKS.c.digest, CHUNKS.c.suffix, CHUNKS.c.size_bytes, CHUNKS.c.vehicle)
     for row in connection.execute(chunks.where(CHUNKS.c.purged_ns.is_(None)).order_by(CHUNKS.c.digest)):
         owner = f"recording {row.digest[:12]} of vehicle {row.vehicle}"
@@ -63,17 +54,12 @@ def kept_recordings(connection: Connection) -> Iterator[KeptRecording]:
 def copy_recording(kept: KeptRecording, source: RawStore, target: RawStore) -> str | None:
     """Copy a recording from one store to another and look at what was copied; return what is wrong with it.
 
-    Parameters
-    ----------
-    kept
-        Which; it stays as it is where it is whole in the target.
-    source, target
-        The stores: that of the installation, or that of a backup.
+    Args:
+        kept: Which; it stays as it is where it is whole in the target.
+        source, target: The stores: that of the installation, or that of a backup.
 
-    Raises
-    ------
-    PassingFaultError
-        It cannot be read or written now.
+    Raises:
+        PassingFaultError: It cannot be read or written now.
     """
     if target.holds(kept.digest, kept.suffix) and kept.fault(target) is None:
         return None
@@ -88,17 +74,11 @@ def copy_recording(kept: KeptRecording, source: RawStore, target: RawStore) -> s
 def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple[KeptRecording, str]]:
     """Return the recordings that a store does not list with their size, each with what is wrong; nothing is read.
 
-    Parameters
-    ----------
-    recordings
-        That must be there.
-    raw
-        The store.
+    Args:
+        recordings: That must be there.
 
-    Raises
-    ------
-    PassingFaultError
-        It cannot be listed now.
+    Raises:
+        PassingFaultError: It cannot be listed now.
     """
     sizes = {item.digest: item.size_bytes for item in raw.listed() if item.digest}
     wrong = []
@@ -114,11 +94,7 @@ def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple
 def write_digests(path: Path, recordings: Sequence[KeptRecording]) -> None:
     """Write digest and name of recordings as ``sha256sum --check`` reads them, durably.
 
-    Parameters
-    ----------
-    path
-        The file.
-    recordings
-        Of a store that is not copied.
+    Args:
+        recordings: Of a store that is not copied.
     """
     write_atomically(path, "".join(f"{one.digest}  {one.name}\n" for one in recordings).encode(), durable=True)

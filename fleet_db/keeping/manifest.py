@@ -20,27 +20,17 @@ PREFIX, SUFFIX = "backup-", ".json"
 class Manifest:
     """One backup in a backup folder; recordings and windows are shared with the others of the folder.
 
-    Attributes
-    ----------
-    name
-        The time of the backup, which is in the names of its files.
-    migration
-        Of the database.
-    database_sha256, database_bytes
-        Of its database file.
-    rows
-        By table.
-    raw_files, window_files, file_bytes
-        That the rows refer to; the bytes are those of what the backup is to hold.
-    missing
-        Files that the rows refer to and that were not there, or damaged.
-    windows_kept
-        Whether window files are in the backup; if not, they are made again from the recordings.
-    recordings_kept
-        Whether recordings are in the backup; if not, their digests are in a file beside it, and their bytes are in
-        the store.
-    raw_store
-        Where the recordings were.
+    Attributes:
+        name: The time of the backup, which is in the names of its files.
+        migration: Of the database.
+        database_sha256, database_bytes: Of its database file.
+        rows: By table.
+        raw_files, window_files, file_bytes: That the rows refer to; the bytes are those of what the backup is to hold.
+        missing: Files that the rows refer to and that were not there, or damaged.
+        windows_kept: Whether window files are in the backup; if not, they are made again from the recordings.
+        recordings_kept: Whether recordings are in the backup; if not, their digests are in a file beside it, and their
+            bytes are in the store.
+        raw_store: Where the recordings were.
     """
 
     name: str
@@ -62,40 +52,22 @@ class Manifest:
 
 
 def digests_file(folder: Path, name: str) -> Path:
-    """Return where the digests of the recordings are that a backup does not hold.
-
-    Parameters
-    ----------
-    folder
-        Of the backups.
-    name
-        Of this one.
-    """
+    """Return where the digests of the recordings are that a backup does not hold."""
     return folder / f"recordings-{name}.sha256"
 
 
 def backup_name(now_ns: int) -> str:
     """Return the name of a backup of this time, in the order of time.
 
-    Parameters
-    ----------
-    now_ns
-        Our time, ns UTC.
+    Args:
+        now_ns: Our time, ns UTC.
     """
     seconds, rest = divmod(now_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1_000_000:03d}Z"
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> Path:
-    """Write the manifest of a backup that is whole; return its file.
-
-    Parameters
-    ----------
-    folder
-        Of the backups.
-    manifest
-        Of this one.
-    """
+    """Write the manifest of a backup that is whole; return its file."""
     path = folder / f"{PREFIX}{manifest.name}{SUFFIX}"
     content = json.dumps({"format": FORMAT, **asdict(manifest)}, indent=1).encode()
     write_atomically(path, content + b"\n", durable=True)
@@ -105,17 +77,8 @@ def write_manifest(folder: Path, manifest: Manifest) -> Path:
 def read_manifest(folder: Path, name: str | None = None) -> Manifest:
     """Return the manifest of a backup, of the newest where none is named.
 
-    Parameters
-    ----------
-    folder
-        Of the backups.
-    name
-        Of one of them.
-
-    Raises
-    ------
-    InputError
-        There is none, or it is damaged; names the file.
+    Raises:
+        InputError: There is none, or it is damaged; names the file.
     """
     names = sorted(path.name.removeprefix(PREFIX).removesuffix(SUFFIX) for path in folder.glob(f"{PREFIX}*{SUFFIX}"))
     if not names:
@@ -136,12 +99,6 @@ def read_manifest(folder: Path, name: str | None = None) -> Manifest:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the sha256 of a file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    """
+    """Return the sha256 of a file."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()

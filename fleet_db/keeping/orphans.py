@@ -23,17 +23,11 @@ LEAST_AGE_S = 3600.0
 def orphaned_samples(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> list[Path]:
     """Return the files of windows that no row refers to, relative to the data folder.
 
-    Parameters
-    ----------
-    storage
-        Database and data folder.
-    least_age_s
-        Younger files do not count: their rows may be about to be committed.
+    Args:
+        least_age_s: Younger files do not count: their rows may be about to be committed.
 
-    Raises
-    ------
-    StorageError
-        The folder cannot be read.
+    Raises:
+        StorageError: The folder cannot be read.
     """
     files = sorted(_old_files(storage.data_dir, least_age_s))  # before the rows: these only grow more
     kept = select(WINDOWS.c.content_digest).where(WINDOWS.c.samples_purged_ns.is_(None)).distinct()
@@ -45,17 +39,8 @@ def orphaned_samples(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> l
 def orphaned_recordings(storage: SqlStorage, raw: RawStore, least_age_s: float = LEAST_AGE_S) -> list[RawItem]:
     """Return what is in the store of raw recordings and no row refers to.
 
-    Parameters
-    ----------
-    storage, raw
-        Database and store.
-    least_age_s
-        As for :func:`orphaned_samples`.
-
-    Raises
-    ------
-    PassingFaultError
-        The store cannot be listed now.
+    Raises:
+        PassingFaultError: The store cannot be listed now.
     """
     before_s = time.time() - least_age_s
     items = sorted((one for one in raw.listed() if one.changed_s <= before_s), key=lambda one: one.place)

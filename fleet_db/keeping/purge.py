@@ -71,23 +71,14 @@ def purge(
 
     Every batch is a transaction of its own with its record, so that a purge which ends early has done a part.
 
-    Parameters
-    ----------
-    storage, raw
-        Database and data folder, and where recordings are.
-    retention
-        Days by kind.
-    now_ns
-        Our time, ns UTC.
-    checkpoint
-        Called between batches; it may raise to end the purge.
+    Args:
+        retention: Days by kind.
+        now_ns: Our time, ns UTC.
+        checkpoint: Called between batches; it may raise to end the purge.
 
-    Raises
-    ------
-    ConflictError
-        A backup, restore or other purge is running.
-    StorageError, PassingFaultError
-        The database, a directory or the store of raw recordings cannot be used.
+    Raises:
+        ConflictError: A backup, restore or other purge is running.
+        StorageError, PassingFaultError: The database, a directory or the store of raw recordings cannot be used.
     """
     with keeping_alone(storage.engine):
         with storage.read() as unit:
@@ -131,31 +122,16 @@ def _purge_kind(
 def record_purge(connection: Connection, purged: Purged, before_ns: int, now_ns: int) -> None:
     """Store what was deleted, in the transaction that deletes it.
 
-    Parameters
-    ----------
-    connection
-        Of that transaction.
-    purged
-        What.
-    before_ns
-        Everything of its kind that is older is gone.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        before_ns: Everything of its kind that is older is gone.
+        now_ns: Our time, ns UTC.
     """
     values = {"kind": purged.kind.value, "items": purged.items, "item_bytes": purged.item_bytes}
     connection.execute(insert(PURGES).values(**values, before_ns=before_ns, purged_ns=now_ns))
 
 
 def purged_before(connection: Connection, kind: Kept) -> int | None:
-    """Return the time before which a kind has been deleted; None where nothing has.
-
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    kind
-        Of what was kept.
-    """
+    """Return the time before which a kind has been deleted; None where nothing has."""
     found: int | None = connection.scalar(select(func.max(PURGES.c.before_ns)).where(PURGES.c.kind == kind.value))
     return found
 

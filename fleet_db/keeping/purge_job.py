@@ -17,14 +17,8 @@ EVERY_S = 86_400.0
 def purge_job(retention: Retention, raw: RawStore, storage_of: Callable[[JobContext], SqlStorage]) -> Job:
     """Return the job.
 
-    Parameters
-    ----------
-    retention
-        Days by kind.
-    raw
-        Where recordings are.
-    storage_of
-        Returns the storage of a context.
+    Args:
+        retention: Days by kind.
     """
     run = partial(_run, retention, raw, storage_of)
     return Job("purge", "Delete what has been kept long enough", every_s=EVERY_S, run=run)

@@ -37,30 +37,15 @@ class Kept(StrEnum):
 class Retention:
     """Days that each kind is kept; None for ever.
 
-    Parameters
-    ----------
-    job_runs, failed_job_runs
-        After their end.
-    idempotency_keys
-        After the answer.
-    superseded_estimates
-        After the estimate that replaced it: so far back ``as_of`` answers.
-    every_estimate
-        After it was recorded; then the last of each day, UTC, is kept: ``as_of`` answers to the day.
-    track_reports
-        After the report that replaced it.
-    recordings
-        After they were received; not below ``LEAST_DAYS_OF_RECORDINGS``, for those beside them may still come.
-    audit
-        Entries of the audit log.
-    webhook_deliveries
-        After they were sent last.
-    orphaned_files
-        After their last change.
-    window_samples
-        After the start of the window; not below ``LEAST_DAYS_OF_SAMPLES``.
-    window_bin_tables
-        After the start of the newest window of their roll-up; those of windows that have samples stay.
+    Args:
+        job_runs, failed_job_runs: After their end.
+        superseded_estimates: After the estimate that replaced it: so far back ``as_of`` answers.
+        every_estimate: After it was recorded; then the last of each day, UTC, is kept: ``as_of`` answers to the day.
+        recordings: After they were received; not below ``LEAST_DAYS_OF_RECORDINGS``, for those beside them may still
+            come.
+        window_samples: After the start of the window; not below ``LEAST_DAYS_OF_SAMPLES``.
+        window_bin_tables: After the start of the newest window of their roll-up; those of windows that have samples
+            stay.
     """
 
     job_runs: float | None = 14.0
@@ -89,12 +74,8 @@ class Retention:
     def before_ns(self, kind: Kept, now_ns: int) -> int | None:
         """Return the time before which this kind is deleted; None where it is kept for ever.
 
-        Parameters
-        ----------
-        kind
-            Of what is kept.
-        now_ns
-            Our time, ns UTC.
+        Args:
+            now_ns: Our time, ns UTC.
         """
         days: float | None = getattr(self, kind.value)
         return None if days is None else now_ns - round(days * DAY_NS)

@@ -50,18 +50,13 @@ TABLES: Mapping[str, tuple[str, ...]] = {
 class StoredKind:
     """What there is of one kind.
 
-    Attributes
-    ----------
-    items
-        Rows, or files.
-    item_bytes, index_bytes
-        Of rows or files, and of the indexes of the rows.
-    estimated
-        Whether items or bytes were sampled or are the database's own estimate.
-    days
-        How long it is kept; None for ever.
-    wheelset_year_bytes
-        What one wheelset keeps of it after a year at its running rate and these days; None where nothing has run.
+    Attributes:
+        items: Rows, or files.
+        item_bytes, index_bytes: Of rows or files, and of the indexes of the rows.
+        estimated: Whether items or bytes were sampled or are the database's own estimate.
+        days: How long it is kept; None for ever.
+        wheelset_year_bytes: What one wheelset keeps of it after a year at its running rate and these days; None where
+            nothing has run.
     """
 
     kind: str
@@ -108,19 +103,12 @@ def stored_bytes(
 ) -> StoredBytes:
     """Return where the bytes are.
 
-    Parameters
-    ----------
-    storage, raw
-        Database and data folder, and where recordings are.
-    retention
-        Days by kind.
-    hours_per_day
-        Running of a wheelset to reckon with; None: as in the last days of data.
+    Args:
+        retention: Days by kind.
+        hours_per_day: Running of a wheelset to reckon with; None: as in the last days of data.
 
-    Raises
-    ------
-    StorageError, PassingFaultError
-        The database, a directory or the store of raw recordings cannot be read.
+    Raises:
+        StorageError, PassingFaultError: The database, a directory or the store of raw recordings cannot be read.
     """
     with storage.read() as unit:
         size = database_size(unit.connection, EXACT_BYTES)

@@ -54,12 +54,8 @@ def database_size(connection: Connection, exact_bytes: int = EXACT_BYTES) -> Dat
     PostgreSQL keeps sizes and row counts itself. In SQLite the pages of a small file are counted; of a large one a
     few rows are read at even distances, and their mean is scaled to the size of the file.
 
-    Parameters
-    ----------
-    connection
-        Of a transaction that reads.
-    exact_bytes
-        Largest SQLite file of which every page is counted.
+    Args:
+        exact_bytes: Largest SQLite file of which every page is counted.
     """
     if connection.dialect.name == "postgresql":
         return _of_postgresql(connection)

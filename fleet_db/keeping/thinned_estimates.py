@@ -21,14 +21,9 @@ NUMBERS: dict[Table, Column[int]] = {GEOMETRIES: GEOMETRIES.c.geometry_id, TREND
 def replaced_within_a_day(connection: Connection, table: Table, from_ns: int, before_ns: int) -> Sequence[int]:
     """Return the numbers of estimates that another of the same key replaced on the same day, UTC.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction: what is found stays so.
-    table
-        Of geometries or trends.
-    from_ns, before_ns
-        Begins of days between which they were recorded, ns UTC.
+    Args:
+        table: Of geometries or trends.
+        from_ns, before_ns: Begins of days between which they were recorded, ns UTC.
     """
     number, day = NUMBERS[table], table.c.recorded_ns - table.c.recorded_ns % DAY_NS
     newest_first = func.row_number().over(
@@ -42,13 +37,7 @@ def replaced_within_a_day(connection: Connection, table: Table, from_ns: int, be
 def forget_estimates(connection: Connection, table: Table, numbers: Sequence[int]) -> int:
     """Delete estimates; return how many there were.
 
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    table
-        Of geometries or trends.
-    numbers
-        Of those that go.
+    Args:
+        table: Of geometries or trends.
     """
     return int(connection.execute(delete(table).where(NUMBERS[table].in_(numbers))).rowcount)

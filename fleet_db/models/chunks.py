@@ -24,15 +24,7 @@ CLOCKS = (("first_ns", "last_ns"), ("recorder_first_ns", "recorder_last_ns"))
 
 
 def of_length(condition: str, clock: tuple[str, str]) -> TextClause:
-    """Return the condition of an index of :data:`LENGTHS`; a statement that uses the index has it word for word.
-
-    Parameters
-    ----------
-    condition
-        Of :data:`LENGTHS`.
-    clock
-        Of :data:`CLOCKS`.
-    """
+    """Return the condition of an index of :data:`LENGTHS`; a statement that uses the index has it word for word."""
     first, last = clock
     return text(f"state = 'decoded' AND {condition.format(first=first, last=last)}")
 

@@ -37,14 +37,9 @@ class AdhesionStore:
         Their wheelsets have a geometry, and their samples are there. Each window is returned until what was found of
         its content is stored.
 
-        Parameters
-        ----------
-        section
-            Code.
-        after
-            Wheelset and start of the one behind which to go on; None from the beginning.
-        limit
-            How many at most.
+        Args:
+            after: Wheelset and start of the one behind which to go on; None from the beginning.
+            limit: How many at most.
         """
         wheelset, start_ns = WINDOWS.c.wheelset, WINDOWS.c.start_ns
         known = select(GEOMETRIES.c.wheelset).where(GEOMETRIES.c.wheelset == wheelset).correlate(WINDOWS).exists()
@@ -55,13 +50,7 @@ class AdhesionStore:
         return [(row.wheelset, row.start_ns) for row in rows]
 
     def unlooked(self, section: str) -> bool:
-        """Return whether there are windows of a section that are estimated and not looked at, geometry or not.
-
-        Parameters
-        ----------
-        section
-            Code.
-        """
+        """Return whether there are windows of a section that are estimated and not looked at, geometry or not."""
         return self.connection.execute(_not_looked_at(section).limit(1)).first() is not None
 
     def put(self, found: WindowAdhesion) -> None:
@@ -86,14 +75,9 @@ class AdhesionStore:
 
         A window whose samples are others by now is left out until it has been looked at again.
 
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        after_ns
-            Start of the one behind which to go on; None from the beginning.
-        limit
-            How many at most.
+        Args:
+            after_ns: Start of the one behind which to go on; None from the beginning.
+            limit: How many at most.
         """
         same = (OF_WINDOWS.c.wheelset == wheelset, OF_WINDOWS.c.content_digest == WINDOWS.c.content_digest)
         chosen = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(*same)
@@ -119,13 +103,6 @@ class AdhesionStore:
         """Remove the sums of friction of the windows of a section that begin before a time; return of how many.
 
         They are a hundred times as long as the forces, and only what is pooled needs them.
-
-        Parameters
-        ----------
-        section
-            Code.
-        before_ns
-            Vehicle time.
         """
         old = (OF_WINDOWS.c.track_section == section, OF_WINDOWS.c.start_ns < before_ns, OF_WINDOWS.c.with_sums)
         found = self._windows(select(OF_WINDOWS).where(*old).limit(FORGOTTEN))
@@ -161,12 +138,8 @@ class AdhesionStore:
     def section(self, section: str, at_ns: int | None = None) -> SectionAdhesion | None:
         """Return the newest friction of a section; None where there is none.
 
-        Parameters
-        ----------
-        section
-            Code.
-        at_ns
-            Of hours that hold this vehicle time; None for the last hours.
+        Args:
+            at_ns: Of hours that hold this vehicle time; None for the last hours.
         """
         statement = select(OF_SECTIONS).where(OF_SECTIONS.c.track_section == section)
         if at_ns is not None:
@@ -176,15 +149,7 @@ class AdhesionStore:
         return None if row is None else unpack_section_adhesion(row.packed, where=where)
 
     def during(self, section: str, from_ns: int, to_ns: int) -> Sequence[SectionAdhesion]:
-        """Return the friction of a section of all hours that hold a time of a span, newest first.
-
-        Parameters
-        ----------
-        section
-            Code.
-        from_ns, to_ns
-            Vehicle time, both included.
-        """
+        """Return the friction of a section of all hours that hold a time of a span, newest first."""
         chosen = (
             OF_SECTIONS.c.track_section == section,
             OF_SECTIONS.c.from_ns <= to_ns,

@@ -65,13 +65,7 @@ class EventOutline(NamedTuple):
 
 
 def outlines_of(choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool) -> Select[Any]:
-    """Return a statement with the columns of an ``AlertOutline``.
-
-    Parameters
-    ----------
-    choice, after_id, limit, newest_first
-        As of :func:`page_of`.
-    """
+    """Return a statement with the columns of an ``AlertOutline``."""
     return page_of(_outlines(), choice, after_id, limit, newest_first=newest_first)
 
 
@@ -96,18 +90,9 @@ def page_of(
 ) -> Select[Any]:
     """Return a statement narrowed to one page of alerts, by number.
 
-    Parameters
-    ----------
-    statement
-        Over alerts.
-    choice
-        Which alerts.
-    after_id
-        Behind this number; None from the beginning.
-    limit
-        How many at most.
-    newest_first
-        By number downwards.
+    Args:
+        after_id: Behind this number; None from the beginning.
+        limit: How many at most.
     """
     number = ALERTS.c.alert_id
     if choice.open_only:
@@ -135,12 +120,8 @@ def feed_of(
 ) -> Select[Any]:
     """Return a statement narrowed to what the feed lists behind a number.
 
-    Parameters
-    ----------
-    statement
-        Over events.
-    after_sequence, fleets, kinds, severities
-        As of ``AlertStore.feed``.
+    Args:
+        after_sequence, fleets, kinds, severities: As of ``AlertStore.feed``.
     """
     statement = statement.where(EVENTS.c.sequence > after_sequence, EVENTS.c.in_feed)
     for column, wanted in ((ALERTS.c.fleet, fleets), (ALERTS.c.kind, kinds)):

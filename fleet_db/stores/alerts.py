@@ -70,10 +70,8 @@ class AlertStore:
     def get(self, alert_id: int) -> Alert:
         """Return one alert.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that number.
+        Raises:
+            NotFoundError: There is none of that number.
         """
         found = self._alerts(select(ALERTS).where(ALERTS.c.alert_id == alert_id))
         if not found:
@@ -127,17 +125,11 @@ class AlertStore:
 
         Without those of members that were raised with their fleet alert, which stands for them here.
 
-        Parameters
-        ----------
-        after_sequence
-            Number of the last event known.
-        limit
-            How many at most.
-        fleets, kinds
-            Only of these, where there are some.
-        severities
-            Only of alerts that have had one of these until then, where there are some: an alert that was listed is
-            followed to its end, also when it becomes less urgent.
+        Args:
+            after_sequence: Number of the last event known.
+            limit: How many at most.
+            severities: Only of alerts that have had one of these until then, where there are some: an alert that was
+                listed is followed to its end, also when it becomes less urgent.
         """
         statement = feed_of(select(EVENTS), after_sequence, fleets=fleets, kinds=kinds, severities=severities)
         return self._events(statement.limit(limit))
@@ -165,10 +157,8 @@ class AlertStore:
     def last_in_feed(self, up_to: int | None = None) -> AlertEvent | None:
         """Return the newest event of the feed; None where there is none.
 
-        Parameters
-        ----------
-        up_to
-            Not behind this number; None for all.
+        Args:
+            up_to: Not behind this number; None for all.
         """
         statement = select(EVENTS).where(EVENTS.c.in_feed).order_by(EVENTS.c.sequence.desc()).limit(1)
         if up_to is not None:
@@ -196,12 +186,9 @@ class AlertStore:
         A new alert (``alert_id`` 0) gets its number and version 1. A known one must carry the version that it was
         read with, and gets the next; one that is as stored already, without events, is left alone.
 
-        Raises
-        ------
-        NotFoundError
-            There is no alert of that number.
-        ConflictError
-            It was changed since it was read, or another of its kind is open.
+        Raises:
+            NotFoundError: There is no alert of that number.
+            ConflictError: It was changed since it was read, or another of its kind is open.
         """
         serialise(self.connection, Subject.ALERTS)
         self._only_open(alert)

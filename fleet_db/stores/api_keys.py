@@ -30,10 +30,8 @@ class ApiKeyStore:
     def get(self, prefix: str) -> ApiKey:
         """Return the key with a prefix.
 
-        Raises
-        ------
-        NotFoundError
-            There is none.
+        Raises:
+            NotFoundError: There is none.
         """
         found = self.find(prefix)
         if found is None:
@@ -55,12 +53,9 @@ class ApiKeyStore:
     def revoke(self, prefix: str, now_ns: int) -> ApiKey:
         """Revoke a key and return it.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that prefix.
-        ConflictError
-            It is revoked already.
+        Raises:
+            NotFoundError: There is none of that prefix.
+            ConflictError: It is revoked already.
         """
         if self.get(prefix).revoked_ns is not None:
             raise ConflictError(f"key {prefix} is revoked already", kind="key", key=prefix)

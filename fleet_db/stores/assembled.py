@@ -27,16 +27,11 @@ HAS_TABLE = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.sta
 class AssembledWindow:
     """A window as it was assembled, to be stored.
 
-    Attributes
-    ----------
-    window, digest
-        With its samples; of its content.
-    mileage_km
-        Of the wheelset since new, at its start.
-    odometer_excess_m
-        By which odometer and speed differ beyond what they may, m.
-    off_line_m
-        From the line of its section, by GNSS, m; 0 within the limit.
+    Attributes:
+        window, digest: With its samples; of its content.
+        mileage_km: Of the wheelset since new, at its start.
+        odometer_excess_m: By which odometer and speed differ beyond what they may, m.
+        off_line_m: From the line of its section, by GNSS, m; 0 within the limit.
     """
 
     window: Window
@@ -50,18 +45,12 @@ class AssembledWindow:
 class StoredWindow:
     """A stored window with what only its storage needs.
 
-    Attributes
-    ----------
-    record
-        The window.
-    sample_bytes
-        Size of its file.
-    samples_purged
-        Whether its file was purged.
-    untouched
-        Whether there is no bin table of it, nor was one.
-    odometer_excess_m, off_line_m
-        As in :class:`AssembledWindow`.
+    Attributes:
+        record: The window.
+        sample_bytes: Size of its file.
+        samples_purged: Whether its file was purged.
+        untouched: Whether there is no bin table of it, nor was one.
+        odometer_excess_m, off_line_m: As in :class:`AssembledWindow`.
     """
 
     record: WindowRecord
@@ -200,12 +189,8 @@ class AssembledWindowStore:
     def intact(self, record: WindowRecord, *, verify: bool) -> bool:
         """Return whether the file of a window is there, or purged; one that is damaged is removed, to be written again.
 
-        Parameters
-        ----------
-        record
-            The window.
-        verify
-            Whether the file is read and checked; else only its size is.
+        Args:
+            verify: Whether the file is read and checked; else only its size is.
         """
         key = and_(WINDOWS.c.wheelset == record.wheelset, WINDOWS.c.start_ns == record.start_ns)
         row = self.connection.execute(select(WINDOWS.c.sample_bytes, WINDOWS.c.samples_purged_ns).where(key)).first()

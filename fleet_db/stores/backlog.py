@@ -19,15 +19,12 @@ CHUNKS, WINDOWS, ENTRIES = table_of(ChunkRow), table_of(WindowRow), table_of(Wor
 class Backlog:
     """What waits.
 
-    Attributes
-    ----------
-    recordings
-        How many there are, by state.
-    oldest_recording_ns, oldest_window_ns
-        Since when, ns of our clock, the oldest recording waits to be decoded and the oldest window to be estimated;
-        None where none does.
-    last_data
-        Fleet, and newest data on the vehicle's clock, of each vehicle with a mounted wheelset; None without data.
+    Attributes:
+        recordings: How many there are, by state.
+        oldest_recording_ns, oldest_window_ns: Since when, ns of our clock, the oldest recording waits to be decoded and
+            the oldest window to be estimated; None where none does.
+        last_data: Fleet, and newest data on the vehicle's clock, of each vehicle with a mounted wheelset; None without
+            data.
     """
 
     recordings: Mapping[ChunkState, int]
@@ -37,13 +34,7 @@ class Backlog:
 
 
 def backlog_of(connection: Connection) -> Backlog:
-    """Return what waits now.
-
-    Parameters
-    ----------
-    connection
-        Of a reading transaction.
-    """
+    """Return what waits now."""
     states = connection.execute(select(CHUNKS.c.state, func.count()).group_by(CHUNKS.c.state))
     stored = select(func.min(CHUNKS.c.received_ns)).where(CHUNKS.c.state == ChunkState.STORED.value)
     pending = select(func.min(WINDOWS.c.recorded_ns)).where(WINDOWS.c.state == WindowState.PENDING.value)

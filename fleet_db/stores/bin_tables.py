@@ -37,22 +37,17 @@ class BinTableStore:
     def put(self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str) -> None:
         """Store the bin table of a window, in the place of an earlier one; the same again changes nothing.
 
-        Raises
-        ------
-        NotFoundError
-            There is no such window.
-        ConflictError
-            The window holds other content now than ``window_digest``.
+        Raises:
+            NotFoundError: There is no such window.
+            ConflictError: The window holds other content now than ``window_digest``.
         """
         self.put_all([WindowTable(wheelset, start_ns, window_digest, table, track_version)])
 
     def put_all(self, tables: Sequence[WindowTable]) -> None:
         """Store the bin tables of different windows as :meth:`put` does.
 
-        Raises
-        ------
-        NotFoundError, ConflictError
-            As :meth:`put`.
+        Raises:
+            NotFoundError, ConflictError: As :meth:`put`.
         """
         windows = self._checked([(one.key, one.window_digest) for one in tables])
         values = {one.key: _values(one) for one in tables}
@@ -127,14 +122,8 @@ class BinTableStore:
     def beside(self, wheelset: str, start_ns: int, from_ns: int, to_ns: int | None) -> Sequence[TabledWindow]:
         """Return the windows with tables before, at and after a time, at most one of each, oldest first.
 
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        start_ns
-            The time.
-        from_ns, to_ns
-            Windows that do not start in ``[from_ns, to_ns)`` are left out.
+        Args:
+            from_ns, to_ns: Windows that do not start in ``[from_ns, to_ns)`` are left out.
         """
         starts, within = TABLES.c.start_ns, [TABLES.c.wheelset == wheelset, TABLES.c.start_ns >= from_ns]
         if to_ns is not None:
@@ -148,17 +137,11 @@ class BinTableStore:
     def cells_of(self, wheelset: str, starts: Sequence[int]) -> Iterator[tuple[int, FilledCells]]:
         """Yield start and filled cells of the tables of some windows, oldest first.
 
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        starts
-            Of the windows, increasing.
+        Args:
+            starts: Of the windows, increasing.
 
-        Raises
-        ------
-        DamagedError
-            A table is damaged; names the window.
+        Raises:
+            DamagedError: A table is damaged; names the window.
         """
         for first in range(0, len(starts), BATCH):
             statement = (
@@ -194,10 +177,8 @@ class BinTableStore:
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]:
         """Yield windows that start in ``[from_ns, to_ns)`` with their bin table and track version, oldest first.
 
-        Raises
-        ------
-        DamagedError
-            A table is damaged; names the window.
+        Raises:
+            DamagedError: A table is damaged; names the window.
         """
         statement = _selected(select(WINDOWS, TABLES.c.track_version, TABLES.c.packed), wheelset, from_ns, to_ns)
         with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:

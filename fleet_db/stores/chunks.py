@@ -40,15 +40,11 @@ LOOKED_THROUGH = 5_000
 class ChosenChunks:
     """Which receipts are listed; None is no filter.
 
-    Attributes
-    ----------
-    state, vehicle, fleet, code
-        Of the recording, of its vehicle now, and of its reason. Deleted recordings are listed where their state is
-        asked for only.
-    received_from_ns, received_to_ns
-        Received in this range, ns of our clock, half-open.
-    measured_from_ns, measured_to_ns
-        With frames in this range of the vehicle's clock, half-open.
+    Attributes:
+        state, vehicle, fleet, code: Of the recording, of its vehicle now, and of its reason. Deleted recordings are
+            listed where their state is asked for only.
+        received_from_ns, received_to_ns: Received in this range, ns of our clock, half-open.
+        measured_from_ns, measured_to_ns: With frames in this range of the vehicle's clock, half-open.
     """
 
     state: ChunkState | None = None
@@ -103,10 +99,8 @@ class ChunkStore:
     def update(self, record: ChunkRecord) -> None:
         """Replace the receipt of ``record.digest``.
 
-        Raises
-        ------
-        NotFoundError
-            There is none.
+        Raises:
+            NotFoundError: There is none.
         """
         result = self.connection.execute(
             update(CHUNKS).where(CHUNKS.c.digest == record.digest).values(**_values(record))
@@ -149,12 +143,8 @@ class ChunkStore:
     def newest_of_vehicle(self, vehicle: str, most: int = LOOKED_THROUGH) -> ChunkRecord | None:
         """Return the receipt of a vehicle that came last; None where none is among the newest of all vehicles.
 
-        Parameters
-        ----------
-        vehicle
-            Code.
-        most
-            How many receipts of all vehicles are looked through: there is no index by vehicle.
+        Args:
+            most: How many receipts of all vehicles are looked through: there is no index by vehicle.
         """
         place = (CHUNKS.c.received_ns.desc(), CHUNKS.c.digest.desc())
         there = CHUNKS.c.state != ChunkState.DELETED.value
@@ -173,14 +163,10 @@ class ChunkStore:
     ) -> Sequence[ChunkRecord]:
         """Return the receipts of recordings that wait for a worker to decode them, in the order of their receipt.
 
-        Parameters
-        ----------
-        limit
-            At most so many.
-        after
-            Recorded time and digest of the last one of the page before.
-        vehicle
-            Only its; None for all.
+        Args:
+            limit: At most so many.
+            after: Recorded time and digest of the last one of the page before.
+            vehicle: Only its; None for all.
         """
         place = (CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         statement = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after)).order_by(*place).limit(limit)
@@ -197,10 +183,8 @@ class ChunkStore:
     def of_digests(self, digests: Sequence[str]) -> dict[str, ChunkRecord]:
         """Return the receipts of these recordings, each under its digest.
 
-        Parameters
-        ----------
-        digests
-            At most some hundreds.
+        Args:
+            digests: At most some hundreds.
         """
         found = self.connection.execute(select(CHUNKS).where(CHUNKS.c.digest.in_(digests)))
         return {row.digest: _record(row) for row in found}
@@ -225,14 +209,9 @@ class ChunkStore:
     ) -> builtins.list[ChunkRecord]:
         """Return receipts, the one that was received last first.
 
-        Parameters
-        ----------
-        chosen
-            Which.
-        limit
-            At most so many.
-        before
-            Time of receipt and digest of the last one of the page before; None for the first page.
+        Args:
+            limit: At most so many.
+            before: Time of receipt and digest of the last one of the page before; None for the first page.
         """
         place = (CHUNKS.c.received_ns, CHUNKS.c.digest)
         statement = select(CHUNKS).where(*chosen.conditions()).order_by(*(one.desc() for one in place)).limit(limit)
@@ -241,13 +220,7 @@ class ChunkStore:
         return [_record(row) for row in self.connection.execute(statement)]
 
     def window_counts(self, record: ChunkRecord) -> dict[WindowState, int]:
-        """Return how many windows share time and vehicle with a recording, by their state.
-
-        Parameters
-        ----------
-        record
-            Its receipt.
-        """
+        """Return how many windows share time and vehicle with a recording, by their state."""
         if record.first_ns is None or record.last_ns is None:
             return {}
         mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == record.vehicle)

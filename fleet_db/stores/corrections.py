@@ -58,14 +58,10 @@ class CorrectionStore:
     def void(self, key: RecordKey, decision: Decision) -> Mapping[str, JsonValue]:
         """Take a record out of the registry; return what it was.
 
-        Raises
-        ------
-        NotFoundError
-            There is no such record.
-        ConflictError
-            It is a wheelset that is mounted somewhere: void its mountings first.
-        ParameterError
-            No reason is given, or a time is missing.
+        Raises:
+            NotFoundError: There is no such record.
+            ConflictError: It is a wheelset that is mounted somewhere: void its mountings first.
+            ParameterError: No reason is given, or a time is missing.
         """
         if not decision.reason.strip():
             raise ParameterError("is needed: it is what others will read", field="reason")
@@ -91,12 +87,9 @@ class CorrectionStore:
     def restore(self, key: RecordKey, decision: Decision) -> Mapping[str, JsonValue]:
         """Put a voided record back as it was; return it.
 
-        Raises
-        ------
-        NotFoundError
-            No such record was voided.
-        ConflictError
-            There is one of its wheelset and time, or number, by now; or it overlaps another mounting.
+        Raises:
+            NotFoundError: No such record was voided.
+            ConflictError: There is one of its wheelset and time, or number, by now; or it overlaps another mounting.
         """
         serialise(self.connection, Subject.REGISTRY)
         voided = self.history.latest(key, RecordAction.VOIDED)

@@ -46,12 +46,8 @@ class DamperStore:
 
         Windows that are not there any more, or have other samples now, say nothing.
 
-        Parameters
-        ----------
-        vehicle, first_axle
-            Which running gear.
-        limit
-            How many at most.
+        Args:
+            limit: How many at most.
         """
         own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
         statement = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(*own)
@@ -59,15 +55,7 @@ class DamperStore:
         return [unpack_window_damper(row.packed, where=f"damper of {vehicle} axle {first_axle}") for row in rows]
 
     def forget(self, vehicle: str, first_axle: int, before_ns: int) -> int:
-        """Remove what windows of a running gear say that began before a time; return of how many.
-
-        Parameters
-        ----------
-        vehicle, first_axle
-            Which running gear.
-        before_ns
-            Vehicle time.
-        """
+        """Remove what windows of a running gear say that began before a time; return of how many."""
         own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
         return self.connection.execute(delete(OF_WINDOWS).where(*own, OF_WINDOWS.c.start_ns < before_ns)).rowcount
 
@@ -76,14 +64,8 @@ class DamperStore:
 
         Jobs look again at the wheelset then: its alerts rest on it.
 
-        Parameters
-        ----------
-        found
-            From its newest windows.
-        wheelset
-            Serial, of the first axle.
-        code_version
-            Of the job.
+        Args:
+            found: From its newest windows.
         """
         values = {
             "vehicle": found.vehicle,
@@ -99,25 +81,13 @@ class DamperStore:
         return upsert(self.connection, OF_GEARS, values)
 
     def gear(self, vehicle: str, first_axle: int) -> GearDamper | None:
-        """Return the damper of a running gear; None where it was not looked at, or none begins at that axle.
-
-        Parameters
-        ----------
-        vehicle, first_axle
-            Which running gear.
-        """
+        """Return the damper of a running gear; None where it was not looked at, or none begins at that axle."""
         own = (OF_GEARS.c.vehicle == vehicle, OF_GEARS.c.first_axle == first_axle)
         packed: bytes | None = self.connection.scalar(select(OF_GEARS.c.packed).where(*own))
         return None if packed is None else unpack_gear_damper(packed, where=f"damper of {vehicle} axle {first_axle}")
 
     def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
-        """Return the dampers of a vehicle by axle.
-
-        Parameters
-        ----------
-        vehicle
-            Code.
-        """
+        """Return the dampers of a vehicle by axle."""
         statement = select(OF_GEARS).where(OF_GEARS.c.vehicle == vehicle).order_by(OF_GEARS.c.first_axle)
         rows = self.connection.execute(statement)
         return [unpack_gear_damper(row.packed, where=f"damper of {vehicle} axle {row.first_axle}") for row in rows]

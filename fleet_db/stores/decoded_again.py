@@ -25,19 +25,7 @@ UNDECODED = (
 
 
 def decode_again(connection: Connection, record: ChunkRecord, why: str, now_ns: int) -> None:
-    """Let a recording be decoded at the next run of the job or ingest.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    record
-        Its receipt.
-    why
-        For people.
-    now_ns
-        Our time.
-    """
+    """Let a recording be decoded at the next run of the job or ingest."""
     error = ConflictError(why, kind="recording", key=record.digest)
     item = after_failure(None, (SubjectKind.RECORDING, record.digest, STAGE), record.vehicle, error, now_ns)
     QuarantineStore(connection).put(item)
@@ -47,19 +35,7 @@ def decode_again(connection: Connection, record: ChunkRecord, why: str, now_ns: 
 
 
 def decode_undecoded(connection: Connection, vehicle: str, why: str, now_ns: int) -> None:
-    """Let the recordings of a vehicle be decoded again that were rejected, or wait for a time.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    vehicle
-        Code.
-    why
-        For people.
-    now_ns
-        Our time.
-    """
+    """Let the recordings of a vehicle be decoded again that were rejected, or wait for a time."""
     for state, code in UNDECODED:
         for record in ChunkStore(connection).page(ChosenChunks(state=state, vehicle=vehicle, code=code), MOST):
             if record.purged_ns is None:

@@ -37,15 +37,7 @@ class WindowDistance:
 
 
 def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str, LifeOnFile]:
-    """Return the lives of some wheelsets.
-
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    serials
-        Of the wheelsets.
-    """
+    """Return the lives of some wheelsets."""
     mountings: defaultdict[str, list[Mounting]] = defaultdict(list)
     for one in mountings_where(connection, MOUNTINGS.c.wheelset, serials):
         mountings[one.wheelset].append(one)
@@ -66,14 +58,8 @@ def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str,
 def mountings_where(connection: Connection, column: ColumnElement[str], keys: Collection[str]) -> list[Mounting]:
     """Return the mountings of some wheelsets, or on some vehicles.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    column
-        ``MOUNTINGS.c.wheelset`` or ``MOUNTINGS.c.vehicle``.
-    keys
-        Values of it.
+    Args:
+        column: ``MOUNTINGS.c.wheelset`` or ``MOUNTINGS.c.vehicle``.
     """
     found = []
     for some in _parts(keys):
@@ -92,14 +78,8 @@ def windows_beside(connection: Connection, wheelset: str, at_ns: int) -> list[Wi
 
     Left out are windows whose mileage is not believed, and those that are to be assembled again.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    wheelset
-        Serial.
-    at_ns
-        ns UTC on the vehicle's clock.
+    Args:
+        at_ns: ns UTC on the vehicle's clock.
     """
     stale = exists().where(
         and_(

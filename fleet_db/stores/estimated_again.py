@@ -39,12 +39,8 @@ class Again:
     ) -> EstimatedAgain:
         """Let what rests on the class of vehicles be estimated again: every window where their motion changes.
 
-        Parameters
-        ----------
-        vehicles
-            Codes of those whose class has changed.
-        before, after
-            Their class; None where it is not on file.
+        Args:
+            before, after: Their class; None where it is not on file.
         """
         if before is None or after is None:
             return NOTHING_AGAIN if before is after else self.vehicles(vehicles)
@@ -53,36 +49,18 @@ class Again:
         return NOTHING_AGAIN if before.digest == after.digest else self.geometries(vehicles)
 
     def vehicles(self, codes: Sequence[str]) -> EstimatedAgain:
-        """Let all windows of some vehicles wait again, and start the sections again that they helped to align.
-
-        Parameters
-        ----------
-        codes
-            Of the vehicles.
-        """
+        """Let all windows of some vehicles wait again, and start the sections again that they helped to align."""
         return self._windows(tuple(codes), WINDOWS.c.vehicle.in_(codes))
 
     def wheelset(self, serial: str) -> EstimatedAgain:
-        """Let all windows of a wheelset wait again, and start the sections again that it helped to align.
-
-        Parameters
-        ----------
-        serial
-            Of the wheelset.
-        """
+        """Let all windows of a wheelset wait again, and start the sections again that it helped to align."""
         return self._windows((f"wheelset {serial}",), WINDOWS.c.wheelset == serial)
 
     def mounting(self, serial: str, from_ns: int, to_ns: int | None, *, there: bool) -> None:
         """Let the windows of a wheelset that overlap some time wait again.
 
-        Parameters
-        ----------
-        serial
-            Of the wheelset.
-        from_ns, to_ns
-            Of the mounting.
-        there
-            Whether the wheelset is where it was then, the same way round.
+        Args:
+            there: Whether the wheelset is where it was then, the same way round.
         """
         within = and_(WINDOWS.c.wheelset == serial, WINDOWS.c.start_ns + WINDOWS.c.length_ns > from_ns)
         ended = within if to_ns is None else and_(within, WINDOWS.c.start_ns < to_ns)
@@ -99,13 +77,7 @@ class Again:
         return EstimatedAgain(names, int(windows), from_ns, tuple(sections))
 
     def geometries(self, codes: Sequence[str]) -> EstimatedAgain:
-        """Let only the geometries of the wheelsets of some vehicles be estimated again.
-
-        Parameters
-        ----------
-        codes
-            Of the vehicles.
-        """
+        """Let only the geometries of the wheelsets of some vehicles be estimated again."""
         of_vehicles = WINDOWS.c.vehicle.in_(codes)
         self._note(of_vehicles)
         from_ns = self.connection.scalar(select(func.min(WINDOWS.c.start_ns)).where(of_vehicles))

@@ -19,12 +19,9 @@ BRANCHES, EVENTS = table_of(FeedBranchRow), table_of(AlertEventRow)
 class FeedBranch:
     """The feed from one restore to the next.
 
-    Attributes
-    ----------
-    identity
-        Random; of the database at first, another one after each restore.
-    after_sequence
-        Last event that it shares with the branch before.
+    Attributes:
+        identity: Random; of the database at first, another one after each restore.
+        after_sequence: Last event that it shares with the branch before.
     """
 
     identity: str
@@ -40,10 +37,8 @@ class FeedBranchStore:
     def all(self) -> Sequence[FeedBranch]:
         """Return the branches, the current one last.
 
-        Raises
-        ------
-        StorageError
-            There is none: somebody has emptied the database.
+        Raises:
+            StorageError: There is none: somebody has emptied the database.
         """
         statement = select(BRANCHES.c.identity, BRANCHES.c.after_sequence).order_by(BRANCHES.c.branch_id)
         found = [FeedBranch(row.identity, row.after_sequence) for row in self.connection.execute(statement)]
@@ -54,10 +49,8 @@ class FeedBranchStore:
     def begin(self, now_ns: int) -> FeedBranch:
         """Begin a branch behind the newest event, in the transaction that restores a database, and return it.
 
-        Parameters
-        ----------
-        now_ns
-            Our time, ns UTC.
+        Args:
+            now_ns: Our time, ns UTC.
         """
         branch = FeedBranch(uuid.uuid4().hex, self.newest_sequence())
         row = {"identity": branch.identity, "after_sequence": branch.after_sequence, "began_ns": now_ns}

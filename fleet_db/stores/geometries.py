@@ -119,12 +119,8 @@ class GeometryStore:
     def reason(self, wheelset: str, baseline: int, interval: int | None) -> Reason | None:
         """Return why the newest geometry of an interval, or the current one, holds no number; None where it does.
 
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        baseline, interval
-            Its key; None is the current geometry.
+        Args:
+            baseline, interval: Its key; None is the current geometry.
         """
         column = GEOMETRIES.c.baseline_interval
         of_interval = column.is_(None) if interval is None else column == interval
@@ -154,16 +150,10 @@ class GeometryStore:
     ) -> Sequence[GeometryRecord]:
         """Return the newest geometry of each mileage interval, of one baseline or of all, in the order of mileage.
 
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        baseline
-            Its number; None is all.
-        as_of_ns
-            Recorded until then; None is now.
-        first, last
-            Numbers of the first and the last interval; None is all.
+        Args:
+            baseline: Its number; None is all.
+            as_of_ns: Recorded until then; None is now.
+            first, last: Numbers of the first and the last interval; None is all.
         """
         statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
         if baseline is not None:
@@ -177,15 +167,7 @@ class GeometryStore:
         return [_record(row) for row in self.connection.execute(statement, as_of)]
 
     def conicities(self, wheelset: str, baseline: int) -> Sequence[IntervalConicities]:
-        """Return the conicities of the newest geometry of each mileage interval of a baseline, in order of mileage.
-
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        baseline
-            Its number.
-        """
+        """Return the conicities of the newest geometry of each mileage interval of a baseline, in order of mileage."""
         statement = select(*COLUMNS).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
         statement = statement.where(GEOMETRIES.c.baseline == baseline).order_by(GEOMETRIES.c.baseline_interval)
         rows = self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS}).all()
@@ -197,11 +179,6 @@ class GeometryStore:
         A changed class of a vehicle, or a changed radius of a wheelset, counts as a change of the windows.
 
         Only those that have a bin table or a geometry: the others have nothing to estimate from.
-
-        Parameters
-        ----------
-        limit
-            Largest number of serials.
         """
         self.changes.flush()
         statement = select(CHANGES.c.wheelset).where(

@@ -28,10 +28,8 @@ class IdempotencyStore:
     def put(self, key: str, request_digest: str, status_code: int, body: str, recorded_ns: int) -> None:
         """Remember an answer; the same again changes nothing.
 
-        Raises
-        ------
-        ConflictError
-            Another answer was given under ``key``.
+        Raises:
+            ConflictError: Another answer was given under ``key``.
         """
         values = {
             "key": key,

@@ -23,13 +23,7 @@ COLUMNS = tuple(table_of(GeometryRow).c[name] for name in NAMES)
 
 
 def conicities_text(geometry: WheelsetGeometry) -> str:
-    """Return the known conicities of a geometry as text, exact; where there is none, its reason.
-
-    Parameters
-    ----------
-    geometry
-        Of a mileage interval.
-    """
+    """Return the known conicities of a geometry as text, exact; where there is none, its reason."""
     reason = why_no_conicity(geometry)
     why = None if reason is None else [reason.code.value, reason.text]
     return json.dumps([known_conicities(geometry), why], separators=(",", ":"), allow_nan=False)
@@ -38,15 +32,11 @@ def conicities_text(geometry: WheelsetGeometry) -> str:
 def conicities_of(row: Row[Any]) -> IntervalConicities:
     """Return what a row says.
 
-    Parameters
-    ----------
-    row
-        Of ``COLUMNS``, with a text.
+    Args:
+        row: Of ``COLUMNS``, with a text.
 
-    Raises
-    ------
-    DamagedError
-        The text is not one of :func:`conicities_text`.
+    Raises:
+        DamagedError: The text is not one of :func:`conicities_text`.
     """
     try:
         known, why = json.loads(row.conicities)

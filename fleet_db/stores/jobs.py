@@ -47,12 +47,9 @@ class JobRunStore:
     ) -> None:
         """Record how a run ended.
 
-        Raises
-        ------
-        NotFoundError
-            There is no such run.
-        ConflictError
-            It has ended already (it may have been given up as abandoned).
+        Raises:
+            NotFoundError: There is no such run.
+            ConflictError: It has ended already (it may have been given up as abandoned).
         """
         result = self.connection.execute(
             update(RUNS)
@@ -79,10 +76,8 @@ class JobRunStore:
     def get(self, run_id: int) -> JobRun:
         """Return one run; abandoned where its process is gone.
 
-        Raises
-        ------
-        NotFoundError
-            There is no such run.
+        Raises:
+            NotFoundError: There is no such run.
         """
         row = self.connection.execute(select(RUNS).where(RUNS.c.run_id == run_id)).first()
         if row is None:

@@ -31,26 +31,14 @@ class LookStore:
     def note(self, stage: str, wheelset: str, look: Look) -> None:
         """Note what a look at a wheelset was made from.
 
-        Parameters
-        ----------
-        stage
-            Name of the job.
-        wheelset
-            Serial number.
-        look
-            Its inputs, and until when they say the same.
+        Args:
+            look: Its inputs, and until when they say the same.
         """
         values = {"inputs": look.inputs, "until_ns": look.until_ns, "number": look.number}
         upsert(self.connection, LOOKS, {"stage": stage, "wheelset": wheelset, **values})
 
     def touched_of(self, wheelset: str) -> int | None:
-        """Return how often something has happened to one wheelset, what this transaction does included.
-
-        Parameters
-        ----------
-        wheelset
-            Serial number.
-        """
+        """Return how often something has happened to one wheelset, what this transaction does included."""
         self.changes.flush()
         return self.connection.scalar(select(CHANGES.c.touched).where(CHANGES.c.wheelset == wheelset))
 

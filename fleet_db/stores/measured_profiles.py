@@ -34,16 +34,10 @@ def newest_measurements(
 ) -> tuple[int, list[tuple[str, int]]]:
     """Return how many measurements there are in ``[from_ns, to_ns)``, and wheelset and time of the newest of them.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    fleet
-        Code; None for all fleets.
-    from_ns, to_ns
-        None where there is no bound.
-    limit
-        Of how many wheelset and time are returned, the newest first.
+    Args:
+        fleet: Code; None for all fleets.
+        from_ns, to_ns: None where there is no bound.
+        limit: Of how many wheelset and time are returned, the newest first.
     """
     wanted: list[ColumnElement[bool]] = []
     if fleet is not None:
@@ -65,17 +59,7 @@ def store_measured_profiles(connection: Connection, record: MeasuredProfiles) ->
 
 
 def stored_measurement(connection: Connection, wheelset: str, at_ns: int) -> dict[str, Any] | None:
-    """Return the row of a measurement as JSON can hold it, its profiles in base64; None where there is none.
-
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    wheelset
-        Serial.
-    at_ns
-        Time of the measurement.
-    """
+    """Return the row of a measurement as JSON can hold it, its profiles in base64; None where there is none."""
     same = (MEASURED.c.wheelset == wheelset, MEASURED.c.at_ns == at_ns)
     row = connection.execute(select(MEASURED).where(*same)).mappings().first()
     return None if row is None else dict(row) | {"packed": base64.b64encode(row["packed"]).decode("ascii")}

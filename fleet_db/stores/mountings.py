@@ -35,16 +35,9 @@ def _where(mounting: Mounting) -> str:
 def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
     """Return the mounting at an axle that covers ``at_ns``.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    vehicle
-        Code.
-    axle
-        From 1.
-    at_ns
-        ns UTC on the vehicle's clock.
+    Args:
+        axle: From 1.
+        at_ns: ns UTC on the vehicle's clock.
     """
     statement = select(MOUNTINGS).where(
         MOUNTINGS.c.vehicle == vehicle,
@@ -59,14 +52,8 @@ def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> 
 def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
     """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    vehicle
-        Code.
-    from_ns, to_ns
-        Interval of the vehicle's clock, ns UTC, its end excluded.
+    Args:
+        from_ns, to_ns: Interval of the vehicle's clock, ns UTC, its end excluded.
     """
     statement = (
         select(MOUNTINGS)
@@ -99,10 +86,8 @@ def delete_mounting(connection: Connection, record: Mounting) -> None:
 def changed_spans(before: Mounting | None, after: Mounting | None) -> list[tuple[str, int, int | None]]:
     """Return ``(vehicle, from, to)`` of the time in which a mounting says something else than before.
 
-    Parameters
-    ----------
-    before, after
-        The mounting of one wheelset and start; None where there is none.
+    Args:
+        before, after: The mounting of one wheelset and start; None where there is none.
     """
     if before is not None and after is not None and replace(before, to_ns=after.to_ns) == after:
         ends = [end for end in (before.to_ns, after.to_ns) if end is not None]
@@ -116,21 +101,9 @@ def changed_spans(before: Mounting | None, after: Mounting | None) -> list[tuple
 def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
     """Store a mounting on a vehicle of so many axles; return whether anything changed.
 
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    record
-        The mounting.
-    axles
-        Number of axles of its vehicle.
-
-    Raises
-    ------
-    ParameterError
-        The vehicle has no such axle, or the mounting ends before it starts.
-    MountedTwiceError
-        It overlaps another of the same wheelset or of the same axle.
+    Raises:
+        ParameterError: The vehicle has no such axle, or the mounting ends before it starts.
+        MountedTwiceError: It overlaps another of the same wheelset or of the same axle.
     """
     if not 1 <= record.axle <= axles:
         raise ParameterError(f"vehicle {record.vehicle!r} has axles 1 to {axles}, not {record.axle}", field="axle")

@@ -60,15 +60,7 @@ class PlausibilityStore:
         return [MileageReading(*row) for row in self.connection.execute(statement.order_by(WINDOWS.c.start_ns))]
 
     def readings_around(self, wheelset: str, from_ns: int, to_ns: int) -> Sequence[MileageReading]:
-        """Return the mileages of the windows from one start to another, with one before and one after, oldest first.
-
-        Parameters
-        ----------
-        wheelset
-            Serial number.
-        from_ns, to_ns
-            First and last start.
-        """
+        """Return the mileages of the windows from one start to another, with one before and one after, oldest first."""
         own = select(*READING).where(WINDOWS.c.wheelset == wheelset)
         before = own.where(WINDOWS.c.start_ns < from_ns).order_by(WINDOWS.c.start_ns.desc()).limit(1)
         rest = own.where(WINDOWS.c.start_ns >= from_ns).order_by(WINDOWS.c.start_ns)
@@ -87,14 +79,9 @@ class PlausibilityStore:
 
         They are refused; those that are believed again wait to be estimated. What has no samples any more stays.
 
-        Parameters
-        ----------
-        wheelset
-            Serial number.
-        implausible
-            Why a window is not believed, by its start.
-        new_only
-            Whether the windows judged before keep their verdict.
+        Args:
+            implausible: Why a window is not believed, by its start.
+            new_only: Whether the windows judged before keep their verdict.
         """
         names = ("start_ns", "implausible", "implausible_code", "judged", "samples_purged_ns")
         standing = select(*(WINDOWS.c[name] for name in names))

@@ -58,16 +58,9 @@ class QuarantineStore:
     ) -> Sequence[Quarantined]:
         """Return at most ``limit`` items behind a place, by kind, key and stage.
 
-        Parameters
-        ----------
-        kind, state, code
-            Only these.
-        vehicle
-            Only recordings and windows of this vehicle, and itself.
-        after
-            Of the last item of the page before.
-        limit
-            How many.
+        Args:
+            vehicle: Only recordings and windows of this vehicle, and itself.
+            after: Of the last item of the page before.
         """
         chosen = [
             column == value.value

@@ -29,11 +29,6 @@ class RecordedTimeStore:
 
         A time that our clock has shown twice is then the second time; the order of results does not change. Nothing
         is done where our clock is so far behind the vehicles' that it is the one that is wrong.
-
-        Parameters
-        ----------
-        now_ns
-            Our time.
         """
         newest = [self.connection.scalar(select(func.max(table.c.recorded_ns))) for table in RESULTS]
         if all(found is None or found <= now_ns for found in newest):

@@ -75,10 +75,8 @@ class RegistryStore:
     def vehicle(self, code: str) -> VehicleRecord:
         """Return one vehicle.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that code.
+        Raises:
+            NotFoundError: There is none of that code.
         """
         found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == code))
         if not found:
@@ -116,10 +114,8 @@ class RegistryStore:
     def wheelset(self, serial: str) -> WheelsetRecord:
         """Return one wheelset, with the mounting that lasts and its reprofilings.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that serial.
+        Raises:
+            NotFoundError: There is none of that serial.
         """
         found = self._wheelsets(select(WHEELSETS).where(WHEELSETS.c.serial == serial))
         if not found:
@@ -157,10 +153,8 @@ class RegistryStore:
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
         """Return every measurement of the profiles of a wheelset, oldest first.
 
-        Raises
-        ------
-        DamagedError
-            What was stored of one is damaged.
+        Raises:
+            DamagedError: What was stored of one is damaged.
         """
         return measured_profiles_of(self.connection, wheelset)
 
@@ -215,10 +209,8 @@ class RegistryStore:
     def add_vehicle(self, record: VehicleRecord, recorded_ns: int | None = None) -> EstimatedAgain:
         """Add a vehicle or change it; return what is estimated again because it is of another class now.
 
-        Raises
-        ------
-        NotFoundError
-            Its fleet is unknown.
+        Raises:
+            NotFoundError: Its fleet is unknown.
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
@@ -249,12 +241,9 @@ class RegistryStore:
 
         Return what is estimated again because its nominal radius is another now.
 
-        Raises
-        ------
-        NotFoundError
-            Its fleet, or the vehicle of its mounting, is unknown.
-        ConflictError
-            Its mounting overlaps another.
+        Raises:
+            NotFoundError: Its fleet, or the vehicle of its mounting, is unknown.
+            ConflictError: Its mounting overlaps another.
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
@@ -281,10 +270,8 @@ class RegistryStore:
     def add_mountings(self, records: Sequence[Mounting], recorded_ns: int | None = None) -> None:
         """Add or change mountings together: wheelsets may change places with each other.
 
-        Raises
-        ------
-        NotFoundError, ParameterError, ConflictError
-            As :meth:`add_mounting`.
+        Raises:
+            NotFoundError, ParameterError, ConflictError: As :meth:`add_mounting`.
         """
         before = self.take_out(records)
         for record in records:
@@ -307,14 +294,10 @@ class RegistryStore:
         The windows of its time are assembled again. Where its way round changes, those that there are wait. ``before``
         is the one that was taken out for it (:meth:`take_out`).
 
-        Raises
-        ------
-        NotFoundError
-            The wheelset or the vehicle is unknown.
-        ParameterError
-            The vehicle has no such axle, or the mounting ends before it starts.
-        ConflictError
-            The wheelset or the axle is in another mounting at that time.
+        Raises:
+            NotFoundError: The wheelset or the vehicle is unknown.
+            ParameterError: The vehicle has no such axle, or the mounting ends before it starts.
+            ConflictError: The wheelset or the axle is in another mounting at that time.
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
@@ -345,10 +328,8 @@ class RegistryStore:
     def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> bool:
         """Add a visit to the lathe, or change the one of the same wheelset and time; return whether anything changed.
 
-        Raises
-        ------
-        NotFoundError
-            The wheelset is unknown.
+        Raises:
+            NotFoundError: The wheelset is unknown.
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
@@ -364,10 +345,8 @@ class RegistryStore:
 
         Return whether anything changed.
 
-        Raises
-        ------
-        NotFoundError
-            The wheelset is unknown.
+        Raises:
+            NotFoundError: The wheelset is unknown.
         """
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)

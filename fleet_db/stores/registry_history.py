@@ -108,12 +108,8 @@ def _json(record: Mapping[str, JsonValue] | None) -> object:
 def is_voided(kind: RecordKind, subject: ColumnElement[str]) -> ColumnElement[bool]:
     """Return whether the last decision on an undated record voided it.
 
-    Parameters
-    ----------
-    kind
-        Of the record.
-    subject
-        Column with its wheelset or section.
+    Args:
+        subject: Column with its wheelset or section.
     """
     last = _last_of(kind)
     voided = select(EVENTS.c.subject).join(last, EVENTS.c.id == last.c.id)

@@ -15,15 +15,7 @@ REPROFILINGS = table_of(ReprofilingRow)
 
 
 def reprofilings_of(connection: Connection, serials: Sequence[str]) -> dict[str, tuple[Reprofiling, ...]]:
-    """Return the visits of some wheelsets by serial, oldest first.
-
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    serials
-        Of the wheelsets.
-    """
+    """Return the visits of some wheelsets by serial, oldest first."""
     statement = select(REPROFILINGS).where(REPROFILINGS.c.wheelset.in_(serials)).order_by(REPROFILINGS.c.at_ns)
     found: dict[str, tuple[Reprofiling, ...]] = {}
     for row in connection.execute(statement):
@@ -32,17 +24,7 @@ def reprofilings_of(connection: Connection, serials: Sequence[str]) -> dict[str,
 
 
 def stored_reprofiling(connection: Connection, wheelset: str, at_ns: int) -> dict[str, Any] | None:
-    """Return the row of a visit; None where there is none.
-
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    wheelset
-        Serial.
-    at_ns
-        When.
-    """
+    """Return the row of a visit; None where there is none."""
     same = (REPROFILINGS.c.wheelset == wheelset, REPROFILINGS.c.at_ns == at_ns)
     row = connection.execute(select(REPROFILINGS).where(*same)).mappings().first()
     return None if row is None else dict(row)

@@ -60,10 +60,8 @@ class RollUpStore:
 
         What has been forgotten is nothing.
 
-        Raises
-        ------
-        DamagedError
-            They are damaged.
+        Raises:
+            DamagedError: They are damaged.
         """
         columns = (ROLL_UPS.c.plain, ROLL_UPS.c.forgetting)
         row = self.connection.execute(select(*columns).where(ROLL_UPS.c.number == number)).one()
@@ -94,12 +92,8 @@ class RollUpStore:
     def earlier(self, wheelset: str, digest: str) -> BinTable | None:
         """Return the forgetting sum of the intervals that are over; None where it is not of this digest.
 
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        digest
-            Of all that goes into it.
+        Args:
+            digest: Of all that goes into it.
         """
         same = (STATES.c.wheelset == wheelset, STATES.c.earlier_digest == digest)
         packed: bytes | None = self.connection.scalar(select(STATES.c.earlier).where(*same))
@@ -113,19 +107,11 @@ class RollUpStore:
     def put(self, wheelset: str, parts: Sequence[RolledPart], outside: Sequence[TabledWindow] = ()) -> None:
         """Store roll-ups with their sums, and note which windows they have.
 
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        parts
-            Those that changed.
-        outside
-            Windows that were looked at and belong to none.
+        Args:
+            outside: Windows that were looked at and belong to none.
 
-        Raises
-        ------
-        ConflictError
-            A roll-up or a table is another by now.
+        Raises:
+            ConflictError: A roll-up or a table is another by now.
         """
         notes = []
         for part in parts:
@@ -134,15 +120,7 @@ class RollUpStore:
         self._note_all([*notes, *(_note(wheelset, window, None, None, None) for window in outside)])
 
     def put_state(self, wheelset: str, state: RollUpState) -> None:
-        """Store what the roll-ups of a wheelset were made by.
-
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        state
-            In the place of an earlier one.
-        """
+        """Store what the roll-ups of a wheelset were made by."""
         values = {
             "wheelset": wheelset,
             "rules": state.rules,
@@ -162,12 +140,8 @@ class RollUpStore:
     def forget(self, wheelset: str, roll_ups: Sequence[int]) -> None:
         """Delete the sums with forgetting of those of some roll-ups that are sealed.
 
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        roll_ups
-            Their numbers; what is added to them has no weight any more.
+        Args:
+            roll_ups: Their numbers; what is added to them has no weight any more.
         """
         for first in range(0, len(roll_ups), BATCH):
             some = ROLL_UPS.c.number.in_(roll_ups[first : first + BATCH])
@@ -177,14 +151,9 @@ class RollUpStore:
     def rolling(self, wheelset: str, windows: Mapping[int, str], assumed: str) -> Mapping[int, tuple[RollingSums, ...]]:
         """Return by start what windows say of their rolling radius, where that is kept.
 
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        windows
-            Digest of their content by start; what was made of other content does not count.
-        assumed
-            Digest of the class and parameters that it must have been made with.
+        Args:
+            windows: Digest of their content by start; what was made of other content does not count.
+            assumed: Digest of the class and parameters that it must have been made with.
         """
         rows = self.connection.execute(
             select(ROLLING.c.start_ns, ROLLING.c.window_digest, ROLLING.c.packed)

@@ -36,12 +36,8 @@ class SectionLookStore:
     def note(self, stage: str, looks: Mapping[str, SectionLook]) -> None:
         """Note looks at sections that found nothing to do.
 
-        Parameters
-        ----------
-        stage
-            Name of the job.
-        looks
-            By section what they were made from, as it was before they began.
+        Args:
+            looks: By section what they were made from, as it was before they began.
         """
         for section, look in sorted(looks.items()):
             values = {"inputs": look.inputs, "touched": look.touched}

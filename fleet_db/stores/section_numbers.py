@@ -17,17 +17,7 @@ SECTIONS = table_of(TrackSectionRow)
 
 
 def free_numbers(connection: Connection, records: Sequence[TrackSectionRecord], recorded_ns: int | None) -> None:
-    """Give up the numbers of sections that will get another one: sections may exchange theirs.
-
-    Parameters
-    ----------
-    connection
-        Of the writing transaction that stores the sections.
-    records
-        As they will be.
-    recorded_ns
-        Our time.
-    """
+    """Give up the numbers of sections that will get another one: sections may exchange theirs."""
     serialise(connection, Subject.TRACKS)
     for record in records:
         was = connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
@@ -39,14 +29,6 @@ def free_numbers(connection: Connection, records: Sequence[TrackSectionRecord], 
 
 
 def give_up_number(connection: Connection, code: str) -> None:
-    """Give a section a number that is on no bus.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    code
-        Of the section.
-    """
+    """Give a section a number that is on no bus."""
     lowest = connection.scalar(select(func.min(SECTIONS.c.number))) or 0
     connection.execute(update(SECTIONS).where(SECTIONS.c.code == code).values(number=min(lowest, 0) - 1))

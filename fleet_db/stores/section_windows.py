@@ -20,16 +20,8 @@ def make_stale(connection: Connection, section: str, cause: str, *, elsewhere: b
 
     A window on another registered section stays: its vehicle sent the number of that one.
 
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    section
-        Code.
-    cause
-        Why.
-    elsewhere
-        Whether those on no registered section are, too: their vehicles may have sent its new number.
+    Args:
+        elsewhere: Whether those on no registered section are, too: their vehicles may have sent its new number.
     """
     on_it = WINDOWS.c.track_section == section
     touched = or_(on_it, WINDOWS.c.track_section.is_(None)) if elsewhere else on_it

@@ -42,12 +42,9 @@ class SensorChangeStore:
     def add(self, record: SensorChange, axles: int, decision: Decision) -> bool:
         """Add a record, or change the one of the same vehicle, axle and time; return whether anything changed.
 
-        Raises
-        ------
-        ParameterError
-            The vehicle has no such axle.
-        ConflictError
-            Another axle of it has a record of that time.
+        Raises:
+            ParameterError: The vehicle has no such axle.
+            ConflictError: Another axle of it has a record of that time.
         """
         serialise(self.connection, Subject.REGISTRY)
         if not 1 <= record.axle <= axles:
@@ -86,12 +83,6 @@ class SensorChangeStore:
 
 
 def sensor_change_of(values: Mapping[Any, Any]) -> SensorChange:
-    """Return the value of a row, or of what the history keeps of one.
-
-    Parameters
-    ----------
-    values
-        By column.
-    """
+    """Return the value of a row, or of what the history keeps of one."""
     record = SensorChange(**{str(name): value for name, value in values.items()})
     return replace(record, work=SensorWork(record.work))

@@ -37,14 +37,9 @@ class SignatureStore:
 
         A window that lacked the other axle of its bogie is one of them once it has been estimated.
 
-        Parameters
-        ----------
-        wheelsets
-            Serials, a few hundred at most.
-        limit
-            Largest number.
-        after
-            Key behind which they are.
+        Args:
+            wheelsets: Serials, a few hundred at most.
+            after: Key behind which they are.
         """
         key = (WINDOWS.c.wheelset, WINDOWS.c.start_ns)
         other = SIGNATURES.c.window_digest != WINDOWS.c.content_digest
@@ -61,13 +56,7 @@ class SignatureStore:
         return [(row.wheelset, row.start_ns) for row in rows]
 
     def put_all(self, found: Sequence[WindowSignatures]) -> None:
-        """Store what became of windows, in the place of what was stored of them.
-
-        Parameters
-        ----------
-        found
-            Of different windows.
-        """
+        """Store what became of windows, in the place of what was stored of them."""
         for one in found:
             first = one.signatures[0] if one.signatures else None
             place = None if first is None else first.place
@@ -88,10 +77,8 @@ class SignatureStore:
     def assumptions(self, wheelsets: Sequence[str]) -> Sequence[tuple[str, str, str]]:
         """Return vehicle, wheelset and digest of what was assumed, of all that is stored with samples to make it of.
 
-        Parameters
-        ----------
-        wheelsets
-            Serials, a few hundred at most.
+        Args:
+            wheelsets: Serials, a few hundred at most.
         """
         columns = (SIGNATURES.c.vehicle, SIGNATURES.c.wheelset, SIGNATURES.c.assumed)
         statement = select(*columns).select_from(SIGNATURES.join(WINDOWS, SAME))
@@ -103,13 +90,7 @@ class SignatureStore:
         return [(row.vehicle, row.wheelset, row.assumed) for row in self.connection.execute(statement)]
 
     def forget(self, vehicle: str, wheelset: str, assumed: str) -> int:
-        """Remove signatures that were made with other assumptions and can be made again; return how many.
-
-        Parameters
-        ----------
-        vehicle, wheelset, assumed
-            As :meth:`assumptions` returned them.
-        """
+        """Remove signatures that were made with other assumptions and can be made again; return how many."""
         with_samples = select(WINDOWS.c.start_ns).where(
             WINDOWS.c.wheelset == wheelset, WINDOWS.c.samples_purged_ns.is_(None)
         )
@@ -151,13 +132,7 @@ class SignatureStore:
         return StoredSignatures(known, damaged)
 
     def drop(self, keys: Sequence[WindowKey]) -> None:
-        """Remove what is stored of windows, so that it is made again where their samples are there.
-
-        Parameters
-        ----------
-        keys
-            Wheelset and start of each.
-        """
+        """Remove what is stored of windows, so that it is made again where their samples are there."""
         for wheelset, start_ns in keys:
             own = (SIGNATURES.c.wheelset == wheelset, SIGNATURES.c.start_ns == start_ns)
             self.connection.execute(delete(SIGNATURES).where(*own))
@@ -168,13 +143,7 @@ class SignatureStore:
         return {code or "": count for code, count in self.connection.execute(statement)}
 
     def put_answer(self, record: SignatureRecord) -> None:
-        """Store the answer about a wheelset, in the place of an earlier one.
-
-        Parameters
-        ----------
-        record
-            With its provenance.
-        """
+        """Store the answer about a wheelset, in the place of an earlier one."""
         values = {
             "wheelset": record.wheelset,
             "input_digest": record.input_digest,
@@ -184,13 +153,7 @@ class SignatureStore:
         upsert(self.connection, ANSWERS, values)
 
     def answer(self, wheelset: str) -> SignatureRecord | None:
-        """Return the newest answer about a wheelset; None where there is none.
-
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        """
+        """Return the newest answer about a wheelset; None where there is none."""
         packed: bytes | None = self.connection.scalar(select(ANSWERS.c.packed).where(ANSWERS.c.wheelset == wheelset))
         return None if packed is None else unpack_answer(packed, wheelset)
 

@@ -41,14 +41,8 @@ class SuspensionStore:
     def forget(self, section: str, epoch: int, *, behind: bool) -> None:
         """Remove what an epoch of a section has shown, before it is stored again.
 
-        Parameters
-        ----------
-        section
-            Code.
-        epoch
-            Its number.
-        behind
-            What the epochs behind it have shown goes too.
+        Args:
+            behind: What the epochs behind it have shown goes too.
         """
         chosen = FINDINGS.c.epoch >= epoch if behind else FINDINGS.c.epoch == epoch
         self.connection.execute(delete(FINDINGS).where(FINDINGS.c.section == section, chosen))
@@ -63,10 +57,8 @@ class SuspensionStore:
     def newest(self, count: int) -> Sequence[SuspensionFinding]:
         """Return the newest findings of every vehicle, in order of vehicle, time and section.
 
-        Parameters
-        ----------
-        count
-            At most so many of each.
+        Args:
+            count: At most so many of each.
         """
         order = (FINDINGS.c.to_ns.desc(), FINDINGS.c.section.desc())
         rank = func.row_number().over(partition_by=FINDINGS.c.vehicle, order_by=order)

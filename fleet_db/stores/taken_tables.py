@@ -16,12 +16,8 @@ KEY = and_(TABLES.c.wheelset == bindparam("of_wheelset"), TABLES.c.start_ns == b
 def take_back(connection: Connection, wheelset: str, start_ns: int) -> None:
     """Keep the table of a window, if it was rolled up, to be taken from its roll-up; it waits to be rolled again.
 
-    Parameters
-    ----------
-    connection
-        Of the transaction that replaces or removes the table.
-    wheelset, start_ns
-        Of the window.
+    Args:
+        connection: Of the transaction that replaces or removes the table.
     """
     key = {"of_wheelset": wheelset, "of_start_ns": start_ns}
     if connection.execute(_waits_again(), key).rowcount:

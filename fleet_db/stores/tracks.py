@@ -79,10 +79,8 @@ class TrackStore:
     def section(self, code: str) -> TrackSectionRecord:
         """Return one section.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that code.
+        Raises:
+            NotFoundError: There is none of that code.
         """
         found = self._sections(select(SECTIONS).where(SECTIONS.c.code == code, SECTIONS.c.number > 0))
         if not found:
@@ -97,10 +95,8 @@ class TrackStore:
     def add_section(self, record: TrackSectionRecord, recorded_ns: int | None = None) -> None:
         """Add a section or change it; windows that its number or line changes are assembled again.
 
-        Raises
-        ------
-        ConflictError
-            Another section has its number.
+        Raises:
+            ConflictError: Another section has its number.
         """
         serialise(self.connection, Subject.TRACKS)
         other = self.section_by_number(record.number)
@@ -142,19 +138,13 @@ class TrackStore:
         The content of the newest version again changes nothing and returns its version; of a registered one, that of
         the newest that was registered: it does not come before what the fleet has found since, on it or without it.
 
-        Parameters
-        ----------
-        alignment
-            What is known of the section.
-        same_since
-            Oldest version from which it does not differ materially; its own version where left out.
-        recorded_ns
-            Our time; where left out none is kept, and it counts as registered by the operator.
+        Args:
+            alignment: What is known of the section.
+            same_since: Oldest version from which it does not differ materially; its own version where left out.
+            recorded_ns: Our time; where left out none is kept, and it counts as registered by the operator.
 
-        Raises
-        ------
-        NotFoundError
-            The section is unknown.
+        Raises:
+            NotFoundError: The section is unknown.
         """
         serialise(self.connection, Subject.TRACKS)
         self.section(alignment.section)
@@ -230,15 +220,6 @@ class TrackStore:
         """Mark the estimated versions of a section but for those that are kept as superseded; return of how many.
 
         They stay for what was recorded with them.
-
-        Parameters
-        ----------
-        section
-            Code.
-        kept
-            Versions that follow from what is stored.
-        recorded_ns
-            Our time.
         """
         gone = (VERSIONS.c.section == section, STANDS, VERSIONS.c.version.not_in(sorted(kept)))
         return int(self.connection.execute(update(VERSIONS).where(*gone).values(superseded_ns=recorded_ns)).rowcount)
@@ -323,10 +304,8 @@ class TrackStore:
 
         The content of the newest version again changes nothing and returns its version.
 
-        Raises
-        ------
-        NotFoundError
-            The section is unknown.
+        Raises:
+            NotFoundError: The section is unknown.
         """
         serialise(self.connection, Subject.TRACKS)
         self.section(layout.section)
@@ -369,14 +348,8 @@ def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of R
 def find_layout(connection: Connection, section: str, version: int | None) -> TrackLayout | None:
     """Return one version of the layout of a section, or the newest; None where there is none.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    section
-        Code.
-    version
-        None is the newest.
+    Args:
+        version: None is the newest.
     """
     statement = select(LAYOUTS.c.version, LAYOUTS.c.packed).where(LAYOUTS.c.section == section)
     if version is not None:

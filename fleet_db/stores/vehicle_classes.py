@@ -27,19 +27,11 @@ def no_class(_code: str) -> VehicleClass | None:
 def find_class(connection: Connection, code: str, version: int | None) -> ClassOnFile | None:
     """Return a version of a registered class, or the newest; None where there is none.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    code
-        Of the class.
-    version
-        None is the newest.
+    Args:
+        version: None is the newest.
 
-    Raises
-    ------
-    DamagedError
-        What was stored of it is no class.
+    Raises:
+        DamagedError: What was stored of it is no class.
     """
     statement = select(CLASSES).where(CLASSES.c.code == code)
     if version is not None:
@@ -61,12 +53,8 @@ def newest_classes(connection: Connection) -> Sequence[ClassOnFile]:
 def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
     """Return whether a class was voided and nothing else is in force since.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    newest
-        Its newest version.
+    Args:
+        newest: Its newest version.
     """
     key = RecordKey(RecordKind.VEHICLE_CLASS, newest.vehicle_class.code)
     voided = RegistryHistoryStore(connection).stands_voided(key)
@@ -76,14 +64,8 @@ def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
 def store_class(connection: Connection, vehicle_class: VehicleClass, recorded_ns: int) -> ClassOnFile:
     """Store a class as the next version of its code and return that; the content of the newest changes nothing.
 
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    vehicle_class
-        The class.
-    recorded_ns
-        Our time, ns UTC.
+    Args:
+        recorded_ns: Our time, ns UTC.
     """
     newest = find_class(connection, vehicle_class.code, None)
     if newest is not None and newest.digest == class_digest(vehicle_class):

@@ -35,20 +35,16 @@ class WebhookStore:
     def get(self, webhook_id: int) -> Webhook:
         """Return one webhook.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that number.
+        Raises:
+            NotFoundError: There is none of that number.
         """
         return self._one(webhook_id, select(WEBHOOKS))
 
     def locked(self, webhook_id: int) -> Webhook:
         """Return one webhook, which nobody else changes until the end of the transaction.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that number.
+        Raises:
+            NotFoundError: There is none of that number.
         """
         return self._one(webhook_id, select(WEBHOOKS).with_for_update())
 
@@ -83,13 +79,7 @@ class WebhookStore:
         return stored
 
     def change(self, webhook: Webhook) -> Webhook:
-        """Store what has changed of a webhook, as its next revision; what waits for a time is withdrawn.
-
-        Parameters
-        ----------
-        webhook
-            From :meth:`locked`, with what is to be otherwise.
-        """
+        """Store what has changed of a webhook, as its next revision; what waits for a time is withdrawn."""
         changed = replace(webhook, revision=webhook.revision + 1)
         mine = WEBHOOKS.c.webhook_id == webhook.webhook_id
         self.connection.execute(update(WEBHOOKS).where(mine).values(_fields(changed)))
@@ -103,10 +93,8 @@ class WebhookStore:
     def delete(self, webhook_id: int) -> None:
         """Delete a webhook with its secrets and the records of its deliveries.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that number.
+        Raises:
+            NotFoundError: There is none of that number.
         """
         self.get(webhook_id)
         for table in (DELIVERIES, SECRETS, FLEETS, WEBHOOKS):
@@ -121,14 +109,8 @@ class WebhookStore:
     def rotate(self, webhook_id: int, secret: str, now_ns: int, until_ns: int) -> None:
         """Let another secret sign, and those before it beside it until a time at most; delete those that have ended.
 
-        Parameters
-        ----------
-        webhook_id
-            Of the webhook.
-        secret
-            The new one.
-        now_ns, until_ns
-            Our time, and until when those before it still sign, ns UTC.
+        Args:
+            now_ns, until_ns: Our time, and until when those before it still sign, ns UTC.
         """
         mine = SECRETS.c.webhook_id == webhook_id
         later = SECRETS.c.until_ns.is_(None) | (SECRETS.c.until_ns > until_ns)
@@ -159,14 +141,9 @@ class WebhookStore:
         What was delivered moves the position, unless that has been moved meanwhile. What failed counts unless the
         webhook has been changed meanwhile.
 
-        Parameters
-        ----------
-        webhook
-            As it was read for the attempt.
-        delivery
-            As it is after it.
-        disabled
-            Why the webhook is disabled with it; None where it is not.
+        Args:
+            delivery: As it is after it.
+            disabled: Why the webhook is disabled with it; None where it is not.
         """
         same = (WEBHOOKS.c.webhook_id == webhook.webhook_id, WEBHOOKS.c.position == webhook.position)
         statement = update(WEBHOOKS).where(*same)
@@ -192,12 +169,8 @@ class WebhookStore:
     def passed(self, webhook: Webhook, sequence: int) -> None:
         """Move the position of a webhook over events that are none of its own, unless it has been changed meanwhile.
 
-        Parameters
-        ----------
-        webhook
-            As it was read when the feed was looked through.
-        sequence
-            Number of the last event.
+        Args:
+            webhook: As it was read when the feed was looked through.
         """
         same = (WEBHOOKS.c.webhook_id == webhook.webhook_id, WEBHOOKS.c.position == webhook.position)
         unchanged = WEBHOOKS.c.revision == webhook.revision

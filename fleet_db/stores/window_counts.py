@@ -36,14 +36,8 @@ class WindowCounts:
 def window_counts(connection: Connection, wheelset: str, most: int) -> WindowCounts:
     """Return the windows of a wheelset by state and reason, in whole days or as many days as needed.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    wheelset
-        Serial.
-    most
-        How many stretches of time at most.
+    Args:
+        most: How many stretches of time at most.
     """
     of_wheelset = WINDOWS.c.wheelset == wheelset
     first, last = connection.execute(

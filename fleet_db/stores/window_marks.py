@@ -22,10 +22,8 @@ BATCH = 500  # keys in a statement
 def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
     """Return the condition that the key of a row is among the parameters ``keys``.
 
-    Parameters
-    ----------
-    table
-        With the columns ``wheelset`` and ``start_ns``.
+    Args:
+        table: With the columns ``wheelset`` and ``start_ns``.
     """
     return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
 
@@ -35,19 +33,8 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
 
     A window whose samples have been purged stays as it is; that it was to change is noted.
 
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    changes
-        In which they are noted.
-    marks
-        Of different windows.
-
-    Raises
-    ------
-    NotFoundError
-        There is no such window.
+    Raises:
+        NotFoundError: There is no such window.
     """
     standing = _standing(connection, [mark.key for mark in marks])
     held, changed, gone = [], [], []
@@ -79,17 +66,7 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
 
 
 def remove_tables(connection: Connection, changes: Changes, keys: Sequence[WindowKey]) -> None:
-    """Remove the bin tables of some windows, where there are any.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    changes
-        In which they are noted.
-    keys
-        Of the windows.
-    """
+    """Remove the bin tables of some windows, where there are any."""
     for first in range(0, len(keys), BATCH):
         for row in connection.execute(_tabled(), {"keys": keys[first : first + BATCH]}).all():
             take_back(connection, row.wheelset, row.start_ns)
@@ -102,15 +79,6 @@ def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedO
     """Note what would have changed windows that stay as they are; return of how many it was not known.
 
     That a table is wrong stands before the rest.
-
-    Parameters
-    ----------
-    connection
-        Of a writing transaction.
-    chosen
-        Which windows.
-    what
-        Would have changed them.
     """
     weaker = [one.value for one in PassedOver][: list(PassedOver).index(what)]
     open_ = or_(WINDOWS.c.passed_over.is_(None), WINDOWS.c.passed_over.in_(weaker))

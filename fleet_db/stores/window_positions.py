@@ -17,15 +17,7 @@ POSITIONS = table_of(WindowPositionRow)
 
 
 def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
-    """Return by wheelset and start where those of some windows were that have been looked at.
-
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    keys
-        Of the windows.
-    """
+    """Return by wheelset and start where those of some windows were that have been looked at."""
     found = {}
     for first in range(0, len(keys), BATCH):
         for row in connection.execute(_positions(), {"keys": keys[first : first + BATCH]}):

@@ -26,14 +26,11 @@ EVER_NS = -(2**63)
 class CountedWindows:
     """Windows of one wheelset that have the same state, reason code, section and vehicle.
 
-    Attributes
-    ----------
-    placed
-        Whether their place on the section is found; False of those that do not wait.
-    reason
-        As it is stored of the newest; None where none is.
-    first_ns, newest_start_ns, newest_end_ns
-        Begin of the oldest, begin and end of the newest, ns UTC on the vehicle's clock.
+    Attributes:
+        placed: Whether their place on the section is found; False of those that do not wait.
+        reason: As it is stored of the newest; None where none is.
+        first_ns, newest_start_ns, newest_end_ns: Begin of the oldest, begin and end of the newest, ns UTC on the
+            vehicle's clock.
     """
 
     state: WindowState
@@ -52,16 +49,9 @@ def newest_by_reason(
 ) -> Sequence[CountedWindows]:
     """Return the newest windows of a wheelset by state and reason code, the most frequent first.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    wheelset
-        Serial.
-    since_ns
-        Those that begin from there on; None for all.
-    most
-        How many windows at most.
+    Args:
+        since_ns: Those that begin from there on; None for all.
+        most: How many windows at most.
     """
     given = {"serial": wheelset, "since_ns": EVER_NS if since_ns is None else since_ns, "most": most}
     rows = connection.execute(_grouped(), given).all()
@@ -92,14 +82,8 @@ def pending_by_place(
 ) -> Sequence[CountedWindows]:
     """Return the windows that wait, however many, by vehicle, section, and whether their place is found.
 
-    Parameters
-    ----------
-    connection
-        Of any transaction.
-    vehicles
-        Only of these, some hundreds at most.
-    wheelset
-        Only of this one.
+    Args:
+        vehicles: Only of these, some hundreds at most.
     """
     chosen = [IS_PENDING]
     if vehicles is not None:
@@ -132,13 +116,7 @@ def pending_by_place(
 def refused_by_code(
     connection: Connection, wheelset: str, since_ns: int | None = None, most: int = COUNTED
 ) -> dict[ReasonCode, int]:
-    """Return how many of the newest windows of a wheelset are refused, by reason code, the most frequent first.
-
-    Parameters
-    ----------
-    connection, wheelset, since_ns, most
-        As of :func:`newest_by_reason`.
-    """
+    """Return how many of the newest windows of a wheelset are refused, by reason code, the most frequent first."""
     counts: dict[ReasonCode, int] = {}
     for one in newest_by_reason(connection, wheelset, since_ns, most):
         if one.state is WindowState.REFUSED and one.reason is not None:

@@ -104,10 +104,8 @@ class WindowStore:
         which is pending again, and removes its bin table. Another mileage alone keeps state and bin table. A window
         whose bin table has been purged stays as it is.
 
-        Raises
-        ------
-        NotFoundError
-            The wheelset is unknown.
+        Raises:
+            NotFoundError: The wheelset is unknown.
         """
         digest = window_digest(window)
         found = self._stored(window.wheelset, window.start_ns)
@@ -142,14 +140,9 @@ class WindowStore:
     ) -> Sequence[WindowRecord]:
         """Return windows that wait to be estimated, by wheelset and start.
 
-        Parameters
-        ----------
-        limit
-            Largest number.
-        waiting_sections
-            Sections whose windows are skipped until their positions have been found.
-        after
-            Key behind which they are.
+        Args:
+            waiting_sections: Sections whose windows are skipped until their positions have been found.
+            after: Key behind which they are.
         """
         key = (WINDOWS.c.wheelset, WINDOWS.c.start_ns)
         statement = select(WINDOWS).where(IS_PENDING)
@@ -169,12 +162,8 @@ class WindowStore:
     def several(self, keys: Sequence[WindowKey], *, held: bool = False) -> Sequence[WindowRecord]:
         """Return the records of some windows, by wheelset and start; those that are not there are left out.
 
-        Parameters
-        ----------
-        keys
-            Of the windows.
-        held
-            Whether nobody else may change them until this transaction, which writes, has ended.
+        Args:
+            held: Whether nobody else may change them until this transaction, which writes, has ended.
         """
         found: builtins.list[WindowRecord] = []
         ordered = sorted(set(keys))
@@ -251,14 +240,10 @@ class WindowStore:
     def load(self, wheelset: str, start_ns: int) -> Window:
         """Return a window with its samples.
 
-        Raises
-        ------
-        NotFoundError
-            There is no such window.
-        PurgedError
-            Its samples have been purged.
-        DamagedError
-            Its file is missing or damaged; names the file.
+        Raises:
+            NotFoundError: There is no such window.
+            PurgedError: Its samples have been purged.
+            DamagedError: Its file is missing or damaged; names the file.
         """
         row = _digest(self.connection, wheelset, start_ns)
         if row.samples_purged_ns is not None:
@@ -268,10 +253,8 @@ class WindowStore:
     def samples(self, record: WindowRecord) -> Window:
         """Return the window of a record that this transaction has read.
 
-        Raises
-        ------
-        PurgedError, DamagedError
-            As :meth:`load`.
+        Raises:
+            PurgedError, DamagedError: As :meth:`load`.
         """
         if record.samples_purged:
             raise _purged(record.wheelset, record.start_ns)
@@ -282,20 +265,16 @@ class WindowStore:
 
         A window whose samples have been purged stays as it is; that it was to change is noted.
 
-        Raises
-        ------
-        NotFoundError
-            There is no such window.
+        Raises:
+            NotFoundError: There is no such window.
         """
         return bool(self.mark_all([WindowMark(wheelset, start_ns, state, reason)]))
 
     def mark_all(self, marks: Sequence[WindowMark]) -> Sequence[WindowMark]:
         """Set the states of several windows as :meth:`mark` does; return those that have their states now.
 
-        Raises
-        ------
-        NotFoundError
-            There is no such window.
+        Raises:
+            NotFoundError: There is no such window.
         """
         return mark_all(self.connection, self.changes, marks)
 
@@ -453,10 +432,8 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
 def implausible_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of windows, whatever was selected
     """Return why the mileage of a row of windows is not believed; None where it is.
 
-    Parameters
-    ----------
-    row
-        With the columns ``implausible`` and ``implausible_code``.
+    Args:
+        row: With the columns ``implausible`` and ``implausible_code``.
     """
     return None if row.implausible_code is None else Reason(ReasonCode(row.implausible_code), row.implausible)
 
@@ -474,15 +451,7 @@ def _blows(row: Row[Any]) -> TurnBlows:
 
 
 def window_values(window: Window, mileage_km: float) -> dict[str, object]:
-    """Return what the row of a window that waits to be estimated holds of it, without its file.
-
-    Parameters
-    ----------
-    window
-        The window.
-    mileage_km
-        Of the wheelset since new, at its start.
-    """
+    """Return what the row of a window that waits to be estimated holds of it, without its file."""
     return {
         "wheelset": window.wheelset,
         "start_ns": window.start_ns,

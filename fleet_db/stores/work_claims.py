@@ -51,14 +51,9 @@ class WorkClaimStore:
         A lease has ended at its time, or when its owner is gone. One that ends further ahead than its own length was
         given before the clock was set back: it has ended, too.
 
-        Parameters
-        ----------
-        holder
-            Name of the process.
-        length_ns
-            How long it lasts from now, ns.
-        owner
-            Token of the process that runs the job; None where the worker goes on without it.
+        Args:
+            length_ns: How long it lasts from now, ns.
+            owner: Token of the process that runs the job; None where the worker goes on without it.
         """
         self._end_outdated()
         self._end_of_the_dead(owner)
@@ -68,16 +63,8 @@ class WorkClaimStore:
     def take(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool = False) -> Claimed:
         """Claim what is free.
 
-        Parameters
-        ----------
-        lease
-            That it is claimed under.
-        stage
-            Of the work, such as the name of a job.
-        keys
-            What.
-        alone
-            Whether also what workers have ended at.
+        Args:
+            stage: Of the work, such as the name of a job.
         """
         taken = self._insert(lease, stage, sorted(keys), alone=alone)
         ours = tuple(key for key in keys if key in taken)
@@ -103,10 +90,8 @@ class WorkClaimStore:
     def bound(self, length_s: float) -> None:
         """Let the server end this transaction where its process stands still in it for longer than its lease.
 
-        Parameters
-        ----------
-        length_s
-            Of the lease, s.
+        Args:
+            length_s: Of the lease, s.
         """
         if self.connection.dialect.name == "postgresql":
             name, limit = literal("idle_in_transaction_session_timeout"), literal(str(round(1000 * length_s)))
@@ -115,10 +100,8 @@ class WorkClaimStore:
     def check(self, lease: int, holder: str) -> None:
         """Raise unless a lease is still there; nobody ends it before this transaction does.
 
-        Raises
-        ------
-        LeaseLostError
-            It has ended.
+        Raises:
+            LeaseLostError: It has ended.
         """
         if self.connection.execute(_locked(lease)).first() is None:
             raise LeaseLostError(holder)
@@ -139,10 +122,8 @@ class WorkClaimStore:
 
         What it had claimed is free, and it does not count that it had begun, unless others have begun since.
 
-        Parameters
-        ----------
-        lease
-            It may have ended by its time.
+        Args:
+            lease: It may have ended by its time.
         """
         self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))
         begun = tuple_(CLAIMS.c.key, CLAIMS.c.begun_ns).in_(sorted(lease.begun_ns.items()))
@@ -153,12 +134,8 @@ class WorkClaimStore:
     def end_of(self, holder: str, *, forgiven: bool) -> None:
         """End the leases of a worker that is known to be gone: what it had claimed is free at once.
 
-        Parameters
-        ----------
-        holder
-            Name of the process.
-        forgiven
-            Whether it ended for reasons of its own, which do not count against what it had claimed.
+        Args:
+            forgiven: Whether it ended for reasons of its own, which do not count against what it had claimed.
         """
         of_holder = select(LEASES.c.lease_id).where(LEASES.c.holder == holder)
         if forgiven:

@@ -106,18 +106,10 @@ class WorklistStore:
     ) -> Sequence[WorklistEntry]:
         """Return at most ``limit`` rows behind a place; what is not known comes last in either direction.
 
-        Parameters
-        ----------
-        chosen
-            Which wheelsets.
-        order
-            What they are ordered by; ties by serial, in the same direction.
-        after
-            Place of the last row of the page before.
-        limit
-            How many rows at most.
-        descending
-            The largest first.
+        Args:
+            order: What they are ordered by; ties by serial, in the same direction.
+            after: Place of the last row of the page before.
+            limit: How many rows at most.
         """
         base = _chosen(select(ENTRIES.c.wheelset, ENTRIES.c.form, ENTRIES.c.document), chosen)
         key = KEYS.get(order)
@@ -140,10 +132,8 @@ class WorklistStore:
     def row(self, serial: str) -> str:
         """Return the document of one wheelset.
 
-        Raises
-        ------
-        NotFoundError
-            There is none of that serial.
+        Raises:
+            NotFoundError: There is none of that serial.
         """
         statement = select(ENTRIES.c.wheelset, ENTRIES.c.form, ENTRIES.c.document).where(ENTRIES.c.wheelset == serial)
         found = self._entries(statement)
@@ -154,10 +144,8 @@ class WorklistStore:
     def refresh(self, serials: Sequence[str]) -> None:
         """Make the rows of wheelsets again; to be the last thing that a transaction does.
 
-        Parameters
-        ----------
-        serials
-            In their order, so that no two transactions wait for each other in a circle.
+        Args:
+            serials: In their order, so that no two transactions wait for each other in a circle.
         """
         for part in _parts(serials):
             kept = self._locked(part)

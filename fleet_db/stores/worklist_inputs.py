@@ -45,10 +45,8 @@ class WorklistReader:
     def read(self, serials: Sequence[str]) -> list[WorklistInputs]:
         """Return what is stored of wheelsets that are not voided, by serial.
 
-        Parameters
-        ----------
-        serials
-            Some hundreds at most.
+        Args:
+            serials: Some hundreds at most.
         """
         alerts, windows = self._alerts(serials), self._windows(serials)
         with_geometry = self._having(serials, GEOMETRIES.c.wheelset)

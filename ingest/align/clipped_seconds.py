@@ -17,14 +17,9 @@ def narrowed(marked: BoolArray, values: FloatArray, interval_s: float) -> BoolAr
 
     They do where the largest accelerations of the axle box are in them. What hunts or runs rough clips all the time.
 
-    Parameters
-    ----------
-    marked
-        (n,) samples of the seconds in which the axle box clipped.
-    values
-        (n, 4) in the order of ``ACCELERATIONS``, at the ends of their ranges too; NaN where not known.
-    interval_s
-        Between samples.
+    Args:
+        marked: (n,) samples of the seconds in which the axle box clipped.
+        values: (n, 4) in the order of ``ACCELERATIONS``, at the ends of their ranges too; NaN where not known.
     """
     if not marked.any():
         return marked

@@ -111,10 +111,8 @@ class TimeFrames:
 def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
     """Return the TIME frames of a batch; those with an impossible time are left out, and odd ones among others.
 
-    Parameters
-    ----------
-    decoded, batch
-        The batch, in the order of time, and what it contains.
+    Args:
+        decoded, batch: The batch, in the order of time, and what it contains.
     """
     values = decoded.messages.get(TIME_ID)
     if values is None:
@@ -130,12 +128,9 @@ def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
 def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[SyncClock, AlignCounts]:
     """Return the SYNCs of a batch with their numbers.
 
-    Parameters
-    ----------
-    decoded, batch
-        The batch, in the order of time, and what it contains.
-    interval_ns
-        Sampling interval, ns.
+    Args:
+        decoded, batch: The batch, in the order of time, and what it contains.
+        interval_ns: Sampling interval, ns.
     """
     syncs = decoded.messages.get(SYNC_ID)
     times = time_frames(decoded, batch)
@@ -188,17 +183,11 @@ def _jumps(times: TimeFrames) -> int:
 def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
     """Check that the SYNCs of a time-ordered recording come at the sampling rate.
 
-    Parameters
-    ----------
-    batch
-        The recording.
-    interval_ns
-        Sampling interval of the catalogue, ns.
+    Args:
+        interval_ns: Sampling interval of the catalogue, ns.
 
-    Raises
-    ------
-    LogFileError
-        They come at another rate: the recording does not belong to this catalogue.
+    Raises:
+        LogFileError: They come at another rate: the recording does not belong to this catalogue.
     """
     syncs = np.flatnonzero((batch.arbitration_id == SYNC_ID) & (batch.dlc == 1))
     t_ns, counter = batch.t_ns[syncs], batch.data[syncs, 0].astype(np.int64)
@@ -247,12 +236,8 @@ class AlignedFrames:
 def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
     """Decode a batch and put its frames on the vehicle's clock.
 
-    Parameters
-    ----------
-    catalogue
-        The messages of the bus.
-    batch
-        Frames in merged order (:func:`ingest.frames.merge`).
+    Args:
+        batch: Frames in merged order (:func:`ingest.frames.merge`).
     """
     decoded = decode(catalogue, batch)
     clock, counts = sync_clock(decoded, batch, catalogue.sample_interval_ns)
@@ -264,14 +249,8 @@ def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
 def align_decoded(decoded: Decoded, batch: FrameBatch, clock: SyncClock, times: TimeFrames) -> AlignedFrames:
     """Put decoded frames on the vehicle's clock; counts of SYNCs and samples are the caller's.
 
-    Parameters
-    ----------
-    decoded, batch
-        The batch, in the order of time, and what it contains.
-    clock
-        The SYNCs.
-    times
-        The TIME frames.
+    Args:
+        decoded, batch: The batch, in the order of time, and what it contains.
     """
     counts = AlignCounts()
     messages = {}
@@ -305,10 +284,8 @@ def _cycles(plan: MessagePlan, interval_ns: int) -> int:
 def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
     """Return the messages of several recorders by arbitration id; where two differ at an instant, they conflict.
 
-    Parameters
-    ----------
-    parts
-        Aligned frames of one vehicle, at least one.
+    Args:
+        parts: Aligned frames of one vehicle, at least one.
     """
     if len(parts) == 1:
         return parts[0].messages
@@ -326,14 +303,9 @@ def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
 def by_tick(plan: MessagePlan, tick: IntArray, raw: RawArray) -> tuple[TickedValues, AlignCounts]:
     """Order values by tick and keep one of each tick; equal ones are dropped, unequal ones conflict.
 
-    Parameters
-    ----------
-    plan
-        The message.
-    tick
-        (n,) sampling instant of each frame.
-    raw
-        (n, m) raw values of its signals.
+    Args:
+        tick: (n,) sampling instant of each frame.
+        raw: (n, m) raw values of its signals.
     """
     none = np.zeros(len(tick), dtype=np.bool_)
     if np.all(tick[1:] > tick[:-1]):

@@ -70,14 +70,9 @@ def place_frames(clock: SyncClock, t_ns: IntArray, cycles: int) -> Placement:
     next SYNC shows how many were lost, so that a frame that is stamped late, with none lost, is still taken for what it
     is. Frames between SYNCs that are not in time belong to the one before them.
 
-    Parameters
-    ----------
-    clock
-        The SYNCs.
-    t_ns
-        (n,) stamps of the frames of one message, ascending, ns.
-    cycles
-        The message is sent every so many SYNCs; 0 if it does not follow SYNC.
+    Args:
+        t_ns: (n,) stamps of the frames of one message, ascending, ns.
+        cycles: The message is sent every so many SYNCs; 0 if it does not follow SYNC.
     """
     if len(clock.t_ns) == 0 or len(t_ns) == 0:
         return Placement(np.full(len(t_ns), UNPLACED))
@@ -112,14 +107,10 @@ def sync_clock_of(t_ns: IntArray, tick: IntArray, interval_ns: int) -> SyncClock
     When each was sent follows from its stamp and those of its neighbours, where they are in time. The mean is over
     whole numbers, so it does not depend on where a recording was cut.
 
-    Parameters
-    ----------
-    t_ns
-        (k,) stamps, ascending, ns.
-    tick
-        (k,) numbers.
-    interval_ns
-        Sampling interval, ns.
+    Args:
+        t_ns: (k,) stamps, ascending, ns.
+        tick: (k,) numbers.
+        interval_ns: Sampling interval, ns.
     """
     if len(t_ns) == 0:
         return SyncClock(t_ns, tick, t_ns, interval_ns)
@@ -190,10 +181,8 @@ def _usual_delay(t_ns: IntArray, elapsed: IntArray, counted: BoolArray, interval
 def within_reach(t_ns: IntArray) -> tuple[IntArray, IntArray]:
     """Return the first frame (n,) within ``REACH_NS`` of each, and the one behind the last.
 
-    Parameters
-    ----------
-    t_ns
-        (n,) stamps, ascending, ns.
+    Args:
+        t_ns: (n,) stamps, ascending, ns.
     """
     low, high = np.empty(len(t_ns), np.int64), np.empty(len(t_ns), np.int64)
     first = behind = 0

@@ -18,12 +18,9 @@ def frames_near(
 
     It is clear where every TIME frame agrees with the one before: others are judged by those far from them.
 
-    Parameters
-    ----------
-    batches, alone
-        Of recordings that are merged: their frames, and what they are when each is aligned alone.
-    span
-        ``[from, to)`` of the vehicle's clock, ns.
+    Args:
+        batches, alone: Of recordings that are merged: their frames, and what they are when each is aligned alone.
+        span: ``[from, to)`` of the vehicle's clock, ns.
     """
     offsets = _steady_offsets(alone)
     if offsets is None:
@@ -49,14 +46,9 @@ def values_near(
 ) -> Mapping[int, TickedValues]:
     """Return the messages that have values near a span, with those values.
 
-    Parameters
-    ----------
-    messages
-        By arbitration id.
-    span
-        ``[from, to)`` of the vehicle's clock, ns.
-    interval_ns
-        Sampling interval, ns.
+    Args:
+        span: ``[from, to)`` of the vehicle's clock, ns.
+        interval_ns: Sampling interval, ns.
     """
     ends = [(span[0] - CONTEXT_NS) // interval_ns, -(-(span[1] + CONTEXT_NS) // interval_ns)]
     near = {}

@@ -72,16 +72,8 @@ def node_samples(
 ) -> tuple[NodeSamples, AlignCounts] | None:
     """Return the samples of a wheelset node; None when it sent none.
 
-    Parameters
-    ----------
-    vehicle
-        Code of the vehicle.
-    node
-        Node number of the wheelset, its axle.
-    catalogue
-        The messages of the bus.
-    messages
-        Frames on the vehicle's clock, by arbitration id.
+    Args:
+        messages: Frames on the vehicle's clock, by arbitration id.
     """
     ticked = _of_node(messages, ACCELERATION, node)
     if ticked is None:
@@ -268,12 +260,9 @@ def _run_at(moved: Track, tick: IntArray, interval_s: float) -> FloatArray:
 def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> VehicleMotion:
     """Return place and speed of a vehicle; without frames of its vehicle node everything is unknown.
 
-    Parameters
-    ----------
-    messages
-        Its frames on its clock, by arbitration id.
-    interval_ns
-        Sampling interval, ns.
+    Args:
+        messages: Its frames on its clock, by arbitration id.
+        interval_ns: Sampling interval, ns.
     """
     motion = _track(messages, MOTION, ("speed", "odometer"))
     position = _track(messages, POSITION, ("track_section", "distance", "position_quality"))

@@ -55,12 +55,9 @@ def by_stamps(
 ) -> tuple[IntArray, ByOrder]:
     """Return the SYNC number (n,) of frames by the order of stamps, and whether their delays agree with that.
 
-    Parameters
-    ----------
-    sync_ns, number, sent_ns, interval_ns
-        As in ``SyncClock``, at least one.
-    t_ns
-        (n,) stamps of frames, ascending, ns.
+    Args:
+        sync_ns, number, sent_ns, interval_ns: As in ``SyncClock``, at least one.
+        t_ns: (n,) stamps of frames, ascending, ns.
     """
     slack = interval_ns // IN_TIME
     tick = np.full(len(t_ns), UNPLACED)

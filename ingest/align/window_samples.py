@@ -14,18 +14,12 @@ def good_samples(
 ) -> tuple[BoolArray, int]:
     """Return which samples (k,) are valid where the speed is known, and how many that is.
 
-    Parameters
-    ----------
-    slot
-        (k,) where each is on the grid, ascending.
-    valid
-        (k, m) of each signal.
-    clipped
-        (k,) which samples clip; they spoil those near them.
-    speed
-        (n,) on the grid; NaN where not known.
-    guard
-        How many slots near to a clipped sample others are left out.
+    Args:
+        slot: (k,) where each is on the grid, ascending.
+        valid: (k, m) of each signal.
+        clipped: (k,) which samples clip; they spoil those near them.
+        speed: (n,) on the grid; NaN where not known.
+        guard: How many slots near to a clipped sample others are left out.
     """
     good = np.zeros(len(slot), np.bool_)
     count = 0
@@ -52,15 +46,7 @@ def good_samples(
 
 @compiled(nogil=True)
 def range_of(numbers: IntArray, slot: IntArray, good: BoolArray) -> tuple[int, int]:
-    """Return the smallest and the largest of the numbers (n,) at the slots (k,) of good samples, at least one.
-
-    Parameters
-    ----------
-    numbers
-        On the grid.
-    slot, good
-        Of the samples.
-    """
+    """Return the smallest and the largest of the numbers (n,) at the slots (k,) of good samples, at least one."""
     smallest, largest = np.iinfo(np.int64).max, np.iinfo(np.int64).min
     for i in range(len(slot)):
         if good[i]:
@@ -73,14 +59,9 @@ def range_of(numbers: IntArray, slot: IntArray, good: BoolArray) -> tuple[int, i
 def on_section(distance: FloatArray, forward: FloatArray, section: IntArray, number: int, offset: float) -> FloatArray:
     """Return the distance (n,) of a wheelset along a section, NaN where it is off it.
 
-    Parameters
-    ----------
-    distance, forward, section
-        (n,) of the vehicle's reference point.
-    number
-        Of the section.
-    offset
-        Of the wheelset behind the reference point, m.
+    Args:
+        distance, forward, section: (n,) of the vehicle's reference point.
+        offset: Of the wheelset behind the reference point, m.
     """
     found = np.full(len(distance), np.nan)
     for i in range(len(distance)):
@@ -94,14 +75,10 @@ def on_section(distance: FloatArray, forward: FloatArray, section: IntArray, num
 def gridded(values: FloatArray, slot: IntArray, good: BoolArray, count: int, signals: int) -> FloatArray:
     """Return the first signals (signals, count) of good samples on the grid, NaN elsewhere.
 
-    Parameters
-    ----------
-    values
-        (k, m) by sample.
-    slot, good
-        (k,) of the samples.
-    count, signals
-        Length of the grid; how many of the m signals.
+    Args:
+        values: (k, m) by sample.
+        slot, good: (k,) of the samples.
+        count, signals: Length of the grid; how many of the m signals.
     """
     found = np.full((signals, count), np.nan)
     for i in range(len(slot)):
@@ -113,13 +90,7 @@ def gridded(values: FloatArray, slot: IntArray, good: BoolArray, count: int, sig
 
 @compiled(nogil=True)
 def gaps_of(valid: BoolArray) -> tuple[int, int]:
-    """Return how many gaps there are among valid samples (n,), and the length of the longest.
-
-    Parameters
-    ----------
-    valid
-        On the grid.
-    """
+    """Return how many gaps there are among valid samples (n,), and the length of the longest."""
     gaps = longest = length = 0
     for i in range(len(valid)):
         if valid[i]:
@@ -139,14 +110,9 @@ def between_frames(
 
     Values and slopes are NaN before the first frame, the frame is -1 there.
 
-    Parameters
-    ----------
-    count
-        Length of the grid.
-    tick
-        (k,) slots of the frames, strictly increasing; they may be before the grid or behind it.
-    values, slope
-        (k,) at each frame, and until the next.
+    Args:
+        tick: (k,) slots of the frames, strictly increasing; they may be before the grid or behind it.
+        values, slope: (k,) at each frame, and until the next.
     """
     found, slopes, before = np.full(count, np.nan), np.full(count, np.nan), np.full(count, -1)
     at = -1

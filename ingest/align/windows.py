@@ -106,14 +106,8 @@ def vehicle_samples(
 ) -> tuple[VehicleSamples, AlignCounts]:
     """Return the samples of all wheelset nodes of a vehicle with its motion, and counts of what was left out.
 
-    Parameters
-    ----------
-    vehicle
-        Code of the vehicle.
-    catalogue
-        The messages of its bus.
-    messages
-        Its frames on its clock, by arbitration id.
+    Args:
+        messages: Its frames on its clock, by arbitration id.
     """
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
@@ -132,21 +126,14 @@ def windows_of(
 ) -> Iterator[MountedWindow | WindowCounts]:
     """Yield the windows, and counts of those that are not made.
 
-    Parameters
-    ----------
-    samples
-        The vehicle's samples and motion.
-    starts
-        Starts of the windows on the vehicle's clock, ns.
-    length_ns
-        Length of a window, ns.
-    lookup
-        The registry, over all of the windows.
+    Args:
+        samples: The vehicle's samples and motion.
+        starts: Starts of the windows on the vehicle's clock, ns.
+        length_ns: Length of a window, ns.
+        lookup: The registry, over all of the windows.
 
-    Raises
-    ------
-    ParameterError
-        The window length is no whole number of sampling intervals.
+    Raises:
+        ParameterError: The window length is no whole number of sampling intervals.
     """
     if length_ns % samples.interval_ns:
         raise ParameterError(
@@ -291,13 +278,7 @@ def _found(
 
 
 def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:
-    """Return the sums.
-
-    Parameters
-    ----------
-    first, second
-        Counts of different windows.
-    """
+    """Return the sums."""
     return replace(
         first,
         **{name: getattr(first, name) + getattr(second, name) for name in WindowCounts.__slots__},

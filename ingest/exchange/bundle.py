@@ -34,19 +34,8 @@ class _Facts(InputTable):
 def read_run(file: ExchangeFile, table: Path, facts: RegistryFacts) -> ExchangeRun:
     """Return the run of an exchange.
 
-    Parameters
-    ----------
-    file
-        Its description.
-    table
-        The file of its table.
-    facts
-        Of the registry.
-
-    Raises
-    ------
-    ExchangeError
-        The table cannot be used; names file, line and column.
+    Raises:
+        ExchangeError: The table cannot be used; names file, line and column.
     """
     names = [column.column for _, column in file.columns]
     read = read_table_apart if table.suffix.lower() == PARQUET else read_table
@@ -56,14 +45,8 @@ def read_run(file: ExchangeFile, table: Path, facts: RegistryFacts) -> ExchangeR
 def write_bundle(path: Path, description: Path, table: Path, facts: RegistryFacts) -> None:
     """Write an exchange as one file.
 
-    Parameters
-    ----------
-    path
-        The file to write.
-    description, table
-        The TOML file and the table of the exchange.
-    facts
-        Of the registry.
+    Args:
+        description, table: The TOML file and the table of the exchange.
     """
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as bundle:
         _add(bundle, DESCRIPTION, description)
@@ -79,15 +62,8 @@ def _add(bundle: zipfile.ZipFile, name: str, path: Path) -> None:
 def read_bundle(path: Path) -> tuple[ExchangeFile, ExchangeRun, RegistryFacts]:
     """Return description, run and facts of a stored exchange.
 
-    Parameters
-    ----------
-    path
-        From :func:`write_bundle`.
-
-    Raises
-    ------
-    ExchangeError
-        The file is damaged.
+    Raises:
+        ExchangeError: The file is damaged.
     """
     with tempfile.TemporaryDirectory(prefix="treadwatch-exchange-") as name:
         folder = Path(name)

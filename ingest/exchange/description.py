@@ -193,12 +193,8 @@ class ExchangeFile(InputTable):
 def unit(name: str, column: Column) -> Unit:
     """Return the unit of a column.
 
-    Parameters
-    ----------
-    name
-        What it is, one of ``QUANTITIES``.
-    column
-        Its description.
+    Args:
+        name: What it is, one of ``QUANTITIES``.
     """
     return unit_of(column.unit, QUANTITIES[name])
 
@@ -206,15 +202,8 @@ def unit(name: str, column: Column) -> Unit:
 def read_description(path: Path) -> tuple[ExchangeFile, InputFile]:
     """Return the content of the TOML file, and where in the file each key stands.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    ExchangeError
-        It cannot be read, or a key is missing, unknown or impossible.
+    Raises:
+        ExchangeError: It cannot be read, or a key is missing, unknown or impossible.
     """
     file = read_toml(path, ExchangeError)
     return file.parse(ExchangeFile), file

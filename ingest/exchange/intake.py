@@ -36,17 +36,9 @@ class Exchange:
 def checked_exchange(description: Path, unit: SqlUnitOfWork) -> Exchange:
     """Return an exchange that was checked from its units to its mountings.
 
-    Parameters
-    ----------
-    description
-        Its TOML file.
-    unit
-        An open transaction.
-
-    Raises
-    ------
-    ExchangeError
-        Something in it is missing, impossible or contradicts itself or the registry; names file, line and field.
+    Raises:
+        ExchangeError: Something in it is missing, impossible or contradicts itself or the registry; names file, line
+            and field.
     """
     file, toml = read_description(description)
     vehicle, section = _vehicle(file, toml, unit), _section(file, toml, unit)

@@ -10,21 +10,11 @@ from ingest.exchange.bundle import SUFFIX
 def check_alone(unit: SqlUnitOfWork, vehicle: str, first_ns: int, last_ns: int, digest: str) -> None:
     """Raise where another exchange of the vehicle shares an instant with one.
 
-    Parameters
-    ----------
-    unit
-        An open transaction.
-    vehicle
-        Code.
-    first_ns, last_ns
-        First and last instant of the exchange, ns on the vehicle's clock.
-    digest
-        Of the exchange.
+    Args:
+        first_ns, last_ns: First and last instant of the exchange, ns on the vehicle's clock.
 
-    Raises
-    ------
-    ConflictError
-        There is one; names it.
+    Raises:
+        ConflictError: There is one; names it.
     """
     for other in unit.chunks.overlapping(vehicle, first_ns, last_ns + 1):
         if other.suffix == SUFFIX and other.digest != digest:

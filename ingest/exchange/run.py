@@ -73,19 +73,9 @@ class ExchangeRun:
 def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts) -> ExchangeRun:
     """Return the run that a table describes.
 
-    Parameters
-    ----------
-    file
-        Its description.
-    table
-        Its columns.
-    facts
-        Of the registry.
-
-    Raises
-    ------
-    ExchangeError
-        Times are not uniform, a magnitude is impossible, the speed is negative, or the position does not go with it.
+    Raises:
+        ExchangeError: Times are not uniform, a magnitude is impossible, the speed is negative, or the position does not
+            go with it.
     """
     time = uniform_time(table, file.time.column, unit("time", file.time).factor, file.sampling.rate_hz)
     if abs(time.start_s) > LONGEST_S:
@@ -210,14 +200,8 @@ def _plan(kind: str, node: int | None, place: int, counts: Mapping[str, float]) 
 def aligned_run(run: ExchangeRun, facts: RegistryFacts, position_quality: float) -> AlignedFrames:
     """Return a run as messages on the vehicle's clock.
 
-    Parameters
-    ----------
-    run
-        The run.
-    facts
-        Of the registry.
-    position_quality
-        0 to 1.
+    Args:
+        position_quality: 0 to 1.
     """
     catalogue = exchange_catalogue()
     motion = np.column_stack([run.speed, run.odometer_m])

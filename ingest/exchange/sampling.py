@@ -36,21 +36,11 @@ class UniformTime:
 def uniform_time(table: ExchangeTable, column: str, factor: float, rate_hz: float) -> UniformTime:
     """Return the uniform series that the times of a table are.
 
-    Parameters
-    ----------
-    table
-        The table.
-    column
-        Its column of times.
-    factor
-        Of its unit, to seconds.
-    rate_hz
-        As declared.
+    Args:
+        factor: Of its unit, to seconds.
 
-    Raises
-    ------
-    ExchangeError
-        Times do not increase, have a gap, are not uniform, or come at another rate; names the line.
+    Raises:
+        ExchangeError: Times do not increase, have a gap, are not uniform, or come at another rate; names the line.
     """
     times = table.columns[column] * factor
     if len(times) < FEWEST:
@@ -81,14 +71,9 @@ def ticks_of(time: UniformTime, start_ns: int, interval_ns: int) -> tuple[IntArr
 
     The first sample is put on the instant nearest to it; all signals of a run share that shift.
 
-    Parameters
-    ----------
-    time
-        The series.
-    start_ns
-        Vehicle time at which its time is 0, ns.
-    interval_ns
-        Interval of the instants, ns.
+    Args:
+        start_ns: Vehicle time at which its time is 0, ns.
+        interval_ns: Interval of the instants, ns.
     """
     first = round((start_ns + round(time.start_s * 1e9)) / interval_ns)
     ratio = interval_ns * 1e-9 / time.interval_s
@@ -104,12 +89,9 @@ def resampled(values: FloatArray, at: FloatArray) -> FloatArray:
     A windowed sinc (Kaiser), flat to 0.36 and 80 dB down from 0.64 of the lower rate. Places that are samples, one
     after the other, are these samples. NaN where its reach goes beyond the signals.
 
-    Parameters
-    ----------
-    values
-        (n, m) uniform samples.
-    at
-        (k,) places, uniform, increasing, in samples.
+    Args:
+        values: (n, m) uniform samples.
+        at: (k,) places, uniform, increasing, in samples.
     """
     step = float(at[1] - at[0]) if len(at) > 1 else 1.0
     if step == 1.0 and float(at[0]).is_integer():

@@ -80,14 +80,8 @@ class SignEvidence:
 def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidence:
     """Return how lateral, yaw and roll of an axle go with each other over a run.
 
-    Parameters
-    ----------
-    run
-        The run.
-    axle
-        One of its axles.
-    in_bogie
-        What is above the axle is the frame of a bogie.
+    Args:
+        in_bogie: What is above the axle is the frame of a bogie.
     """
     integrated = integrate(_window(run, axle), np.ones(len(run.tick), np.bool_), SignalParameters())
     low, high = _roll_bounds(integrated)
@@ -103,20 +97,13 @@ def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidenc
 def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bogie: bool) -> None:
     """Raise where the signals of a run contradict its axes.
 
-    Parameters
-    ----------
-    run
-        The run in the axes of the product, as described.
-    file, toml
-        Its description, and where in the file each key stands.
-    in_bogie
-        The vehicle has bogies.
+    Args:
+        run: The run in the axes of the product, as described.
+        file, toml: Its description, and where in the file each key stands.
 
-    Raises
-    ------
-    ExchangeError
-        A signal has the wrong sign: on all axles its axis, on some of them its sensor; names what must be turned. Or
-        lateral and yaw of an axle differ in magnitude.
+    Raises:
+        ExchangeError: A signal has the wrong sign: on all axles its axis, on some of them its sensor; names what must
+            be turned. Or lateral and yaw of an axle differ in magnitude.
     """
     found = {axle: sign_evidence(run, axle, in_bogie=in_bogie) for axle in run.accelerations}
     for at, axle in enumerate(file.axles):

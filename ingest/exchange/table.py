@@ -40,19 +40,13 @@ class ExchangeTable:
 def read_table(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTable:
     """Return the columns of a table.
 
-    Parameters
-    ----------
-    path
-        A CSV (``.csv``, ``.txt``) or Parquet file.
-    layout
-        How a CSV file is written.
-    names
-        The columns that are needed.
+    Args:
+        path: A CSV (``.csv``, ``.txt``) or Parquet file.
+        layout: How a CSV file is written.
 
-    Raises
-    ------
-    ExchangeError
-        The file is missing, is no such table, lacks a column, or a value is no finite number; names line and column.
+    Raises:
+        ExchangeError: The file is missing, is no such table, lacks a column, or a value is no finite number; names line
+            and column.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:

@@ -41,21 +41,13 @@ COLUMNS = "columns.npy"
 def read_table_apart(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTable:
     """Return the columns of a table, read in a process of its own; as :func:`ingest.exchange.table.read_table`.
 
-    Parameters
-    ----------
-    path
-        A CSV or Parquet file.
-    layout
-        How a CSV file is written.
-    names
-        The columns that are needed.
+    Args:
+        path: A CSV or Parquet file.
+        layout: How a CSV file is written.
 
-    Raises
-    ------
-    ExchangeError
-        As there, or it cannot be read within the limits.
-    PassingFaultError
-        There is no process or no space to read it with.
+    Raises:
+        ExchangeError: As there, or it cannot be read within the limits.
+        PassingFaultError: There is no process or no space to read it with.
     """
     with TemporaryDirectory(prefix="treadwatch-table-") as folder:
         table = [str(path.absolute()), layout.model_dump_json(), json.dumps(list(names)), folder]
@@ -98,16 +90,9 @@ def _answer(request: Sequence[str], path: Path) -> dict[str, Any]:
 def main(path: str, layout: str, names: str, folder: str, parent: str, memory_bytes: str) -> None:
     """Read one table, write its columns, and print how it went.
 
-    Parameters
-    ----------
-    path, layout, names
-        Of :func:`read_table_apart`, the last two as JSON.
-    folder
-        Where the columns are written.
-    parent
-        The process that started this one.
-    memory_bytes
-        That it may take.
+    Args:
+        folder: Where the columns are written.
+        memory_bytes: That it may take.
     """
     end_with(int(parent))
     csv, wanted = CsvTable.model_validate_json(layout), json.loads(names)

@@ -29,12 +29,9 @@ class Limit(StrEnum):
 class BacklogLimits:
     """How much may wait to be decoded, and how much of the disk stays free.
 
-    Attributes
-    ----------
-    chunks, size_bytes
-        Of all that wait.
-    free_bytes
-        That no chunk may take.
+    Attributes:
+        chunks, size_bytes: Of all that wait.
+        free_bytes: That no chunk may take.
     """
 
     chunks: int
@@ -54,16 +51,10 @@ class Behind:
 class BacklogWatch:
     """Says whether a chunk may come; asks database and disk at most once a second.
 
-    Parameters
-    ----------
-    storage
-        The database, of all fleets.
-    folder
-        In which chunks are received before they are stored.
-    limits
-        Of the deployment.
-    now_s
-        A clock that never goes back, s.
+    Args:
+        storage: The database, of all fleets.
+        folder: In which chunks are received before they are stored.
+        now_s: A clock that never goes back, s.
     """
 
     storage: SqlStorage
@@ -84,17 +75,12 @@ class BacklogWatch:
     def behind(self, size_bytes: int) -> Behind | None:
         """Return the limit that keeps a chunk out; None where it may come, and counts from now on.
 
-        Parameters
-        ----------
-        size_bytes
-            Of the chunk, or what it may have at most.
+        Args:
+            size_bytes: Of the chunk, or what it may have at most.
 
-        Raises
-        ------
-        StorageError
-            The database cannot be reached.
-        PassingFaultError
-            The disk cannot be asked.
+        Raises:
+            StorageError: The database cannot be reached.
+            PassingFaultError: The disk cannot be asked.
         """
         with self._lock:
             if not self.fresh:
@@ -128,15 +114,11 @@ class BacklogWatch:
 def free_bytes(folder: Path) -> int:
     """Return how much room is left where a folder is, or will be made.
 
-    Parameters
-    ----------
-    folder
-        Need not exist.
+    Args:
+        folder: Need not exist.
 
-    Raises
-    ------
-    PassingFaultError
-        The disk cannot be asked.
+    Raises:
+        PassingFaultError: The disk cannot be asked.
     """
     there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.is_dir())
     with passing_faults(there):

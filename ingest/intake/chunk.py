@@ -16,16 +16,11 @@ WAITING = Reason(ReasonCode.WAITS_FOR_DECODING, "it is received and waits to be 
 class Chunk:
     """What a sender says of a chunk.
 
-    Attributes
-    ----------
-    vehicle
-        Code of the vehicle; it need not be registered yet.
-    suffix
-        Of its format, such as ``.blf``.
-    file_name
-        Under which it came.
-    sender
-        Who sent it, or the folder it came through.
+    Attributes:
+        vehicle: Code of the vehicle; it need not be registered yet.
+        suffix: Of its format, such as ``.blf``.
+        file_name: Under which it came.
+        sender: Who sent it, or the folder it came through.
     """
 
     vehicle: str
@@ -36,12 +31,8 @@ class Chunk:
     def receipt(self, digest: str, size_bytes: int, now_ns: int) -> ChunkRecord:
         """Return its receipt.
 
-        Parameters
-        ----------
-        digest, size_bytes
-            Of its bytes.
-        now_ns
-            Our time.
+        Args:
+            digest, size_bytes: Of its bytes.
         """
         return ChunkRecord(
             digest=digest,

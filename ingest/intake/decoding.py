@@ -32,23 +32,13 @@ def decode_received(
 ) -> DecodedChunks:
     """Decode the chunks that wait for a worker when this begins or come meanwhile, but for those of other workers.
 
-    Parameters
-    ----------
-    storage
-        Of the receipts.
-    receiver
-        Decodes them; it rejects what is no log and keeps in quarantine what fails otherwise.
-    holder
-        Name of the process.
-    checkpoint
-        Called between two chunks with (done, of how many as far as known); it may raise to end the work.
-    vehicle
-        Only its chunks are decoded; None for all.
+    Args:
+        receiver: Decodes them; it rejects what is no log and keeps in quarantine what fails otherwise.
+        checkpoint: Called between two chunks with (done, of how many as far as known); it may raise to end the work.
+        vehicle: Only its chunks are decoded; None for all.
 
-    Raises
-    ------
-    StorageError
-        The database cannot be reached.
+    Raises:
+        StorageError: The database cannot be reached.
     """
     counts, after = DecodedChunks(), (-1, "")
     with decoding_locks(storage, holder) as try_vehicle:

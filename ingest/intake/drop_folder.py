@@ -37,16 +37,11 @@ LOCK = ".treadwatch-drop-folder"
 class DropSettings:
     """Of a drop folder.
 
-    Attributes
-    ----------
-    folder
-        Watched; ``done`` and ``refused`` are made in it.
-    quiet_s
-        A file that has not changed for so long is complete, s.
-    most_bytes
-        Size of a file at most.
-    vehicle_of
-        Returns the vehicle of a file, by its path; raises InputError where it does not show.
+    Attributes:
+        folder: Watched; ``done`` and ``refused`` are made in it.
+        quiet_s: A file that has not changed for so long is complete, s.
+        most_bytes: Size of a file at most.
+        vehicle_of: Returns the vehicle of a file, by its path; raises InputError where it does not show.
     """
 
     folder: Path
@@ -80,16 +75,9 @@ class _Seen:
 class DropFolder:
     """Watches a folder.
 
-    Parameters
-    ----------
-    settings
-        Which, and what is taken.
-    raw, storage
-        Where files go.
-    backlog
-        Says whether more may come; where not, files wait in the folder.
-    now_s
-        A clock that never goes back, s.
+    Args:
+        backlog: Says whether more may come; where not, files wait in the folder.
+        now_s: A clock that never goes back, s.
     """
 
     settings: DropSettings
@@ -102,12 +90,9 @@ class DropFolder:
     def look(self) -> Look:
         """Take in what is complete, and return what was done.
 
-        Raises
-        ------
-        PassingFaultError
-            The folder or the raw store cannot be used now: every file is still there.
-        StorageError
-            The database cannot be reached: the same.
+        Raises:
+            PassingFaultError: The folder or the raw store cannot be used now: every file is still there.
+            StorageError: The database cannot be reached: the same.
         """
         complete, incomplete = self._complete()
         stored, known, refused = 0, 0, []
@@ -157,12 +142,9 @@ class DropFolder:
     def _read(self, path: Path) -> Arrival:
         """Return a file with the bytes of ``path``, received.
 
-        Raises
-        ------
-        InputError
-            It is no log that can be taken, or it changes while it is read.
-        PassingFaultError
-            The raw store cannot take it now.
+        Raises:
+            InputError: It is no log that can be taken, or it changes while it is read.
+            PassingFaultError: The raw store cannot take it now.
         """
         if self._seen[path].size > self.settings.most_bytes:
             raise InputError(f"is larger than {self.settings.most_bytes:,} bytes", file=path)
@@ -220,17 +202,9 @@ class DropFolder:
 def held_folder(folder: Path) -> Iterator[None]:
     """Hold a folder, so that one process watches it.
 
-    Parameters
-    ----------
-    folder
-        Must be there.
-
-    Raises
-    ------
-    ConflictError
-        Another process watches it.
-    PassingFaultError
-        It cannot be used.
+    Raises:
+        ConflictError: Another process watches it.
+        PassingFaultError: It cannot be used.
     """
     with passing_faults(folder), locked_file(folder / LOCK) as locked:
         if not locked:

@@ -23,12 +23,8 @@ class _Waiting:
 class ReceiptGroup:
     """One thread that commits receipts; it starts with the first, and its queue is bounded.
 
-    Parameters
-    ----------
-    storage
-        Where they go.
-    most_waiting
-        Arrivals that may wait; more are refused.
+    Args:
+        most_waiting: Arrivals that may wait; more are refused.
     """
 
     def __init__(self, storage: ChunkStorage, most_waiting: int) -> None:
@@ -40,15 +36,11 @@ class ReceiptGroup:
     def put(self, arrival: Arrival) -> Future[Stored]:
         """Hand an arrival over; what is returned ends with its committed receipt, or with why there is none.
 
-        Parameters
-        ----------
-        arrival
-            Its file must stay where it is until then.
+        Args:
+            arrival: Its file must stay where it is until then.
 
-        Raises
-        ------
-        BusyError
-            Too many wait already.
+        Raises:
+            BusyError: Too many wait already.
         """
         with self._starting:
             if self._thread is None:

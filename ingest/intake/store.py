@@ -36,14 +36,8 @@ class Stored:
 class ChunkStorage:
     """Stores arrivals: their bytes in the raw store first, then all receipts in one transaction.
 
-    Parameters
-    ----------
-    storage, raw
-        Where receipts and bytes go.
-    clock
-        Ours.
-    announce
-        Called with each receipt once it is committed.
+    Args:
+        storage, raw: Where receipts and bytes go.
     """
 
     def __init__(self, storage: SqlStorage, raw: RawStore, clock: Clock, announce: Announce = to_nobody) -> None:
@@ -57,17 +51,9 @@ class ChunkStorage:
     def store(self, arrivals: Sequence[Arrival]) -> list[Stored | ConflictError]:
         """Store arrivals; the answer to each is its receipt, or why it is not taken. What is not needed is deleted.
 
-        Parameters
-        ----------
-        arrivals
-            Finished files.
-
-        Raises
-        ------
-        PassingFaultError
-            The raw store cannot take them now: nothing has a receipt.
-        StorageError
-            The database cannot be reached: the same.
+        Raises:
+            PassingFaultError: The raw store cannot take them now: nothing has a receipt.
+            StorageError: The database cannot be reached: the same.
         """
         if self._mark is None or self._raw.read_mark() != self._mark:
             self._mark = check_raw_store(self._storage, self._raw, self._clock.now_ns())

@@ -6,10 +6,8 @@ from __future__ import annotations
 class Backoff:
     """Delays that double from attempt to attempt, until one succeeds.
 
-    Parameters
-    ----------
-    first_s, longest_s
-        First and longest delay, s.
+    Args:
+        first_s, longest_s: First and longest delay, s.
     """
 
     def __init__(self, first_s: float, longest_s: float) -> None:

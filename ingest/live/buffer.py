@@ -8,13 +8,7 @@ from ingest.live.records import FRAME_BYTES
 
 
 class FrameBuffer:
-    """Frames in memory, oldest first. When it is full the newest are dropped.
-
-    Parameters
-    ----------
-    limit_bytes
-        How much it holds.
-    """
+    """Frames in memory, oldest first. When it is full the newest are dropped."""
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit = limit_bytes
@@ -49,10 +43,8 @@ class FrameBuffer:
     def take(self, limit_bytes: int) -> tuple[bytes, int]:
         """Return the oldest frames, and how many were dropped behind them.
 
-        Parameters
-        ----------
-        limit_bytes
-            How much to take at most; a multiple of the size of a frame.
+        Args:
+            limit_bytes: How much to take at most; a multiple of the size of a frame.
         """
         with self._lock:
             frames = bytes(self._frames[:limit_bytes])

@@ -26,21 +26,14 @@ class ReceivedBus:
 def receive_buses(buses: Sequence[ReceivedBus], stop: threading.Event) -> None:
     """Receive buses until ``stop`` is set, or one of them is refused for good, which ends all of them.
 
-    Parameters
-    ----------
-    buses
-        Of different vehicles.
-    stop
-        Set by whoever ends it.
+    Args:
+        stop: Set by whoever ends it.
 
-    Raises
-    ------
-    ConflictError
-        Another process receives one of the vehicles.
-    StorageError
-        The folder of a spool cannot be used.
-    TreadwatchError
-        A bus or the stores refused for good. What the other buses had received is stored, or in their spools.
+    Raises:
+        ConflictError: Another process receives one of the vehicles.
+        StorageError: The folder of a spool cannot be used.
+        TreadwatchError: A bus or the stores refused for good. What the other buses had received is stored, or in their
+            spools.
     """
     failures: list[Exception] = []
 

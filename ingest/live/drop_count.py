@@ -25,15 +25,11 @@ class DropCount:
 class DropCountFile:
     """The count on the disk.
 
-    Parameters
-    ----------
-    path
-        The file; made if it is missing.
+    Args:
+        path: The file; made if it is missing.
 
-    Raises
-    ------
-    OSError
-        It cannot be made or read.
+    Raises:
+        OSError: It cannot be made or read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -49,10 +45,8 @@ class DropCountFile:
     def write(self, count: DropCount) -> None:
         """Put a count on the disk.
 
-        Raises
-        ------
-        OSError
-            The disk failed; the count before is still there.
+        Raises:
+            OSError: The disk failed; the count before is still there.
         """
         if count == self.count:
             return

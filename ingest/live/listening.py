@@ -44,12 +44,9 @@ _DROPS = 8
 class BusSource:
     """A bus to listen to.
 
-    Attributes
-    ----------
-    name
-        For people: interface, channel and vehicle.
-    open
-        Opens it; raises ParameterError where it cannot.
+    Attributes:
+        name: For people: interface, channel and vehicle.
+        open: Opens it; raises ParameterError where it cannot.
     """
 
     name: str
@@ -59,14 +56,8 @@ class BusSource:
 class Listening:
     """Listens until asked to end; nothing that the bus does can end it.
 
-    Parameters
-    ----------
-    source
-        The bus. An error at opening it that does not pass is kept as ``refused``.
-    buffer
-        Where frames go.
-    status, reports
-        Where it says what happens.
+    Args:
+        source: The bus. An error at opening it that does not pass is kept as ``refused``.
     """
 
     def __init__(self, source: BusSource, buffer: FrameBuffer, status: LiveStatus, reports: Reports) -> None:
@@ -176,15 +167,11 @@ class Listening:
 def packed(message: can.Message) -> bytes:
     """Return a frame of python-can as bytes of the spool.
 
-    Parameters
-    ----------
-    message
-        The frame.
+    Args:
+        message: The frame.
 
-    Raises
-    ------
-    ValueError
-        It is no frame of a classic CAN bus.
+    Raises:
+        ValueError: It is no frame of a classic CAN bus.
     """
     if message.is_fd or message.dlc > DATA_BYTES:
         raise ValueError("a CAN FD frame on a classic CAN bus")

@@ -29,15 +29,11 @@ class PieceRecording:
 def read_piece(path: Path) -> PieceRecording | None:
     """Return the recording of a piece; None when no frame of it is whole.
 
-    Parameters
-    ----------
-    path
-        A piece that grows no more.
+    Args:
+        path: A piece that grows no more.
 
-    Raises
-    ------
-    OSError
-        It cannot be read.
+    Raises:
+        OSError: It cannot be read.
     """
     records = decode(path.read_bytes()).records
     packed = np.frombuffer(b"".join(record.frames for record in records), FRAME)

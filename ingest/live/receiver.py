@@ -21,18 +21,12 @@ WATCH_EVERY_S = 0.2
 class LiveSettings:
     """Of a live receiver.
 
-    Attributes
-    ----------
-    vehicle
-        Code of the vehicle on the bus.
-    spool_dir
-        Folder of all spools.
-    spool_bytes, memory_bytes
-        How much may wait on the disk, and in memory while the disk takes nothing.
-    piece_seconds
-        Length of a piece, s.
-    shutdown_s
-        How long storing may go on after a stop is requested, s.
+    Attributes:
+        vehicle: Code of the vehicle on the bus.
+        spool_dir: Folder of all spools.
+        spool_bytes, memory_bytes: How much may wait on the disk, and in memory while the disk takes nothing.
+        piece_seconds: Length of a piece, s.
+        shutdown_s: How long storing may go on after a stop is requested, s.
     """
 
     vehicle: str
@@ -53,27 +47,14 @@ def receive_live(
 ) -> None:
     """Receive a bus until ``stop`` is set. What has no receipt then stays in the spool for the next start.
 
-    Parameters
-    ----------
-    settings
-        Which vehicle, and how much may wait.
-    source
-        Its bus.
-    stores
-        Where pieces go.
-    status, reports
-        Where the receiver says what happens.
-    stop
-        Set by whoever ends it; set here where bus or stores refuse for good.
+    Args:
+        settings: Which vehicle, and how much may wait.
+        stop: Set by whoever ends it; set here where bus or stores refuse for good.
 
-    Raises
-    ------
-    ConflictError
-        Another process receives this vehicle.
-    StorageError
-        The folder of the spool cannot be used.
-    TreadwatchError
-        Bus or stores refused for good.
+    Raises:
+        ConflictError: Another process receives this vehicle.
+        StorageError: The folder of the spool cannot be used.
+        TreadwatchError: Bus or stores refused for good.
     """
     spool = Spool(spool_folder(settings.spool_dir, settings.vehicle), settings.spool_bytes)
     buffer = FrameBuffer(settings.memory_bytes)

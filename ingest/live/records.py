@@ -29,14 +29,10 @@ _LONGEST_BODY = 1 << 21
 class Record:
     """Frames that were written together.
 
-    Attributes
-    ----------
-    frames
-        Whole frames, as :func:`pack_frame` packs them.
-    dropped
-        Frames that were dropped behind these.
-    dropped_total
-        All frames of this vehicle that were dropped up to here, by this process and those before it.
+    Attributes:
+        frames: Whole frames, as :func:`pack_frame` packs them.
+        dropped: Frames that were dropped behind these.
+        dropped_total: All frames of this vehicle that were dropped up to here, by this process and those before it.
     """
 
     frames: bytes
@@ -48,14 +44,10 @@ class Record:
 class Contents:
     """What a file of records holds.
 
-    Attributes
-    ----------
-    records
-        The whole ones.
-    end
-        The byte behind the last of them.
-    skipped
-        Bytes before that which are damaged.
+    Attributes:
+        records: The whole ones.
+        end: The byte behind the last of them.
+        skipped: Bytes before that which are damaged.
     """
 
     records: tuple[Record, ...]
@@ -66,16 +58,11 @@ class Contents:
 def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:
     """Return the bytes of a frame.
 
-    Parameters
-    ----------
-    t_ns
-        Stamp of the recorder, ns.
-    arbitration_id
-        With SocketCAN's flags.
-    dlc
-        0 to 8.
-    data
-        Payload; filled up with zeros to 8 bytes.
+    Args:
+        t_ns: Stamp of the recorder, ns.
+        arbitration_id: With SocketCAN's flags.
+        dlc: 0 to 8.
+        data: Payload; filled up with zeros to 8 bytes.
     """
     return _FRAME.pack(t_ns, arbitration_id, dlc, data)
 
@@ -89,10 +76,8 @@ def encode(record: Record) -> bytes:
 def decode(content: bytes) -> Contents:
     """Return every whole record of a file, in order; what is torn or damaged is skipped.
 
-    Parameters
-    ----------
-    content
-        The bytes of the file.
+    Args:
+        content: The bytes of the file.
     """
     records: list[Record] = []
     at = end = skipped = 0

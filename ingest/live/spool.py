@@ -43,12 +43,8 @@ class TakenOver:
 def spool_folder(parent: Path, vehicle: str) -> Path:
     """Return the folder of a vehicle.
 
-    Parameters
-    ----------
-    parent
-        Folder of all spools.
-    vehicle
-        Code of the vehicle, of any characters.
+    Args:
+        parent: Folder of all spools.
     """
     name = quote(vehicle, safe=" ")
     return parent / (f"%2E{name[1:]}" if name.startswith(".") else name)
@@ -59,19 +55,12 @@ class Spool:
 
     One thread appends and closes pieces, another one takes the closed ones; both may ask for sizes.
 
-    Parameters
-    ----------
-    folder
-        Of this vehicle; see :func:`spool_folder`.
-    limit_bytes
-        How much all pieces together may hold.
+    Args:
+        limit_bytes: How much all pieces together may hold.
 
-    Raises
-    ------
-    ConflictError
-        Another process holds it.
-    StorageError
-        The folder cannot be used.
+    Raises:
+        ConflictError: Another process holds it.
+        StorageError: The folder cannot be used.
     """
 
     def __init__(self, folder: Path, limit_bytes: int) -> None:
@@ -119,10 +108,8 @@ class Spool:
     def take_over(self) -> TakenOver:
         """Make what an earlier process left ready to be stored; call it once, first.
 
-        Raises
-        ------
-        OSError
-            The disk failed; may be called again.
+        Raises:
+            OSError: The disk failed; may be called again.
         """
         torn = damaged = 0
         found: list[Piece] = []
@@ -149,12 +136,9 @@ class Spool:
     def append(self, record: Record) -> None:
         """Put a record on the disk; it is there when this returns.
 
-        Raises
-        ------
-        StorageError
-            The spool is full.
-        OSError
-            The disk is full or failed. Nothing of the record counts.
+        Raises:
+            StorageError: The spool is full.
+            OSError: The disk is full or failed. Nothing of the record counts.
         """
         content = encode(record)
         with self._lock:
@@ -174,10 +158,8 @@ class Spool:
     def count_dropped(self, count: DropCount) -> None:
         """Put the number of dropped frames on the disk.
 
-        Raises
-        ------
-        OSError
-            The disk failed.
+        Raises:
+            OSError: The disk failed.
         """
         self._drops.write(count)
 
@@ -201,10 +183,8 @@ class Spool:
     def remove(self, piece: Piece) -> None:
         """Remove a piece that has its receipt.
 
-        Raises
-        ------
-        OSError
-            The disk failed; the piece still waits.
+        Raises:
+            OSError: The disk failed; the piece still waits.
         """
         piece.path.unlink(missing_ok=True)
         with self._lock:
@@ -213,10 +193,8 @@ class Spool:
     def set_aside(self, piece: Piece) -> None:
         """Keep a piece that cannot be stored out of the way of the others, until the next start.
 
-        Raises
-        ------
-        OSError
-            The disk failed; the piece still waits.
+        Raises:
+            OSError: The disk failed; the piece still waits.
         """
         piece.path.replace(piece.path.with_suffix(SET_ASIDE_SUFFIX))
         with self._lock:
@@ -275,10 +253,8 @@ def _cut(path: Path, size: int, end: int) -> None:
 def _hold(folder: Path) -> int:
     """Lock the folder for this process.
 
-    Raises
-    ------
-    ConflictError
-        Another process has it.
+    Raises:
+        ConflictError: Another process has it.
     """
     path = folder / "lock"
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)

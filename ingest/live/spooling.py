@@ -26,14 +26,8 @@ REPORT_EVERY_S = 60.0
 class Spooling:
     """Writes what is in the buffer until asked to end, then the rest of it.
 
-    Parameters
-    ----------
-    spool, buffer
-        Where to, and from where.
-    piece_seconds
-        Length of a piece, s.
-    status, reports
-        Where it says what happens.
+    Args:
+        piece_seconds: Length of a piece, s.
     """
 
     def __init__(

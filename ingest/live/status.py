@@ -17,28 +17,22 @@ REJECTED_IN_A_ROW = 3
 class LiveStatus:
     """What the threads of a receiver know; each field is written by one thread, and read by any.
 
-    Attributes
-    ----------
-    bus_fault, spool_fault, raw_fault, database_fault
-        What is wrong with the bus, the disk of the spool, the raw store and the database; None while they work.
-    frames_received, frames_unreadable, frames_spooled
-        Since the start; the unreadable ones are no classic CAN frames, the spooled ones are on the disk.
-    frames_lost_by_bus
-        Since the start, before they came to this process: its socket was full. They are among the dropped ones.
-    frames_dropped
-        Of this vehicle, also before the start.
-    buffered_bytes, spool_bytes, pieces_waiting, pieces_aside
-        What has no receipt yet: in memory, on the disk, and the pieces of it.
-    pieces_stored, pieces_rejected
-        Since the start; a rejected piece is stored too.
-    frames_rejected
-        Frames of the rejected pieces.
-    rejected_in_a_row, decoded, last_rejection
-        Rejected pieces since one was decoded, whether any was since the start, and why the last one was rejected.
-    last_frame_s, last_receipt_s
-        Seconds since the Unix epoch, of our clock; None before the first.
-    silent_since_s
-        When the last frame came, on a bus that has been silent for long; None on one that speaks.
+    Attributes:
+        bus_fault, spool_fault, raw_fault, database_fault: What is wrong with the bus, the disk of the spool, the raw
+            store and the database; None while they work.
+        frames_received, frames_unreadable, frames_spooled: Since the start; the unreadable ones are no classic CAN
+            frames, the spooled ones are on the disk.
+        frames_lost_by_bus: Since the start, before they came to this process: its socket was full. They are among the
+            dropped ones.
+        frames_dropped: Of this vehicle, also before the start.
+        buffered_bytes, spool_bytes, pieces_waiting, pieces_aside: What has no receipt yet: in memory, on the disk, and
+            the pieces of it.
+        pieces_stored, pieces_rejected: Since the start; a rejected piece is stored too.
+        frames_rejected: Frames of the rejected pieces.
+        rejected_in_a_row, decoded, last_rejection: Rejected pieces since one was decoded, whether any was since the
+            start, and why the last one was rejected.
+        last_frame_s, last_receipt_s: Seconds since the Unix epoch, of our clock; None before the first.
+        silent_since_s: When the last frame came, on a bus that has been silent for long; None on one that speaks.
     """
 
     bus_fault: str | None = "not opened yet"
@@ -102,12 +96,9 @@ class Say(Protocol):
 class Reports:
     """Where a receiver reports to, from any of its threads.
 
-    Attributes
-    ----------
-    say
-        Sentences for people, as things happen.
-    received
-        Every piece with its receipt, or why it was rejected.
+    Attributes:
+        say: Sentences for people, as things happen.
+        received: Every piece with its receipt, or why it was rejected.
     """
 
     say: Say

@@ -44,13 +44,10 @@ CHECK_EVERY_S = 15.0
 class Stores:
     """Where pieces go.
 
-    Attributes
-    ----------
-    connect
-        Opens database and raw store; raises StorageError while they are away, another error where they never can be
-        used.
-    check
-        Raises where the database does not answer.
+    Attributes:
+        connect: Opens database and raw store; raises StorageError while they are away, another error where they never
+            can be used.
+        check: Raises where the database does not answer.
     """
 
     connect: Callable[[], Receiver]
@@ -60,14 +57,9 @@ class Stores:
 class Storing:
     """Stores pieces until asked to end, then those that can be stored in the time that is left.
 
-    Parameters
-    ----------
-    spool, vehicle
-        Where pieces wait, and of which vehicle they are.
-    stores
-        Where they go. An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
-    status, reports
-        Where it says what happens.
+    Args:
+        spool, vehicle: Where pieces wait, and of which vehicle they are.
+        stores: Where they go. An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
     """
 
     def __init__(

@@ -59,18 +59,9 @@ _MOMENT = re.compile(
 def read_asc(path: Path, _: ReadLimits, sink: FrameSink) -> None:
     """Read an ASC file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    sink
-        Takes the frames.
-
-    Raises
-    ------
-    LogFileError
-        The file is cut off, its header lacks date or base, its stamps are relative, or more than one line in a thousand
-        is damaged; names the line.
+    Raises:
+        LogFileError: The file is cut off, its header lacks date or base, its stamps are relative, or more than one line
+            in a thousand is damaged; names the line.
     """
     start_ns, base = _header(path)
     form = LineFormat(_FRAMES[base], _facts, base=16 if base == "hex" else 10)

@@ -39,17 +39,8 @@ class ObjectBase:
 def file_header(file: BinaryIO, path: Path) -> FileHeader:
     """Return the header of a BLF file.
 
-    Parameters
-    ----------
-    file
-        Open at its begin.
-    path
-        For messages.
-
-    Raises
-    ------
-    LogFileError
-        It is no such header, or that of another file size.
+    Raises:
+        LogFileError: It is no such header, or that of another file size.
     """
     raw = file.read(blf.FILE_HEADER_SIZE)
     length = file.seek(0, 2)
@@ -86,23 +77,11 @@ def _moment_ns(moment: np.void, what: str, path: Path) -> int:
 def object_base(buffer: bytes, at: int, where: str, first_byte: int, path: Path) -> ObjectBase:
     """Return what the object at a byte begins with.
 
-    Parameters
-    ----------
-    buffer
-        Of whole objects.
-    at
-        Where in it.
-    where
-        What the buffer is a part of, for messages.
-    first_byte
-        Place of the buffer there.
-    path
-        For messages.
+    Args:
+        where: What the buffer is a part of, for messages.
 
-    Raises
-    ------
-    LogFileError
-        There is no object, or one without size.
+    Raises:
+        LogFileError: There is no object, or one without size.
     """
     if buffer[at : at + 4] != blf.OBJECT_SIGNATURE or at + blf.BASE_SIZE > len(buffer):
         raise LogFileError(f"no object at byte {first_byte + at} {where}: truncated or corrupt", file=path)
@@ -116,21 +95,12 @@ def object_base(buffer: bytes, at: int, where: str, first_byte: int, path: Path)
 def inflated_containers(file: BinaryIO, at: int, path: Path, limits: ReadLimits) -> Iterator[bytes]:
     """Yield the contents of the containers of a file.
 
-    Parameters
-    ----------
-    file
-        The file.
-    at
-        Where its first object begins.
-    path
-        For messages.
-    limits
-        What it may inflate to.
+    Args:
+        limits: What it may inflate to.
 
-    Raises
-    ------
-    LogFileError
-        A container is damaged, or does not inflate to just what it declares, or to more than the limits allow.
+    Raises:
+        LogFileError: A container is damaged, or does not inflate to just what it declares, or to more than the limits
+            allow.
     """
     end = file.seek(0, 2)
     total = 0

@@ -50,20 +50,12 @@ _STANDARD_BITS = 0x7FF
 def read_blf(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
     """Read all CAN frames of a BLF file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    limits
-        What reading may cost.
-    sink
-        Takes the frames.
+    Args:
+        limits: What reading may cost.
 
-    Raises
-    ------
-    LogFileError
-        The file is no BLF file, truncated, corrupt, too large when inflated, holds several buses or CAN FD frames of
-        more than eight bytes; names file and byte.
+    Raises:
+        LogFileError: The file is no BLF file, truncated, corrupt, too large when inflated, holds several buses or CAN
+            FD frames of more than eight bytes; names file and byte.
     """
     with path.open("rb") as file:
         header = file_header(file, path)
@@ -111,10 +103,8 @@ class _ObjectReader:
     def compare_with_header(self) -> None:
         """Count what the header says otherwise; writers do not agree on which objects they count.
 
-        Raises
-        ------
-        LogFileError
-            There is no object at all where the header says that there are.
+        Raises:
+            LogFileError: There is no object at all where the header says that there are.
         """
         said = self.header.objects
         if said and not self.objects:

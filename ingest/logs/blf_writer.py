@@ -26,17 +26,8 @@ MILLISECOND = 1_000_000
 def write_blf(path: Path, batch: FrameBatch) -> None:
     """Write a batch as a BLF file, whole or not at all; times keep their nanoseconds.
 
-    Parameters
-    ----------
-    path
-        The file; one that is there is replaced.
-    batch
-        Frames of one bus.
-
-    Raises
-    ------
-    LogFileError
-        The file cannot be written.
+    Raises:
+        LogFileError: The file cannot be written.
     """
     unfinished = path.with_name(f".{path.stem}.{os.getpid()}.blf")
     try:
@@ -49,13 +40,7 @@ def write_blf(path: Path, batch: FrameBatch) -> None:
 
 
 def blf_bytes(batch: FrameBatch) -> bytes:
-    """Return a batch as the bytes of a BLF file: the same batch, the same bytes.
-
-    Parameters
-    ----------
-    batch
-        Frames of one bus.
-    """
+    """Return a batch as the bytes of a BLF file: the same batch, the same bytes."""
     start_ns = int(batch.t_ns.min()) // MILLISECOND * MILLISECOND if len(batch) else 0
     stop_ns = int(batch.t_ns.max()) if len(batch) else 0
     objects = _objects(batch, start_ns)

@@ -34,18 +34,10 @@ RESERVE_BYTES = 1 << 20
 def main(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], parent: int) -> None:
     """Read one file and end the process.
 
-    Parameters
-    ----------
-    path
-        The file.
-    limits
-        What reading may cost.
-    answer
-        Descriptor that the answer is written to.
-    columns
-        Descriptors of the files of columns.
-    parent
-        The process that started this one: with it this one ends.
+    Args:
+        limits: What reading may cost.
+        answer: Descriptor that the answer is written to.
+        parent: The process that started this one: with it this one ends.
     """
     end_with(parent)
     reserve = bytearray(RESERVE_BYTES)

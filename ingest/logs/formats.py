@@ -30,22 +30,15 @@ def read_content(
 ) -> LogContent:
     """Read a recording of one bus, in a process of its own.
 
-    Parameters
-    ----------
-    path
-        A file of one of ``FORMATS``.
-    limits
-        What reading may cost; by default what a file of its size and format may need.
-    cost
-        Takes what it cost, also of a file that is refused.
+    Args:
+        path: A file of one of ``FORMATS``.
+        limits: What reading may cost; by default what a file of its size and format may need.
+        cost: Takes what it cost, also of a file that is refused.
 
-    Raises
-    ------
-    LogFileError
-        The file is no such log, its contents are not of its suffix's format, it is truncated or corrupt, or reading it
-        would cost more than the limits allow. Names the file, and the byte or line.
-    PassingFaultError
-        The machine cannot read it now.
+    Raises:
+        LogFileError: The file is no such log, its contents are not of its suffix's format, it is truncated or corrupt,
+            or reading it would cost more than the limits allow. Names the file, and the byte or line.
+        PassingFaultError: The machine cannot read it now.
     """
     expected = format_of(path)
     held, size = _format_held(path)
@@ -61,15 +54,11 @@ def read_content(
 def format_of(path: Path) -> LogFormat:
     """Return the format that the suffix of a file names, in upper or lower case.
 
-    Parameters
-    ----------
-    path
-        The file; it need not exist.
+    Args:
+        path: The file; it need not exist.
 
-    Raises
-    ------
-    LogFileError
-        The suffix names no format that can be read.
+    Raises:
+        LogFileError: The suffix names no format that can be read.
     """
     for item in FORMATS:
         if item.suffix == path.suffix.lower():

@@ -58,12 +58,9 @@ class SinkSummary:
 class FrameSink:
     """Takes the frames of one file.
 
-    Parameters
-    ----------
-    files
-        One for each of ``COLUMNS``.
-    limits
-        What may be written.
+    Args:
+        files: One for each of ``COLUMNS``.
+        limits: What may be written.
     """
 
     def __init__(self, files: Sequence[BinaryIO], limits: ReadLimits) -> None:
@@ -86,10 +83,8 @@ class FrameSink:
     def add(self, part: FramePart) -> None:
         """Write frames.
 
-        Raises
-        ------
-        LogFileError
-            More frames than the limit, a stamp that is no time, or another bus.
+        Raises:
+            LogFileError: More frames than the limit, a stamp that is no time, or another bus.
         """
         if len(part.t_ns) == 0:
             return
@@ -109,10 +104,8 @@ class FrameSink:
     def finish(self) -> SinkSummary:
         """Write what was held back and return what there is.
 
-        Raises
-        ------
-        LogFileError
-            The frames span more time than the limit.
+        Raises:
+            LogFileError: The frames span more time than the limit.
         """
         if self._held is not None:
             held, self._held = self._held, None
@@ -172,12 +165,9 @@ class FrameSink:
 def _out_of_time(t_ns: IntArray, before: int | None) -> BoolArray:
     """Return which stamps (n,) stand alone: far from the ones on both sides, which agree with each other.
 
-    Parameters
-    ----------
-    t_ns
-        (n,) stamps; of the last two it is not known yet.
-    before
-        The stamp before them.
+    Args:
+        t_ns: (n,) stamps; of the last two it is not known yet.
+        before: The stamp before them.
     """
     if np.all(np.diff(t_ns) >= -STEP_BACK_NS) and (before is None or t_ns[0] >= before - STEP_BACK_NS):
         return np.zeros(len(t_ns), dtype=np.bool_)

@@ -30,10 +30,8 @@ class LogFormat:
 def library_channel_name(channel: int | str | None) -> str:
     """Return the name of a bus that python-can numbers or names.
 
-    Parameters
-    ----------
-    channel
-        A number from 0, also as text, a name, or None for the only bus.
+    Args:
+        channel: A number from 0, also as text, a name, or None for the only bus.
     """
     if isinstance(channel, str) and not channel.isdigit():
         return channel

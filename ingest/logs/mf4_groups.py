@@ -30,18 +30,12 @@ MICROSECONDS = 1_000_000
 class MF4Frames:
     """Frames of a file.
 
-    Attributes
-    ----------
-    seconds
-        Stamps, (n,), s UTC.
-    identifier
-        With the flags of :class:`ingest.frames.FrameBatch`, (n,).
-    dlc
-        Lengths, (n,).
-    data
-        Bytes, (n, 8), zero beyond the length.
-    channel
-        Numbers of their buses, (n,); -1 where the file has none.
+    Attributes:
+        seconds: Stamps, (n,), s UTC.
+        identifier: With the flags of :class:`ingest.frames.FrameBatch`, (n,).
+        dlc: Lengths, (n,).
+        data: Bytes, (n, 8), zero beyond the length.
+        channel: Numbers of their buses, (n,); -1 where the file has none.
     """
 
     seconds: FloatArray
@@ -69,13 +63,7 @@ class MF4Frames:
 
 
 def bus_groups(mdf: Any) -> list[tuple[int, str]]:  # noqa: ANN401 - asammdf's MDF, untyped here
-    """Return number and kind of the channel groups that log frames of a CAN bus.
-
-    Parameters
-    ----------
-    mdf
-        The open file.
-    """
+    """Return number and kind of the channel groups that log frames of a CAN bus."""
     found = []
     for number, group in enumerate(mdf.groups):
         source = group.channel_group.acq_source
@@ -91,10 +79,8 @@ def bus_groups(mdf: Any) -> list[tuple[int, str]]:  # noqa: ANN401 - asammdf's M
 def merged(groups: Sequence[Iterator[MF4Frames]]) -> Iterator[MF4Frames]:
     """Yield the frames of all groups in the order of time; those of one group keep their order among themselves.
 
-    Parameters
-    ----------
-    groups
-        Each yields the frames of a group in its order. Of each only some pieces are in memory.
+    Args:
+        groups: Each yields the frames of a group in its order. Of each only some pieces are in memory.
     """
     heads = [_Head(group) for group in groups]
     while True:
@@ -165,17 +151,8 @@ def _in_order(parts: Sequence[tuple[list[MF4Frames], list[FloatArray]]]) -> Iter
 def frames_of_group(mdf: Any, number: int, kind: str) -> Iterator[MF4Frames]:  # noqa: ANN401 - asammdf's MDF
     """Yield the frames of a channel group, in its order.
 
-    Parameters
-    ----------
-    mdf
-        The open file.
-    number, kind
-        Of the group, see :func:`bus_groups`.
-
-    Raises
-    ------
-    LogFileError
-        A frame is of CAN FD, or longer than a frame can be.
+    Raises:
+        LogFileError: A frame is of CAN FD, or longer than a frame can be.
     """
     start_s = mdf.header.start_time.timestamp()
     for offset in range(0, mdf.groups[number].channel_group.cycles_nr, RECORDS):

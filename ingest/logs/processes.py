@@ -53,13 +53,10 @@ STARVED = 0.5
 class LogContent:
     """What a log file holds.
 
-    Attributes
-    ----------
-    batch
-        Its frames.
-    counts
-        What was left out or is strange, where there was any: ``lines_lost``, ``lines_not_frames``,
-        ``objects_not_frames``, ``frames_out_of_time``, ``recorder_steps_back``, ``header_disagrees``.
+    Attributes:
+        batch: Its frames.
+        counts: What was left out or is strange, where there was any: ``lines_lost``, ``lines_not_frames``,
+            ``objects_not_frames``, ``frames_out_of_time``, ``recorder_steps_back``, ``header_disagrees``.
     """
 
     batch: FrameBatch
@@ -85,10 +82,8 @@ class _Server:
     def send(self, message: bytes, descriptors: Sequence[int]) -> None:
         """Send a request, to a new server if the old one is gone.
 
-        Raises
-        ------
-        OSError
-            There is no server and none can be started.
+        Raises:
+            OSError: There is no server and none can be started.
         """
         with self._lock:
             if self._process is not None and self._process.poll() is None and self._requests is not None:
@@ -146,23 +141,13 @@ def read_in_process(
 ) -> LogContent:
     """Read a log file in a process of its own.
 
-    Parameters
-    ----------
-    path
-        The file.
-    form
-        Its format.
-    limits
-        What reading may cost.
-    cost
-        Takes what it cost, also of a file that is refused.
+    Args:
+        limits: What reading may cost.
+        cost: Takes what it cost, also of a file that is refused.
 
-    Raises
-    ------
-    LogFileError
-        The file cannot be read, or not within the limits; names the file, and the byte or line.
-    PassingFaultError
-        There is no process or no space to read it with, or it was ended from outside.
+    Raises:
+        LogFileError: The file cannot be read, or not within the limits; names the file, and the byte or line.
+        PassingFaultError: There is no process or no space to read it with, or it was ended from outside.
     """
     modules = form.modules
     request = json.dumps({"path": str(path.absolute()), "limits": asdict(limits), "modules": modules}).encode()
@@ -218,12 +203,9 @@ def _all_of(descriptor: int, seconds: float) -> bytes:
 def _judged(lines: Sequence[dict[str, Any]], limits: ReadLimits, path: Path) -> dict[str, Any]:
     """Return the answer of a process that has read its file.
 
-    Raises
-    ------
-    LogFileError
-        The file is at fault.
-    PassingFaultError
-        The machine is.
+    Raises:
+        LogFileError: The file is at fault.
+        PassingFaultError: The machine is.
     """
     first, last = lines[0], lines[-1]
     if "passing" in first:

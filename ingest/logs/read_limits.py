@@ -35,14 +35,9 @@ def limits_of(size_bytes: int, bytes_per_s: int, more_memory: int = 0) -> ReadLi
 
     Memory does not grow with the file, because no reader keeps more of it than a few containers or lines.
 
-    Parameters
-    ----------
-    size_bytes
-        Of the file.
-    bytes_per_s
-        What its reader reads at least.
-    more_memory
-        Bytes that reading the format needs beyond those of every format.
+    Args:
+        bytes_per_s: What its reader reads at least.
+        more_memory: Bytes that reading the format needs beyond those of every format.
     """
     seconds = size_bytes / bytes_per_s
     return ReadLimits(

@@ -30,13 +30,7 @@ DESCRIPTORS = 1 + len(COLUMNS)
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Serve until the other end of the socket is closed.
-
-    Parameters
-    ----------
-    arguments
-        The descriptor of the socket.
-    """
+    """Serve until the other end of the socket is closed."""
     requests = socket.socket(fileno=int(arguments[0]))
     woken, waker = os.pipe()
     os.set_blocking(waker, False)

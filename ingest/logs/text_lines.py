@@ -90,13 +90,7 @@ class LineBlock:
 
 
 def skip_mark(file: BinaryIO) -> None:
-    """Go to the first character of a text: behind the byte order mark, which some editors put there.
-
-    Parameters
-    ----------
-    file
-        At its begin.
-    """
+    """Go to the first character of a text: behind the byte order mark, which some editors put there."""
     if file.read(len(BOM_UTF8)) != BOM_UTF8:
         file.seek(0)
 
@@ -104,17 +98,8 @@ def skip_mark(file: BinaryIO) -> None:
 def line_blocks(path: Path, form: LineFormat) -> Iterator[LineBlock]:
     """Yield the lines of a file, a piece at a time.
 
-    Parameters
-    ----------
-    path
-        The file.
-    form
-        How its lines hold frames.
-
-    Raises
-    ------
-    LogFileError
-        The file is empty, its last line is cut off, or a line is longer than any line of a log.
+    Raises:
+        LogFileError: The file is empty, its last line is cut off, or a line is longer than any line of a log.
     """
     number, rest = 1, b""
     with path.open("rb") as file:

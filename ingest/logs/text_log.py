@@ -31,16 +31,11 @@ line is no line of such a log."""
 class TextLog:
     """Reads one text log.
 
-    Attributes
-    ----------
-    path
-        The file.
-    form
-        How its lines hold frames.
-    other
-        What lines without frames do.
-    sink
-        Takes the frames.
+    Attributes:
+        path: The file.
+        form: How its lines hold frames.
+        other: What lines without frames do.
+        sink: Takes the frames.
     """
 
     path: Path
@@ -57,10 +52,8 @@ class TextLog:
     def read(self) -> None:
         """Read all of it.
 
-        Raises
-        ------
-        LogFileError
-            The log is cut off, or too many of its lines are damaged: names the first.
+        Raises:
+            LogFileError: The log is cut off, or too many of its lines are damaged: names the first.
         """
         for block in line_blocks(self.path, self.form):
             self.lines += len(block.starts)

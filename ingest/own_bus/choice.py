@@ -17,10 +17,8 @@ class BusChoice:
     Of the classes in ``missing``, and of all others where ``others_missing``, recordings were decoded with a mapping
     file that this process was not given.
 
-    Raises
-    ------
-    CatalogueError
-        A class has two buses, or two buses are for all other classes.
+    Raises:
+        CatalogueError: A class has two buses, or two buses are for all other classes.
     """
 
     others: Catalogue
@@ -31,10 +29,8 @@ class BusChoice:
     def of_class(self, vehicle_class: str | None) -> Catalogue:
         """Return the bus of a class; of a vehicle that the registry does not know, that of all other classes.
 
-        Raises
-        ------
-        ParameterError
-            The mapping file of its bus is missing.
+        Raises:
+            ParameterError: The mapping file of its bus is missing.
         """
         found = self.others if vehicle_class is None else self.by_class.get(vehicle_class, self.others)
         if vehicle_class in self.missing or (self.others_missing and found is self.others):
@@ -53,17 +49,11 @@ class BusChoice:
 def bus_choice(shipped: Catalogue, buses: Sequence[OwnBus]) -> BusChoice:
     """Return the choice among buses; the shipped one is that of classes without a bus of their own.
 
-    Parameters
-    ----------
-    shipped
-        The shipped catalogue.
-    buses
-        Buses from mapping files: one may name no class.
+    Args:
+        buses: Buses from mapping files: one may name no class.
 
-    Raises
-    ------
-    CatalogueError
-        A class has two buses, or two buses name no class.
+    Raises:
+        CatalogueError: A class has two buses, or two buses name no class.
     """
     by_class: dict[str, OwnBus] = {}
     others = [bus for bus in buses if not bus.vehicle_classes]

@@ -31,17 +31,11 @@ LARGEST_COUNTER, LARGEST_DAYS, DAY_MS = SYNC_PERIOD, 65_535, 86_400_000
 def align_own(bus: OwnBus, batch: FrameBatch) -> AlignedFrames:
     """Decode a batch and put its frames on the vehicle's clock.
 
-    Parameters
-    ----------
-    bus
-        The bus with its mapping.
-    batch
-        Frames in merged order (:func:`ingest.frames.merge`).
+    Args:
+        batch: Frames in merged order (:func:`ingest.frames.merge`).
 
-    Raises
-    ------
-    LogFileError
-        The sampling instants come at another rate than the mapping gives.
+    Raises:
+        LogFileError: The sampling instants come at another rate than the mapping gives.
     """
     decoded = decode_own(bus, batch)
     if isinstance(bus.clock, CanopenClock):
@@ -68,12 +62,8 @@ def _sampled(bus: OwnBus) -> set[int]:
 def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
     """Sort the frames of a batch by message, by multiplexer value where there is one, and unpack their raw values.
 
-    Parameters
-    ----------
-    bus
-        The bus.
-    batch
-        Frames in any order.
+    Args:
+        batch: Frames in any order.
     """
     identifier = batch.arbitration_id
     no_data = (identifier & (ERROR_FLAG | REMOTE_FLAG)) != 0
@@ -175,12 +165,9 @@ def stamp_clock(stamps: IntArray, interval_ns: int) -> tuple[SyncClock, AlignCou
     The instants are whole intervals since 1970 on the recorder's clock. Which one a stamp marks follows from the mean
     phase of the stamps within a second, so that jitter does not move it to a neighbour.
 
-    Parameters
-    ----------
-    stamps
-        (n,) ns, ascending.
-    interval_ns
-        Sampling interval, ns.
+    Args:
+        stamps: (n,) ns, ascending.
+        interval_ns: Sampling interval, ns.
     """
     if len(stamps) == 0:
         return SyncClock(stamps, stamps, stamps, interval_ns), AlignCounts()

@@ -51,16 +51,9 @@ LARGEST_POSITION_COUNT = 1.0  # m
 def load_own_bus(path: Path) -> OwnBus:
     """Read a mapping file and the DBC file beside it.
 
-    Parameters
-    ----------
-    path
-        The mapping file.
-
-    Raises
-    ------
-    CatalogueError
-        A file cannot be read, or a signal is missing, in another unit, too coarse, multiplexed otherwise, or of a form
-        that is not read; names file, line and field.
+    Raises:
+        CatalogueError: A file cannot be read, or a signal is missing, in another unit, too coarse, multiplexed
+            otherwise, or of a form that is not read; names file, line and field.
     """
     mapping, toml = read_mapping(path)
     dbc = path.parent / mapping.dbc

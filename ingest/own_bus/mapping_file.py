@@ -141,15 +141,8 @@ class MappingFile(InputTable):
 def read_mapping(path: Path) -> tuple[MappingFile, InputFile]:
     """Return the content of a mapping file, and where in the file each key stands.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    CatalogueError
-        It cannot be read, or a key is missing, unknown or impossible.
+    Raises:
+        CatalogueError: It cannot be read, or a key is missing, unknown or impossible.
     """
     file = read_toml(path, CatalogueError)
     return file.parse(MappingFile), file

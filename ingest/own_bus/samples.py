@@ -36,14 +36,8 @@ class _Values:
 def own_samples(vehicle: str, bus: OwnBus, messages: Messages) -> tuple[VehicleSamples, AlignCounts]:
     """Return the samples of all nodes of a vehicle with its motion, and counts of what was left out.
 
-    Parameters
-    ----------
-    vehicle
-        Code of the vehicle.
-    bus
-        Its bus.
-    messages
-        Its frames on its clock, by the keys of the bus.
+    Args:
+        messages: Its frames on its clock, by the keys of the bus.
     """
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()

@@ -19,14 +19,10 @@ SECTION, DISTANCE = 0, 1
 def without_repeats(tick: IntArray, values: FloatArray, run: FloatArray) -> FloatArray:
     """Return positions (n, m) with those that repeat replaced by where the vehicle was, or NaN.
 
-    Parameters
-    ----------
-    tick
-        (n,) instants of the frames.
-    values
-        (n, m) section and distance, m, and what else is sent; NaN where not available.
-    run
-        (n,) m that the vehicle has run by the speed; NaN where that is not known.
+    Args:
+        tick: (n,) instants of the frames.
+        values: (n, m) section and distance, m, and what else is sent; NaN where not available.
+        run: (n,) m that the vehicle has run by the speed; NaN where that is not known.
     """
     if len(tick) < 2:  # noqa: PLR2004 - nothing is repeated
         return values

@@ -39,12 +39,9 @@ def possible(vehicle_ns: IntArray) -> BoolArray:
 def runs_alike(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> list[tuple[int, int]]:
     """Return the runs ``[first, behind)`` of TIME frames that agree with the one before.
 
-    Parameters
-    ----------
-    t_ns, vehicle_ns
-        (n,) stamp of the recorder, increasing, and vehicle time.
-    tolerance_ns
-        How far two in a row may disagree.
+    Args:
+        t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
+        tolerance_ns: How far two in a row may disagree.
     """
     if len(t_ns) == 0:
         return []
@@ -58,12 +55,9 @@ def without_odd_ones(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) ->
 
     Where the vehicle's clock was set the runs on both sides disagree, and all of their frames count.
 
-    Parameters
-    ----------
-    t_ns, vehicle_ns
-        (n,) stamp of the recorder, increasing, and vehicle time.
-    tolerance_ns
-        How far frames may disagree.
+    Args:
+        t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
+        tolerance_ns: How far frames may disagree.
     """
     kept = np.ones(len(t_ns), dtype=np.bool_)
     offset = vehicle_ns - t_ns
@@ -80,12 +74,9 @@ def without_odd_ones(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) ->
 def believed(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> BoolArray:
     """Return which TIME frames (n,) show where a recording is: those of runs; all where there is no run.
 
-    Parameters
-    ----------
-    t_ns, vehicle_ns
-        (n,) stamp of the recorder, increasing, and vehicle time.
-    tolerance_ns
-        How far frames may disagree.
+    Args:
+        t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
+        tolerance_ns: How far frames may disagree.
     """
     found = np.zeros(len(t_ns), dtype=np.bool_)
     for first, behind in runs_alike(t_ns, vehicle_ns, tolerance_ns):
@@ -96,12 +87,9 @@ def believed(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> BoolArr
 def clock_verdict(first_ns: int, last_ns: int, received_ns: int) -> Reason | None:
     """Return why the place of a recording on the vehicle's clock cannot be believed; None where it can.
 
-    Parameters
-    ----------
-    first_ns, last_ns
-        Of the recording, on the vehicle's clock.
-    received_ns
-        When it was received, by ours.
+    Args:
+        first_ns, last_ns: Of the recording, on the vehicle's clock.
+        received_ns: When it was received, by ours.
     """
     days = (last_ns - first_ns) / DAY_NS
     if last_ns - first_ns > LONGEST_SPAN_NS:

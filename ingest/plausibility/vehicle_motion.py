@@ -16,10 +16,8 @@ STEPS = 2.0  # of the odometer, besides
 def possible_motion(values: FloatArray) -> FloatArray:
     """Return speed and odometer (n, 2) with NaN where no vehicle has such a one.
 
-    Parameters
-    ----------
-    values
-        (n, 2) m/s and m.
+    Args:
+        values: (n, 2) m/s and m.
     """
     found = values.copy()
     with np.errstate(invalid="ignore"):
@@ -31,16 +29,9 @@ def possible_motion(values: FloatArray) -> FloatArray:
 def odometer_excess(tick: IntArray, values: FloatArray, interval_s: float, longest: int) -> float:
     """Return by how much odometer and integral of the speed differ beyond what they may, m; 0 where they do not.
 
-    Parameters
-    ----------
-    tick
-        (n,) sampling instants, strictly increasing.
-    values
-        (n, 2) speed, m/s, and odometer, m; NaN where not known.
-    interval_s
-        Between instants.
-    longest
-        Instants apart that are still compared.
+    Args:
+        tick: (n,) sampling instants, strictly increasing.
+        values: (n, 2) speed, m/s, and odometer, m; NaN where not known.
     """
     known = ~np.isnan(values).any(axis=1)
     at, (speed, odometer) = tick[known], values[known].T

@@ -26,14 +26,9 @@ SEMI_MAJOR_M, ECCENTRICITY2 = 6_378_137.0, 6.694_379_990_14e-3
 def off_line_m(line: SectionLine, distance: FloatArray, fixes: FloatArray) -> float:
     """Return how far from a section's line the vehicle was, m; 0 where it was on it within the limit, or nobody knows.
 
-    Parameters
-    ----------
-    line
-        Points of the section.
-    distance
-        (n,) m along it, as the vehicle reports them; NaN where it does not.
-    fixes
-        (n, 2) latitude and longitude, deg; NaN without a fix. Receivers also send 0, 0 then.
+    Args:
+        distance: (n,) m along it, as the vehicle reports them; NaN where it does not.
+        fixes: (n, 2) latitude and longitude, deg; NaN without a fix. Receivers also send 0, 0 then.
     """
     points = np.array(line, dtype=np.float64)
     points[:, 2] = np.unwrap(points[:, 2], period=360.0)

@@ -15,17 +15,11 @@ def parse_columns(text: str, file: str, unit: float) -> FilePoints:
 
     Lines that begin with ``#`` and leading lines without any number are skipped. Further columns are ignored.
 
-    Parameters
-    ----------
-    text, file
-        Content, and the name for messages.
-    unit
-        Millimetres in one unit of the file: 1, or 1000 for metres.
+    Args:
+        unit: Millimetres in one unit of the file: 1, or 1000 for metres.
 
-    Raises
-    ------
-    ProfileError
-        Decimal commas, a row with fewer than two columns or with something that is not a finite number.
+    Raises:
+        ProfileError: Decimal commas, a row with fewer than two columns or with something that is not a finite number.
     """
     rows: list[tuple[int, float, float]] = []
     for line, raw in enumerate(text.lstrip("\ufeff").splitlines(), start=1):

@@ -31,15 +31,8 @@ def read_profile(
 ) -> Profile:
     """Read a wheel or rail profile, in the format of ``FORMATS`` that has its suffix, else as two columns of text.
 
-    Parameters
-    ----------
-    path, kind, unit, mirror, origin, noise_std
-        As :func:`read_measured_profile` takes them, whose profile this is.
-
-    Raises
-    ------
-    ProfileError
-        The file cannot be read as that; the message names file, line and field.
+    Raises:
+        ProfileError: The file cannot be read as that; the message names file, line and field.
     """
     return read_measured_profile(path, kind, unit=unit, mirror=mirror, origin=origin, noise_std=noise_std).profile
 
@@ -55,26 +48,16 @@ def read_measured_profile(
 ) -> SmoothedProfile:
     """Read a wheel or rail profile with the uncertainty of its shape.
 
-    Parameters
-    ----------
-    path
-        The file.
-    kind
-        What it holds; this decides, not the suffix.
-    unit
-        Of two-column files; the others are in mm or contain their unit.
-    mirror
-        Of a rail: True if its gauge side is at positive y of the file, False if at negative y; None decides from the
-        shape.
-    origin
-        Of a wheel: what y = 0 of the file is.
-    noise_std
-        Known noise of the instrument, m; 0 takes the points as they are; None estimates it from the points.
+    Args:
+        kind: What it holds; this decides, not the suffix.
+        unit: Of two-column files; the others are in mm or contain their unit.
+        mirror: Of a rail: True if its gauge side is at positive y of the file, False if at negative y; None decides
+            from the shape.
+        origin: Of a wheel: what y = 0 of the file is.
+        noise_std: Known noise of the instrument, m; 0 takes the points as they are; None estimates it from the points.
 
-    Raises
-    ------
-    ProfileError
-        The file cannot be read as that; the message names file, line and field.
+    Raises:
+        ProfileError: The file cannot be read as that; the message names file, line and field.
     """
     file = Path(path)
     _refuse_lists(file)
@@ -94,19 +77,11 @@ def measured_profile_of(
 ) -> SmoothedProfile:
     """Return the wheel or rail profile that the content of a file describes.
 
-    Parameters
-    ----------
-    text
-        The content.
-    file
-        Its name, which decides the format and is in messages; the file need not exist.
-    kind, unit, mirror, origin, noise_std
-        As :func:`read_measured_profile` takes them.
+    Args:
+        file: Its name, which decides the format and is in messages; the file need not exist.
 
-    Raises
-    ------
-    ProfileError
-        It is none.
+    Raises:
+        ProfileError: It is none.
     """
     if kind == "wheel" and mirror is not None:
         raise ProfileError("the flange shows which side of a wheel is which", file=file, field="mirror")

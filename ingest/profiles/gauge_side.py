@@ -29,10 +29,8 @@ _MEASURED_DEEPER = 3.0  # mm, by which the side is followed deeper that matters 
 def gauge_side_is_positive(y: FloatArray, depth: FloatArray) -> bool | None:
     """Return whether the gauge side of a rail is at positive y; None if its shape does not show it.
 
-    Parameters
-    ----------
-    y, depth
-        (n,) mm, in order of the profile with y increasing on the whole; depth below the crown.
+    Args:
+        y, depth: (n,) mm, in order of the profile with y increasing on the whole; depth below the crown.
     """
     crown = int(np.argmin(depth))
     deepest = [float(part.max()) for part in (depth[: crown + 1], depth[crown:])]
@@ -50,10 +48,8 @@ def gauge_side_is_positive(y: FloatArray, depth: FloatArray) -> bool | None:
 def lean(y: FloatArray, depth: FloatArray) -> float:
     """Return the tangent by which the head leans towards negative y, from its sides; NaN if these are short or worn.
 
-    Parameters
-    ----------
-    y, depth
-        (n,) mm, in order of the profile with y increasing on the whole; depth below the crown.
+    Args:
+        y, depth: (n,) mm, in order of the profile with y increasing on the whole; depth below the crown.
     """
     crown = int(np.argmin(depth))
     left = _side(y[crown::-1], depth[crown::-1])

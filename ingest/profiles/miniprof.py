@@ -22,16 +22,9 @@ _OLD_HEADER_WITHIN = 3  # lines
 def parse_miniprof(text: str, file: str) -> FilePoints:
     """Return the points of a .whl or .ban file.
 
-    Parameters
-    ----------
-    text, file
-        Content, and the name for messages.
-
-    Raises
-    ------
-    ProfileError
-        No row follows the header, ``ColumnDef`` lacks X or Y, ``XYPoints`` is not the number of rows, a row has
-        too few columns or something that is not a finite number.
+    Raises:
+        ProfileError: No row follows the header, ``ColumnDef`` lacks X or Y, ``XYPoints`` is not the number of rows, a
+            row has too few columns or something that is not a finite number.
     """
     lines = text.splitlines()
     old = any("MINIPROF" in line or "MINIWHEELPROF" in line for line in lines[:_OLD_HEADER_WITHIN] if "=" not in line)
@@ -44,15 +37,8 @@ def parse_miniprof(text: str, file: str) -> FilePoints:
 def parse_multipart(text: str, file: str) -> FilePoints:
     """Return the points of the first profile of a .mpt file.
 
-    Parameters
-    ----------
-    text, file
-        Content, and the name for messages.
-
-    Raises
-    ------
-    ProfileError
-        As `parse_miniprof`, or the file has no section of points.
+    Raises:
+        ProfileError: As `parse_miniprof`, or the file has no section of points.
     """
     lines = text.splitlines()
     marks = [(i, match["name"].lower()) for i, line in enumerate(lines) if (match := _SECTION.match(line.strip()))]

@@ -58,27 +58,17 @@ def oriented(
 ) -> SmoothedProfile:
     """Return the profile that the points of a file describe, in the axes of :class:`Profile`.
 
-    Parameters
-    ----------
-    points
-        Points in mm in the order of the file, and whether the file fixes z.
-    kind
-        ``"wheel"`` or ``"rail"``.
-    name
-        Name of the profile.
-    mirror
-        Of a rail: whether its gauge side is at positive y of the file; None decides from the shape.
-    origin
-        Of a wheel: what y = 0 of the file is.
-    noise_std
-        Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
+    Args:
+        points: Points in mm in the order of the file, and whether the file fixes z.
+        kind: ``"wheel"`` or ``"rail"``.
+        mirror: Of a rail: whether its gauge side is at positive y of the file; None decides from the shape.
+        origin: Of a wheel: what y = 0 of the file is.
+        noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
 
-    Raises
-    ------
-    ProfileError
-        The points are not in order along the profile, leave a gap of more than 10 mm or have a step; they cannot be
-        such a profile; a wheel does not reach from its flange to the tread datum; the shape of a rail does not show
-        its gauge side and ``mirror`` is None.
+    Raises:
+        ProfileError: The points are not in order along the profile, leave a gap of more than 10 mm or have a step; they
+            cannot be such a profile; a wheel does not reach from its flange to the tread datum; the shape of a rail
+            does not show its gauge side and ``mirror`` is None.
     """
     _check_span(points, kind)
     y, z = points.y, points.z if points.axes_known else _upright(points.y, points.z, kind)

@@ -40,19 +40,12 @@ class ProfileFormat:
 def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bool = False) -> FilePoints:
     """Return rows as points.
 
-    Parameters
-    ----------
-    file
-        Name of the file, for messages.
-    rows
-        Line number, y and z of each, in mm.
-    axes_known
-        Whether z points down and a wheel's y starts at its tread datum.
+    Args:
+        rows: Line number, y and z of each, in mm.
+        axes_known: Whether z points down and a wheel's y starts at its tread datum.
 
-    Raises
-    ------
-    ProfileError
-        Fewer than four rows, or more than 50,000.
+    Raises:
+        ProfileError: Fewer than four rows, or more than 50,000.
     """
     if len(rows) < 4:  # noqa: PLR2004 - a profile needs four points
         raise ProfileError(f"{len(rows)} profile points found, at least 4 are needed: rows of y and z in mm", file=file)
@@ -71,17 +64,8 @@ def points_of(file: str, rows: list[tuple[int, float, float]], *, axes_known: bo
 def number(text: str, *, file: str, line: int, field: str) -> float:
     """Return a cell as a finite number.
 
-    Parameters
-    ----------
-    text
-        The cell.
-    file, line, field
-        Where it is, for messages.
-
-    Raises
-    ------
-    ProfileError
-        It is no number, or not a finite one.
+    Raises:
+        ProfileError: It is no number, or not a finite one.
     """
     try:
         value = float(text)

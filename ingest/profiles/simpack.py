@@ -21,16 +21,9 @@ _TO_MILLIMETRES = 1000.0
 def parse_simpack(text: str, file: str) -> FilePoints:
     """Return the points of a .prw or .prr file, transformed by its keywords; mm, z down.
 
-    Parameters
-    ----------
-    text, file
-        Content, and the name for messages.
-
-    Raises
-    ------
-    ProfileError
-        No points or no end of them, something that is not a finite number, a unit factor that is zero, smoothing by
-        SIMPACK.
+    Raises:
+        ProfileError: No points or no end of them, something that is not a finite number, a unit factor that is zero,
+            smoothing by SIMPACK.
     """
     keywords: dict[str, tuple[int, str]] = {}
     rows: list[tuple[int, float, float]] = []

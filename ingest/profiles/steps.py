@@ -26,21 +26,13 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
     they differ by more than 0.08 mm and by 6 standard deviations, and both are flatter than 1:2. Single points far from
     their neighbours make no step.
 
-    Parameters
-    ----------
-    y, z
-        (n,) mm, in the axes of the profile, y increasing on the whole.
-    lines
-        (n,) of the file.
-    kind
-        ``"wheel"`` or ``"rail"``.
-    file
-        Name of the file, for the message.
+    Args:
+        y, z: (n,) mm, in the axes of the profile, y increasing on the whole.
+        lines: (n,) of the file.
+        kind: ``"wheel"`` or ``"rail"``.
 
-    Raises
-    ------
-    ProfileError
-        There is a step; the message names its line and size.
+    Raises:
+        ProfileError: There is a step; the message names its line and size.
     """
     order = np.argsort(y, kind="stable")
     order = order[_where(y[order], z[order], kind)]

@@ -29,15 +29,11 @@ class StoredProfile(InputTable):
 def read_stored_profile(path: Path) -> Profile:
     """Return the wheel profile of a file.
 
-    Parameters
-    ----------
-    path
-        Written by :func:`stored_profile_text`.
+    Args:
+        path: Written by :func:`stored_profile_text`.
 
-    Raises
-    ------
-    ProfileError
-        The file is none, or its numbers are no profile.
+    Raises:
+        ProfileError: The file is none, or its numbers are no profile.
     """
     file = read_json(path, ProfileError)
     found = file.parse(StoredProfile)
@@ -48,13 +44,7 @@ def read_stored_profile(path: Path) -> Profile:
 
 
 def stored_profile_text(profile: Profile) -> str:
-    """Return the content of the file of a profile.
-
-    Parameters
-    ----------
-    profile
-        As stored.
-    """
+    """Return the content of the file of a profile."""
     content = {
         "format": FORMAT,
         "name": profile.name,

@@ -20,15 +20,12 @@ MIN_FLANGE_HEIGHT = 0.015  # m below the tread
 def read_wheel_profile(path: Path) -> Profile:
     """Return the wheel profile in a file.
 
-    Parameters
-    ----------
-    path
-        A file in a format of ``read_profile``, two columns in mm; or one of an exported registry.
+    Args:
+        path: A file in a format of ``read_profile``, two columns in mm; or one of an exported registry.
 
-    Raises
-    ------
-    ProfileError
-        The file cannot be read as a wheel profile, does not hold the whole of flange and tread, or is that of a rail.
+    Raises:
+        ProfileError: The file cannot be read as a wheel profile, does not hold the whole of flange and tread, or is
+            that of a rail.
     """
     if path.suffix.lower() == SUFFIX:
         return _whole(read_stored_profile(path), path)
@@ -38,17 +35,11 @@ def read_wheel_profile(path: Path) -> Profile:
 def wheel_profile_of(text: str, file: Path) -> Profile:
     """Return the wheel profile that the content of a file describes.
 
-    Parameters
-    ----------
-    text
-        The content.
-    file
-        Its name, whose suffix decides the format; the file need not exist.
+    Args:
+        file: Its name, whose suffix decides the format; the file need not exist.
 
-    Raises
-    ------
-    ProfileError
-        As :func:`read_wheel_profile`.
+    Raises:
+        ProfileError: As :func:`read_wheel_profile`.
     """
     try:
         return _whole(measured_profile_of(text, file, "wheel").profile, file)

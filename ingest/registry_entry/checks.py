@@ -49,29 +49,16 @@ def odometer_of(mounting: Mounting) -> DistancePoint:
 
 
 def mileage_point(kind: Kind, wheelset: str, at_ns: int, km: float) -> DistancePoint:
-    """Return the mileage that a reprofiling or a measurement gives.
-
-    Parameters
-    ----------
-    kind
-        Which of them.
-    wheelset, at_ns, km
-        Of the record.
-    """
+    """Return the mileage that a reprofiling or a measurement gives."""
     return DistancePoint(RecordName(kind, wheelset, at_ns), at_ns, km, "mileage_km")
 
 
 def contradictions(unit: SqlUnitOfWork, entered: Entered, now_ns: int | None) -> list[Contradiction]:
     """Return everything that is said against what was entered, which is stored already in this transaction.
 
-    Parameters
-    ----------
-    unit
-        The transaction.
-    entered
-        What is new or has changed.
-    now_ns
-        Our time; None says nothing about the future.
+    Args:
+        entered: What is new or has changed.
+        now_ns: Our time; None says nothing about the future.
     """
     found = [one for name, where in entered.new_codes for one in unusable_code(name, where)]
     found += _sizes(unit, entered)

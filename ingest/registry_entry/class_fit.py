@@ -23,14 +23,9 @@ def unfit_vehicles(
 
     A vehicle on bogies has an even number of axles, and two axles of a bogie are its wheelbase apart.
 
-    Parameters
-    ----------
-    source
-        Names places.
-    vehicles
-        As they are entered, in that order.
-    classes
-        Known classes by code; a vehicle of another is not checked.
+    Args:
+        vehicles: As they are entered, in that order.
+        classes: Known classes by code; a vehicle of another is not checked.
     """
     for index, vehicle in enumerate(vehicles):
         known = classes.get(vehicle.vehicle_class)
@@ -45,14 +40,9 @@ def unfit_classes(
 ) -> Iterator[InputError]:
     """Yield what is wrong with classes to which vehicles on file do not belong.
 
-    Parameters
-    ----------
-    source
-        Names places.
-    classes
-        As they are entered, in that order.
-    on_file
-        By code of the class, its vehicles that are not entered.
+    Args:
+        classes: As they are entered, in that order.
+        on_file: By code of the class, its vehicles that are not entered.
     """
     for index, one in enumerate(classes):
         for vehicle in on_file.get(one.code, ()):
@@ -91,15 +81,10 @@ def unfit_wheelsets(
 ) -> Iterator[InputError]:
     """Yield what is wrong with wheelsets whose radius is not one of their class, where an entry brings them together.
 
-    Parameters
-    ----------
-    source
-        Names places.
-    running
-        Wheelsets whose class is known.
-    entries
-        By array of a registry file, in the order of what is entered: the serials of ``wheelsets``, those of
-        ``mountings``, the codes of ``vehicles`` and of ``vehicle_classes``.
+    Args:
+        running: Wheelsets whose class is known.
+        entries: By array of a registry file, in the order of what is entered: the serials of ``wheelsets``, those of
+            ``mountings``, the codes of ``vehicles`` and of ``vehicle_classes``.
     """
     for one in running:
         radius, expected = one.wheelset.nominal_radius_m, one.known.parameters.nominal_radius

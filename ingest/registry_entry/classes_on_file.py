@@ -14,17 +14,7 @@ from ingest.registry_entry.contents import RegistryContents, Source
 
 
 def class_refusals(source: Source, contents: RegistryContents, registry: RegistryStore) -> Iterator[InputError]:
-    """Yield what is wrong with vehicles and wheelsets that do not belong to their class, entered or on file.
-
-    Parameters
-    ----------
-    source
-        Names places.
-    contents
-        What is entered.
-    registry
-        What is on file.
-    """
+    """Yield what is wrong with vehicles and wheelsets that do not belong to their class, entered or on file."""
     if not (contents.classes or contents.vehicles or contents.wheelsets or contents.mountings):
         return
     classes = {one.code: one for one in contents.classes}
@@ -49,15 +39,7 @@ def class_refusals(source: Source, contents: RegistryContents, registry: Registr
 
 
 def without_class(contents: RegistryContents, registry: RegistryStore) -> tuple[VehicleRecord, ...]:
-    """Return the vehicles that were entered and whose class nobody knows.
-
-    Parameters
-    ----------
-    contents
-        What was entered.
-    registry
-        What is on file.
-    """
+    """Return the vehicles that were entered and whose class nobody knows."""
     known = {code for code in _classes_of(contents) if registry.vehicle_class(code) is not None}
     return tuple(vehicle for vehicle in contents.vehicles if vehicle.vehicle_class not in known)
 

@@ -37,14 +37,10 @@ class RegistryContents:
 class Entry:
     """How something is entered.
 
-    Attributes
-    ----------
-    decision
-        Who enters it, why, and our time; kept with what changes.
-    now_ns
-        Our time, after which the future begins; None where it is not known.
-    confirmed
-        Rules whose doubts whoever enters it has confirmed to be unfounded.
+    Attributes:
+        decision: Who enters it, why, and our time; kept with what changes.
+        now_ns: Our time, after which the future begins; None where it is not known.
+        confirmed: Rules whose doubts whoever enters it has confirmed to be unfounded.
     """
 
     decision: Decision

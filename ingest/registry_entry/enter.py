@@ -39,23 +39,14 @@ def enter(
 ) -> LoadedRegistry:
     """Store what is entered; return it, and what is estimated again.
 
-    Parameters
-    ----------
-    contents
-        The records.
-    unit
-        An open transaction; nothing is committed here.
-    source
-        Names the place of what is wrong.
-    entry
-        Who enters it and when, and what has been confirmed.
-    refusals
-        What is known to be wrong already.
+    Args:
+        unit: An open transaction; nothing is committed here.
+        entry: Who enters it and when, and what has been confirmed.
+        refusals: What is known to be wrong already.
 
-    Raises
-    ------
-    RegistryRefusedError
-        Something is impossible, contradicts what is on file, or refers to something unknown; it lists everything.
+    Raises:
+        RegistryRefusedError: Something is impossible, contradicts what is on file, or refers to something unknown; it
+            lists everything.
     """
     entering = _Entering(unit, source, entry, list(refusals))
     entering.refusals += [Refusal(error) for error in class_refusals(source, contents, unit.registry)]

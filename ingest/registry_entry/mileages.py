@@ -18,16 +18,11 @@ _SECOND = 1_000_000_000
 class DistancePoint:
     """A distance that a record or a window gives for a time.
 
-    Attributes
-    ----------
-    record
-        Which one.
-    at_ns
-        ns UTC on the vehicle's clock.
-    km
-        Mileage of the wheelset since new, or what the odometer of the vehicle showed.
-    field
-        In which the record gives it.
+    Attributes:
+        record: Which one.
+        at_ns: ns UTC on the vehicle's clock.
+        km: Mileage of the wheelset since new, or what the odometer of the vehicle showed.
+        field: In which the record gives it.
     """
 
     record: RecordName
@@ -54,14 +49,8 @@ def distance_contradictions(
 ) -> list[Contradiction]:
     """Return where a distance contradicts those that are known: one contradiction a rule, with all others named.
 
-    Parameters
-    ----------
-    entered
-        What is entered.
-    known
-        Of the same wheelset or vehicle, any order; the same record among them is left out.
-    rules
-        Of the quantity.
+    Args:
+        known: Of the same wheelset or vehicle, any order; the same record among them is left out.
     """
     backwards, jumps = [], []
     for other in known:

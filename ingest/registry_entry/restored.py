@@ -16,19 +16,8 @@ def refuse_contradicted(unit: SqlUnitOfWork, key: RecordKey, now_ns: int) -> Non
 
     Doubts that can be confirmed are none here: it was on file before.
 
-    Parameters
-    ----------
-    unit
-        The transaction that has put it back.
-    key
-        Of the record.
-    now_ns
-        Our time.
-
-    Raises
-    ------
-    RegistryRefusedError
-        It contradicts what is on file now; names the records.
+    Raises:
+        RegistryRefusedError: It contradicts what is on file now; names the records.
     """
     found = contradictions(unit, _entered(unit, key), now_ns)
     refusals = tuple(

@@ -21,15 +21,7 @@ _NOT_PRINTED = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 
 
 def unusable_code(record: RecordName, field: str) -> list[Contradiction]:
-    """Return what is said against a new code or serial number.
-
-    Parameters
-    ----------
-    record
-        Its key is the code.
-    field
-        Of the code.
-    """
+    """Return what is said against a new code or serial number."""
     code = record.key
     wrong = next((mark for mark in RESERVED if mark in code), None)
     if wrong is not None:
@@ -46,12 +38,8 @@ def unusable_code(record: RecordName, field: str) -> list[Contradiction]:
 def unusual_radius(record: RecordName, nominal_radius_m: float) -> list[Contradiction]:
     """Return what is said against a nominal radius that hardly a railway wheel has.
 
-    Parameters
-    ----------
-    record
-        The wheelset.
-    nominal_radius_m
-        Its nominal radius, m.
+    Args:
+        nominal_radius_m: Its nominal radius, m.
     """
     radius_mm = 1e3 * nominal_radius_m
     if LEAST_RADIUS_MM - 1e-6 <= radius_mm <= MOST_RADIUS_MM + 1e-6:
@@ -64,14 +52,10 @@ def unusual_radius(record: RecordName, nominal_radius_m: float) -> list[Contradi
 def unusual_gauge(record: RecordName, nominal_gauge_m: float, contacts_m: Collection[float]) -> list[Contradiction]:
     """Return what is said against a track gauge on which no vehicle that is known runs.
 
-    Parameters
-    ----------
-    record
-        The section.
-    nominal_gauge_m
-        Its gauge, m.
-    contacts_m
-        Distances between the contact points of a wheelset, of the classes of all vehicles, m; none says nothing.
+    Args:
+        nominal_gauge_m: Its gauge, m.
+        contacts_m: Distances between the contact points of a wheelset, of the classes of all vehicles, m; none says
+            nothing.
     """
     gauge_mm = 1e3 * nominal_gauge_m
     least, most = GAUGE_TO_CONTACTS_MM
@@ -86,12 +70,8 @@ def unusual_gauge(record: RecordName, nominal_gauge_m: float, contacts_m: Collec
 def unknown_profile(record: RecordName, field: str, name: str) -> list[Contradiction]:
     """Return what is said against a design profile that is not built in.
 
-    Parameters
-    ----------
-    record, field
-        What names it: ``wheel_profile`` or ``rail_profile``.
-    name
-        Of the profile.
+    Args:
+        record, field: What names it: ``wheel_profile`` or ``rail_profile``.
     """
     try:
         (rail_profile if field == "rail_profile" else wheel_profile)(name)

@@ -15,12 +15,9 @@ AHEAD_NS = 86_400 * 1_000_000_000
 def in_the_future(record: RecordName, field: str, at_ns: int, now_ns: int) -> list[Contradiction]:
     """Return what is said against a record of something that has not happened yet.
 
-    Parameters
-    ----------
-    record, field, at_ns
-        What is entered, the field of its time, and the time, ns UTC.
-    now_ns
-        Our time, ns UTC.
+    Args:
+        record, field, at_ns: What is entered, the field of its time, and the time, ns UTC.
+        now_ns: Our time, ns UTC.
     """
     if at_ns <= now_ns + AHEAD_NS:
         return []
@@ -33,12 +30,8 @@ def before_first_mounting(reprofiling: RecordName, mountings: Sequence[Mounting]
 
     It would divide nothing that was measured. Nothing is said of a wheelset that no mounting is known of.
 
-    Parameters
-    ----------
-    reprofiling
-        With its time.
-    mountings
-        Of its wheelset, any order.
+    Args:
+        mountings: Of its wheelset, any order.
     """
     at_ns = reprofiling.at_ns
     if not mountings or at_ns is None:
@@ -52,15 +45,7 @@ def before_first_mounting(reprofiling: RecordName, mountings: Sequence[Mounting]
 
 
 def mounted_after_reprofiling(first: Mounting, reprofiled_ns: Sequence[int]) -> list[Contradiction]:
-    """Return what is said against a first mounting that is later than visits to the lathe on file.
-
-    Parameters
-    ----------
-    first
-        The first mounting of a wheelset.
-    reprofiled_ns
-        When the wheelset was on the lathe.
-    """
+    """Return what is said against a first mounting that is later than visits to the lathe on file."""
     earlier = [RecordName(Kind.REPROFILING, first.wheelset, at_ns) for at_ns in reprofiled_ns if at_ns < first.from_ns]
     if not earlier:
         return []

@@ -41,23 +41,13 @@ def wheelset_motion(
 
     ``table`` is its contact geometry where that is at hand already; made here otherwise.
 
-    Parameters
-    ----------
-    scenario
-        Section, wear, errors of the vehicle's parameters.
-    track
-        The true track.
-    run
-        Where and how fast the vehicle runs.
-    axle
-        Number of the axle, from 0.
-    table
-        Contact geometry of the wheelset, if it has been computed already; None to compute it here.
+    Args:
+        scenario: Section, wear, errors of the vehicle's parameters.
+        axle: Number of the axle, from 0.
+        table: Contact geometry of the wheelset, if it has been computed already; None to compute it here.
 
-    Raises
-    ------
-    DerailmentError
-        The wheelset leaves the range of its contact geometry: the scenario lets it derail.
+    Raises:
+        DerailmentError: The wheelset leaves the range of its contact geometry: the scenario lets it derail.
     """
     axles = together(scenario, run.vehicle, axle)
     known = [table if place == axle else None for place in axles]
@@ -67,14 +57,9 @@ def wheelset_motion(
 def together(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> tuple[int, ...]:
     """Return the axles (from 0) that move together with ``axle``: those of its bogie, or itself alone.
 
-    Parameters
-    ----------
-    scenario
-        With or without bogies.
-    vehicle
-        The vehicle.
-    axle
-        From 0.
+    Args:
+        scenario: With or without bogies.
+        axle: From 0.
     """
     if scenario.bogie is None:
         return (axle,)
@@ -91,19 +76,12 @@ def axle_motions(
 ) -> tuple[WheelsetMotion, ...]:
     """Return the true motion of the wheelsets at ``axles`` (from 0), which move together, over ``run``.
 
-    Parameters
-    ----------
-    scenario, track, run
-        As :func:`wheelset_motion` takes them.
-    axles
-        As :func:`together` returns them.
-    tables
-        Contact geometry of each; None to compute it here.
+    Args:
+        axles: As :func:`together` returns them.
+        tables: Contact geometry of each; None to compute it here.
 
-    Raises
-    ------
-    DerailmentError
-        A wheelset leaves the range of its contact geometry: the scenario lets it derail.
+    Raises:
+        DerailmentError: A wheelset leaves the range of its contact geometry: the scenario lets it derail.
     """
     found = [
         contact_of(scenario, track, run.vehicle.wheelsets[axle], run.odometer).table if table is None else table
@@ -126,14 +104,8 @@ def axle_motions(
 def running_gear(scenario: Scenario, run: VehicleRun, axles: Sequence[int]) -> RunningGear:
     """Return the true running gear of the wheelsets at ``axles`` (from 0), which move together, in one run.
 
-    Parameters
-    ----------
-    scenario
-        Parameters and their errors; how wheels roll.
-    run
-        Of which vehicle and campaign.
-    axles
-        As :func:`together` returns them.
+    Args:
+        axles: As :func:`together` returns them.
     """
     running = scenario.running
     parameters, bogie = true_suspension(scenario, run.vehicle, axles[0], run.campaign)
@@ -155,14 +127,8 @@ def true_suspension(
 ) -> tuple[VehicleParameters, BogieParameters | None]:
     """Return the true parameters of the running gear of an axle: of its vehicle, less what its damper has lost.
 
-    Parameters
-    ----------
-    scenario
-        Parameters and their errors.
-    vehicle
-        The vehicle.
-    axle, campaign
-        From 0.
+    Args:
+        axle, campaign: From 0.
     """
     parameters, bogie = vehicle_parameters(scenario, vehicle.code), vehicle_bogie(scenario, vehicle.code)
     weak, gear = vehicle.weak_damper, axle if bogie is None else axle // AXLES_OF_A_BOGIE
@@ -183,12 +149,9 @@ def _wheels(scenario: Scenario, run: VehicleRun, axle: int) -> tuple[Wheel, Whee
 def averaged(table: ContactTable, half_width: float) -> ContactTable:
     """Return a contact table whose radii, angles and roll are means over a contact of finite size.
 
-    Parameters
-    ----------
-    table
-        Of contact points.
-    half_width
-        Of the semi-ellipse of lateral displacement over which the mean is taken, m; 0 leaves the table as it is.
+    Args:
+        half_width: Of the semi-ellipse of lateral displacement over which the mean is taken, m; 0 leaves the table as
+            it is.
     """
     step = float(table.lateral_displacement[1] - table.lateral_displacement[0])
     reach = int(half_width / step)
@@ -226,21 +189,12 @@ def _check_on_rails(run: VehicleRun, axle: int, table: ContactTable, motion: Whe
 def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> WornContact:
     """Return the contact geometry of a wheelset at one mileage of its vehicle.
 
-    Parameters
-    ----------
-    scenario
-        Section and the range of displacements.
-    track
-        The true track, whose gauge deviations the table covers.
-    plan
-        Wheel profile and course of wear.
-    odometer
-        Of the vehicle, m.
+    Args:
+        track: The true track, whose gauge deviations the table covers.
+        odometer: Of the vehicle, m.
 
-    Raises
-    ------
-    ScenarioError
-        The profiles do not touch on both sides at every gauge of the track, or cannot wear that much.
+    Raises:
+        ScenarioError: The profiles do not touch on both sides at every gauge of the track, or cannot wear that much.
     """
     gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
     with _named(scenario, plan):
@@ -251,17 +205,11 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
 def true_geometry(scenario: Scenario, plan: WheelsetPlan, contact: WornContact) -> GeometryTruth:
     """Return the true geometry of a wheelset at nominal gauge.
 
-    Parameters
-    ----------
-    scenario, plan
-        As :func:`contact_of` takes them.
-    contact
-        What that returns; the gauge of its track decides no more than the range of displacements.
+    Args:
+        contact: What that returns; the gauge of its track decides no more than the range of displacements.
 
-    Raises
-    ------
-    ScenarioError
-        The profiles do not touch on both sides at nominal gauge.
+    Raises:
+        ScenarioError: The profiles do not touch on both sides at nominal gauge.
     """
     with _named(scenario, plan):
         return truth_of(contact)

@@ -40,16 +40,8 @@ class TrackBlows:
 def with_flat(motion: WheelsetMotion, flat: WheelFlat, radius: float, rng: np.random.Generator) -> WheelsetMotion:
     """Return the motion as sensors feel it on an axle with a flat.
 
-    Parameters
-    ----------
-    motion
-        Of the wheelset.
-    flat
-        On which wheel, and how large.
-    radius
-        Of the wheel, m.
-    rng
-        Where on the tread the flat is.
+    Args:
+        radius: Of the wheel, m.
     """
     turns = (motion.distance - motion.distance[0]) / (2.0 * np.pi * radius) + rng.uniform()
     return _struck(motion, turns, flat.size * (1.0 if flat.left else -1.0))
@@ -58,12 +50,8 @@ def with_flat(motion: WheelsetMotion, flat: WheelFlat, radius: float, rng: np.ra
 def with_track_blows(motion: WheelsetMotion, blows: TrackBlows) -> WheelsetMotion:
     """Return the motion as sensors feel it where joints or switches strike.
 
-    Parameters
-    ----------
-    motion
-        Of the wheelset.
-    blows
-        Of the track; every other one is on the right rail.
+    Args:
+        blows: Of the track; every other one is on the right rail.
     """
     return _struck(motion, motion.distance / blows.every, blows.size, alternating=True)
 

@@ -63,21 +63,12 @@ def vehicle_frames(
 ) -> FrameBatch:
     """Return all frames of the vehicle's bus over a run, in time order.
 
-    Parameters
-    ----------
-    catalogue
-        Messages and signals of the bus, and its sample interval.
-    scenario
-        Sensors, errors of the bus, seed.
-    run
-        Where and how fast the vehicle runs.
-    records
-        What the node of each axle measured, by axle; None for a node that has failed.
+    Args:
+        catalogue: Messages and signals of the bus, and its sample interval.
+        records: What the node of each axle measured, by axle; None for a node that has failed.
 
-    Raises
-    ------
-    ScenarioError
-        The sensors' rate is not the one of the catalogue.
+    Raises:
+        ScenarioError: The sensors' rate is not the one of the catalogue.
     """
     interval_ns = catalogue.sample_interval_ns
     if scenario.sensors.rate_hz * interval_ns != 1_000_000_000:  # noqa: PLR2004 - ns in a second

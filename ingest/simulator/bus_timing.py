@@ -46,19 +46,11 @@ class BusTiming:
 def bus_timing(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int) -> BusTiming:
     """Return when the frames of ``messages`` are on the bus.
 
-    Parameters
-    ----------
-    bus
-        Bit rate and delays of the nodes.
-    messages
-        What is sent.
-    interval_ns
-        Sampling interval, ns.
+    Args:
+        interval_ns: Sampling interval, ns.
 
-    Raises
-    ------
-    ScenarioError
-        There is more to send than the bus can carry.
+    Raises:
+        ScenarioError: There is more to send than the bus can carry.
     """
     if bus.bit_rate > 0.0:
         return _arbitrated(bus, messages, interval_ns)

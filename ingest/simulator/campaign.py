@@ -45,10 +45,8 @@ class VehicleRun:
 def scenario_track(scenario: Scenario) -> TrackTruth:
     """Return the true track of the scenario's section.
 
-    Raises
-    ------
-    ScenarioError
-        The recorded file cannot be read.
+    Raises:
+        ScenarioError: The recorded file cannot be read.
     """
     section = scenario.section
     if section.file is not None:
@@ -60,15 +58,7 @@ def scenario_track(scenario: Scenario) -> TrackTruth:
 
 
 def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
-    """Return the recipe of a section with what runs over the whole of it cross before and behind.
-
-    Parameters
-    ----------
-    scenario
-        Whether runs are over the whole section.
-    recipe
-        Of the section alone.
-    """
+    """Return the recipe of a section with what runs over the whole of it cross before and behind."""
     if not scenario.sessions.whole_section:
         return recipe
     return replace(recipe, length=recipe.length + 2.0 * MARGIN, begin=-MARGIN)
@@ -77,21 +67,11 @@ def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
 def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> VehicleRun:
     """Return where and how fast ``vehicle`` runs in ``campaign`` (from 0).
 
-    Parameters
-    ----------
-    scenario
-        Speeds, sessions, position errors, seed.
-    track
-        The true track.
-    vehicle
-        The vehicle.
-    campaign
-        Number of the campaign, from 0.
+    Args:
+        campaign: Number of the campaign, from 0.
 
-    Raises
-    ------
-    ScenarioError
-        The track is too short for the run.
+    Raises:
+        ScenarioError: The track is too short for the run.
     """
     rng = generator(scenario.seed, Stream.SPEED, scenario.vehicles.index(vehicle), campaign)
     speed = _speed(scenario, rng)[: round(scenario.duration(vehicle) / STEP) + 1]
@@ -154,15 +134,7 @@ def _reported(scenario: Scenario, vehicle: VehiclePlan, campaign: int, distance:
 
 
 def odometer_scale(scenario: Scenario, vehicle: VehiclePlan) -> float:
-    """Return the factor on speed and odometer that a vehicle reports: its wheels are not what it takes them for.
-
-    Parameters
-    ----------
-    scenario
-        Errors of the position, seed.
-    vehicle
-        The vehicle.
-    """
+    """Return the factor on speed and odometer that a vehicle reports: its wheels are not what it takes them for."""
     rng = generator(scenario.seed, Stream.ODOMETER, scenario.vehicles.index(vehicle))
     return 1.0 + scenario.position.odometer_scale_std * float(rng.standard_normal())
 
@@ -170,16 +142,9 @@ def odometer_scale(scenario: Scenario, vehicle: VehiclePlan) -> float:
 def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> SensorRecord:
     """Return what the node of the wheelset at ``axle`` (from 0) measures of ``motion``.
 
-    Parameters
-    ----------
-    scenario
-        Sensors and seed.
-    run
-        Where and how fast the vehicle runs.
-    axle
-        Number of the axle, from 0.
-    motion
-        True motion of the wheelset over the run.
+    Args:
+        axle: Number of the axle, from 0.
+        motion: True motion of the wheelset over the run.
     """
     order = scenario.vehicles.index(run.vehicle)
     offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))

@@ -17,13 +17,7 @@ class ClassOnFile:
     nominal_radius: float | None = None  # m, of the wheelsets; None: what it is
 
     def axle_offsets(self, true: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the axle offsets, m, of a vehicle whose bogies are where they are and have the wheelbase of the class.
-
-        Parameters
-        ----------
-        true
-            Axle offsets of the vehicle, front to rear.
-        """
+        """Return the axle offsets, m, of a vehicle with its bogies in place and the wheelbase of the class."""
         bogie = self.vehicle_class.bogie
         if bogie is None or len(true) % AXLES_OF_A_BOGIE:
             return true

@@ -53,10 +53,8 @@ class CreepConstants(NamedTuple):
 class Creep:
     """The force law of all wheels. Friction may vary along the track beside.
 
-    Raises
-    ------
-    ParameterError
-        A value is not possible.
+    Raises:
+        ParameterError: A value is not possible.
     """
 
     law: CreepLaw = CreepLaw.LINEAR
@@ -85,16 +83,10 @@ class Creep:
 def share_of_linear(c: CreepConstants, linear: float, bound: float, slip_velocity: float) -> float:
     """Return by what factor (0 to 1) a law, not the linear one, multiplies the linear creep forces of one wheel.
 
-    Parameters
-    ----------
-    c
-        Law and constants.
-    linear
-        Resultant of the linear longitudinal and lateral force, N, not negative.
-    bound
-        mu0 N, N, positive.
-    slip_velocity
-        Of the contact, m/s, not negative.
+    Args:
+        linear: Resultant of the linear longitudinal and lateral force, N, not negative.
+        bound: mu0 N, N, positive.
+        slip_velocity: Of the contact, m/s, not negative.
     """
     if c.law == VERMEULEN_JOHNSON:
         u = linear / bound

@@ -81,20 +81,12 @@ def path_motion(
 ) -> PathMotion:
     """Return the accelerations that curved track forces on a wheelset, and those that its sensors measure of the path.
 
-    Parameters
-    ----------
-    p
-        Parameters of the vehicle.
-    curves
-        Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
-    s
-        (m,) m along the section.
-    distance
-        (n,) m along the section at each sample.
-    speed
-        (n,) m/s.
-    step
-        Interval of the samples, s.
+    Args:
+        curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
+        s: (m,) m along the section.
+        distance: (n,) m along the section at each sample.
+        speed: (n,) m/s.
+        step: Interval of the samples, s.
     """
     curvature = np.interp(distance, s, curves.curvature)
     tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)

@@ -34,12 +34,8 @@ WEAR_SHARES = (1.0, 0.85, 0.7, 0.5, 1.5)  # tried in turn until a wheelset stays
 def with_seed(scenario: Scenario, seed: int) -> Scenario:
     """Return the scenario with another seed; wheel, rail and wear of a drawn fleet are those of the seed.
 
-    Parameters
-    ----------
-    scenario
-        A scenario of any seed.
-    seed
-        From 0.
+    Args:
+        seed: From 0.
     """
     if scenario.drawn is None:
         return replace(scenario, seed=seed)
@@ -54,16 +50,9 @@ def with_seed(scenario: Scenario, seed: int) -> Scenario:
 def with_less_wear(scenario: Scenario, vehicle: str, axle: int, share: float) -> Scenario:
     """Return the scenario with ``share`` of the wear of one wheelset.
 
-    Parameters
-    ----------
-    scenario
-        The fleet as drawn.
-    vehicle
-        Code of the vehicle.
-    axle
-        From 0.
-    share
-        Of the wear at odometer 0.
+    Args:
+        axle: From 0.
+        share: Of the wear at odometer 0.
     """
     worn = scenario.vehicle(vehicle).wheelsets[axle]
     less = replace(worn, initial_left=share * worn.initial_left, initial_right=share * worn.initial_right)
@@ -73,16 +62,9 @@ def with_less_wear(scenario: Scenario, vehicle: str, axle: int, share: float) ->
 def with_wheelset(scenario: Scenario, vehicle: str, axle: int, wheelset: WheelsetPlan) -> Scenario:
     """Return the scenario with another wheelset at one place.
 
-    Parameters
-    ----------
-    scenario
-        The fleet as drawn.
-    vehicle
-        Code of the vehicle.
-    axle
-        From 0.
-    wheelset
-        What is there instead.
+    Args:
+        axle: From 0.
+        wheelset: What is there instead.
     """
     plan = scenario.vehicle(vehicle)
     wheelsets = tuple(wheelset if place == axle else item for place, item in enumerate(plan.wheelsets))
@@ -93,12 +75,8 @@ def with_wheelset(scenario: Scenario, vehicle: str, axle: int, wheelset: Wheelse
 def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
     """Return the true parameters of a vehicle: those of the scenario, or drawn around them.
 
-    Parameters
-    ----------
-    scenario
-        With or without errors of the vehicle parameters.
-    vehicle
-        Code of the vehicle.
+    Args:
+        scenario: With or without errors of the vehicle parameters.
     """
     assumed, limits = scenario.parameters, scenario.vehicle_errors
     if limits is None:
@@ -125,12 +103,8 @@ def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
 def vehicle_bogie(scenario: Scenario, vehicle: str) -> BogieParameters | None:
     """Return the true parameters of a vehicle's bogies; masses are as far off as its suspended mass.
 
-    Parameters
-    ----------
-    scenario
-        With or without bogies, and errors of the vehicle parameters.
-    vehicle
-        Code of the vehicle.
+    Args:
+        scenario: With or without bogies, and errors of the vehicle parameters.
     """
     assumed, limits = scenario.bogie, scenario.vehicle_errors
     if assumed is None or limits is None:
@@ -163,16 +137,9 @@ def shares_of_wear(plan: WheelsetPlan) -> tuple[float, ...]:
 def no_wear_left(scenario: Scenario, vehicle: str, axle: int, last: ScenarioError) -> ScenarioError:
     """Return the error of a wheelset that derails with every share of its wear.
 
-    Parameters
-    ----------
-    scenario
-        The scenario with its least wear tried.
-    vehicle
-        Code of the vehicle.
-    axle
-        Number of the axle, from 0.
-    last
-        How it derailed with the last share.
+    Args:
+        scenario: The scenario with its least wear tried.
+        axle: Number of the axle, from 0.
     """
     plan = scenario.vehicle(vehicle).wheelsets[axle]
     if shares_of_wear(plan) != WEAR_SHARES:

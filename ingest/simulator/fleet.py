@@ -74,25 +74,16 @@ def run_fleet(
 ) -> FleetReport:
     """Simulate ``scenario`` into ``out``: recordings per vehicle and campaign, ``registry.json``, ``truth.json``.
 
-    Parameters
-    ----------
-    scenario
-        What to simulate; the same scenario gives the same bytes, however many workers there are.
-    out
-        Folder, made where missing; recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``.
-    vehicles
-        Codes of the vehicles to simulate; all by default. The registry always names all.
-    workers
-        Processes; by default as many as cores, at most the recordings. With 1 everything runs in this process.
-    progress
-        Called after each recording.
+    Args:
+        scenario: What to simulate; the same scenario gives the same bytes, however many workers there are.
+        out: Folder, made where missing; recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``.
+        vehicles: Codes of the vehicles to simulate; all by default. The registry always names all.
+        workers: Processes; by default as many as cores, at most the recordings. With 1 everything runs in this process.
+        progress: Called after each recording.
 
-    Raises
-    ------
-    ScenarioError
-        The scenario cannot be run: unknown vehicle, too little track, a wheelset that derails.
-    OSError
-        A file cannot be written.
+    Raises:
+        ScenarioError: The scenario cannot be run: unknown vehicle, too little track, a wheelset that derails.
+        OSError: A file cannot be written.
     """
     chosen = [scenario.vehicle(code) for code in vehicles] if vehicles is not None else list(scenario.vehicles)
     track = scenario_track(scenario)
@@ -133,16 +124,8 @@ def _tasks(scenario: Scenario, vehicles: Sequence[VehiclePlan]) -> list[tuple[st
 def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campaigns: Campaigns) -> list[Recording]:
     """Simulate campaigns of one vehicle and write their recordings, each whole or not at all.
 
-    Parameters
-    ----------
-    scenario, track
-        What to simulate, and its true track.
-    out
-        Folder of the recordings.
-    vehicle
-        Code of the vehicle.
-    campaigns
-        From 0.
+    Args:
+        campaigns: From 0.
     """
     if scenario.drawn is None:
         plan = scenario.vehicle(vehicle)
@@ -271,23 +254,12 @@ def simulate_campaign(
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
     """Return all frames of one campaign of one vehicle, and the truth of its wheelsets.
 
-    Parameters
-    ----------
-    scenario
-        The scenario.
-    track
-        The true track.
-    vehicle
-        The vehicle.
-    campaign
-        Number of the campaign, from 0.
+    Args:
+        campaign: Number of the campaign, from 0.
 
-    Raises
-    ------
-    ScenarioError
-        The track is too short for the run, or the sensors' rate is not the one of the bus.
-    DerailmentError
-        A wheelset leaves the range of its contact geometry.
+    Raises:
+        ScenarioError: The track is too short for the run, or the sensors' rate is not the one of the bus.
+        DerailmentError: A wheelset leaves the range of its contact geometry.
     """
     groups = _groups(scenario, vehicle)
     axles = [axle for group in groups for axle in _group(scenario, track, vehicle.code, group, (campaign,))]

@@ -31,22 +31,13 @@ def gear_path(
     Per axle of the former: accelerations added to y'' and psi'', curvature, o, o', t, t'; then the accelerations added
     to frame (and body). The latter are in the order of ``ACCELERATIONS``.
 
-    Parameters
-    ----------
-    p
-        Parameters of the wheelsets.
-    curves
-        Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
-    s
-        (m,) m along the section.
-    distance
-        (n,) m of the frame's middle at each sample.
-    speed
-        (n,) m/s.
-    step
-        Interval of the samples, s.
-    places
-        (a,) m by which each axle is ahead of the frame's middle.
+    Args:
+        curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
+        s: (m,) m along the section.
+        distance: (n,) m of the frame's middle at each sample.
+        speed: (n,) m/s.
+        step: Interval of the samples, s.
+        places: (a,) m by which each axle is ahead of the frame's middle.
     """
     curvature = CubicSpline(s, curves.curvature)
     heading, line = curvature.antiderivative(1), curvature.antiderivative(2)

@@ -67,16 +67,11 @@ class Wheels(NamedTuple):
 def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
     """Write cross level (rad), friction and load (both over their mean), each with its slope, into ``out`` (6,).
 
-    Parameters
-    ----------
-    coefficients
-        (m, 8) where the track has none of them, else (m, 20): splines of alignment, gauge deviation and these three.
-    grid
-        The grid of distance.
-    s
-        Distance, m.
-    out
-        (6,) written.
+    Args:
+        coefficients: (m, 8) where the track has none of them, else (m, 20): splines of alignment, gauge deviation and
+            these three.
+        s: Distance, m.
+        out: (6,) written.
     """
     if coefficients.shape[1] == CONTACT:
         out[0] = out[1] = out[3] = out[5] = 0.0
@@ -97,16 +92,9 @@ def roll_above(
 ) -> float:
     """Return the mean roll of the track at the axles, rad.
 
-    Parameters
-    ----------
-    g
-        Of the running gear.
-    coefficients, grids
-        As :func:`gear_rates` takes them.
-    s
-        Distance of the first axle, m.
-    place
-        (6,) work space.
+    Args:
+        s: Distance of the first axle, m.
+        place: (6,) work space.
     """
     total = 0.0
     if coefficients.shape[1] > CONTACT:
@@ -120,20 +108,11 @@ def roll_above(
 def out_of_round(c: Constants, wheels: Wheels, axle: int, s: float, speed: float, contact: FloatArray) -> None:
     """Add what wheels that are not round change to rolling radii, roll and roll rate in ``contact`` (8,).
 
-    Parameters
-    ----------
-    c
-        Of the wheelset.
-    wheels
-        Amplitudes and phases.
-    axle
-        0 or 1.
-    s
-        Distance of the axle, m.
-    speed
-        m/s.
-    contact
-        (8,) changed.
+    Args:
+        axle: 0 or 1.
+        s: Distance of the axle, m.
+        speed: m/s.
+        contact: (8,) changed.
     """
     left, right = wheels.amplitude[2 * axle], wheels.amplitude[2 * axle + 1]
     if left == 0.0 and right == 0.0:
@@ -167,30 +146,17 @@ def gear_rates(
 ) -> int:
     """Write the time derivative of ``state`` (16,) into ``rates`` (16,); return a bit for each axle outside its table.
 
-    Parameters
-    ----------
-    g, creep, wheels
-        Parameters of the running gear.
-    tables, grids
-        (n, g, 7) contact geometry of both axles, and the grids of table and track.
-    coefficients
-        (m, 8) or (m, 20) splines of the track.
-    speed, slope
-        m/s, and by which it rises, m/s^2.
-    s
-        Distance of the first axle, m.
-    path
-        (16,) of the curved path.
-    state
-        (16,) in SI.
-    rates
-        (16,) written.
-    contact
-        (2, 8) written: looked-up values and roll rate of each axle, with cross level.
-    track
-        (2, 4) written: alignment at the height of the axle, its slope, gauge deviation, its slope.
-    place
-        (6,) work space.
+    Args:
+        tables, grids: (n, g, 7) contact geometry of both axles, and the grids of table and track.
+        coefficients: (m, 8) or (m, 20) splines of the track.
+        speed, slope: m/s, and by which it rises, m/s^2.
+        s: Distance of the first axle, m.
+        path: (16,) of the curved path.
+        state: (16,) in SI.
+        rates: (16,) written.
+        contact: (2, 8) written: looked-up values and roll rate of each axle, with cross level.
+        track: (2, 4) written: alignment at the height of the axle, its slope, gauge deviation, its slope.
+        place: (6,) work space.
     """
     outside = 0
     leaning = roll_above(g, coefficients, grids, s, place)
@@ -231,18 +197,10 @@ def gear_rates(
 def suspended(c: Constants, x: float, path: FloatArray, axle: FloatArray, state: FloatArray) -> tuple[float, float]:
     """Return lateral force (N) and yaw moment (N m) of the suspension on a wheelset.
 
-    Parameters
-    ----------
-    c
-        Of the wheelset.
-    x
-        Place of the axle ahead of the middle of the frame, m.
-    path
-        Of this axle, and what follows.
-    axle
-        (4,) y, y', psi, psi' of the wheelset.
-    state
-        (16,) of the running gear.
+    Args:
+        x: Place of the axle ahead of the middle of the frame, m.
+        axle: (4,) y, y', psi, psi' of the wheelset.
+        state: (16,) of the running gear.
     """
     deflection = state[FRAME] + x * state[FRAME + 2] - axle[0] - path[3]
     rate = state[FRAME + 1] + x * state[FRAME + 3] - axle[1] - path[4]
@@ -266,26 +224,14 @@ def wheelset(
 ) -> None:
     """Write the time derivative of one wheelset (5,) into ``rates`` (5,).
 
-    Parameters
-    ----------
-    c, creep
-        Parameters of the wheelset.
-    speed
-        m/s, above ``STANDSTILL``.
-    traction
-        Force of the axle, N, negative in braking.
-    path
-        Of this axle, and what follows.
-    place
-        (6,) cross level, friction and load, each with its slope.
-    contact
-        (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
-    suspension, turned
-        Force and moment of the suspension, N and N m.
-    state
-        (5,) y, y', psi, psi', u.
-    rates
-        (5,) written.
+    Args:
+        speed: m/s, above ``STANDSTILL``.
+        traction: Force of the axle, N, negative in braking.
+        place: (6,) cross level, friction and load, each with its slope.
+        contact: (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
+        suspension, turned: Force and moment of the suspension, N and N m.
+        state: (5,) y, y', psi, psi', u.
+        rates: (5,) written.
     """
     per_speed = 1.0 / speed
     v, psi, psi_rate, roll, roll_rate = state[1], state[2], state[3], contact[4], contact[7]
@@ -324,18 +270,12 @@ def carried(
 ) -> None:
     """Write the time derivative of frame and body into ``rates`` (16,).
 
-    Parameters
-    ----------
-    g
-        Of the running gear.
-    path
-        (16,) of the curved path.
-    force, moment
-        Of the primary suspensions on the wheelsets: sum of the forces, and of their moments about the frame's middle.
-    state
-        (16,) in SI.
-    rates
-        (16,) written.
+    Args:
+        path: (16,) of the curved path.
+        force, moment: Of the primary suspensions on the wheelsets: sum of the forces, and of their moments about the
+            frame's middle.
+        state: (16,) in SI.
+        rates: (16,) written.
     """
     y, v, psi, psi_rate = state[FRAME], state[FRAME + 1], state[FRAME + 2], state[FRAME + 3]
     above = 0.0

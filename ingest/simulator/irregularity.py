@@ -34,23 +34,13 @@ def superpose(
     Each part has its standard deviation on that stretch. A kurtosis above 3 keeps the spectrum and the standard
     deviation of the sum.
 
-    Parameters
-    ----------
-    parts
-        What is summed.
-    rngs
-        Source of the phases, one per part.
-    length
-        Of the track, m.
-    interval
-        Between points, m.
-    kurtosis
-        Of the sum on the stretch; 3 leaves it Gaussian.
+    Args:
+        length: Of the track, m.
+        interval: Between points, m.
+        kurtosis: Of the sum on the stretch; 3 leaves it Gaussian.
 
-    Raises
-    ------
-    ParameterError
-        As ``synthesise``, or the kurtosis cannot be made.
+    Raises:
+        ParameterError: As ``synthesise``, or the kurtosis cannot be made.
     """
     gaussian = [
         synthesise(

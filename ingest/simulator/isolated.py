@@ -42,19 +42,11 @@ class Isolated:
 def isolated(items: Sequence[Isolated], s: FloatArray, rngs: Sequence[np.random.Generator]) -> FloatArray:
     """Return what isolated irregularities add to alignment and gauge deviation (2, n), m.
 
-    Parameters
-    ----------
-    items
-        What there is.
-    s
-        (n,) m, uniform.
-    rngs
-        Of those that are drawn, one per item.
+    Args:
+        s: (n,) m, uniform.
 
-    Raises
-    ------
-    ParameterError
-        One is shorter than the grid carries, or is not on the track.
+    Raises:
+        ParameterError: One is shorter than the grid carries, or is not on the track.
     """
     added = np.zeros((2, len(s)))
     for item, rng in zip(items, rngs, strict=True):

@@ -34,19 +34,12 @@ def kurtosis_of(values: FloatArray) -> float:
 def with_kurtosis(period: FloatArray, count: int, target: float) -> FloatArray:
     """Return the period (n,) of an irregularity with another kurtosis of its first ``count`` values.
 
-    Parameters
-    ----------
-    period
-        (n,) one period, mean 0.
-    count
-        How many of its values are used.
-    target
-        Kurtosis, 3 or more.
+    Args:
+        period: (n,) one period, mean 0.
+        target: Kurtosis, 3 or more.
 
-    Raises
-    ------
-    ParameterError
-        The target is below 3, or the stretch has too few waves for it.
+    Raises:
+        ParameterError: The target is below 3, or the stretch has too few waves for it.
     """
     if not GAUSSIAN <= target <= HIGHEST:
         raise ParameterError(

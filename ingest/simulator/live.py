@@ -34,27 +34,15 @@ def transmit(
     frames come faster than by the vehicle's clock. A receiver refuses that, because its signal catalogue contains the
     rate of SYNC.
 
-    Parameters
-    ----------
-    scenario, vehicle
-        What to simulate, and the code of the one vehicle whose bus this is.
-    bus
-        An open python-can bus.
-    speed_up
-        Factor on the pace of the frames.
-    stop
-        Ends the sending when set, within a frame.
-    progress
-        Called with (campaign from 1, frames sent so far) before each campaign.
+    Args:
+        scenario, vehicle: What to simulate, and the code of the one vehicle whose bus this is.
+        stop: Ends the sending when set, within a frame.
+        progress: Called with (campaign from 1, frames sent so far) before each campaign.
 
-    Raises
-    ------
-    ScenarioError
-        No such vehicle, or the scenario cannot be run.
-    ParameterError
-        ``speed_up`` is not positive.
-    ConflictError
-        The bus refused a frame.
+    Raises:
+        ScenarioError: No such vehicle, or the scenario cannot be run.
+        ParameterError: ``speed_up`` is not positive.
+        ConflictError: The bus refused a frame.
     """
     if not speed_up > 0.0:
         raise ParameterError(f"{speed_up} is not positive", field="speed_up")

@@ -111,10 +111,8 @@ class PreparedTable:
     def of(table: ContactGeometryTable) -> PreparedTable:
         """Lay out ``table``, with the slopes of roll at its nodes.
 
-        Raises
-        ------
-        ParameterError
-            A grid is not uniform, too short, or a value is not finite.
+        Raises:
+            ParameterError: A grid is not uniform, too short, or a value is not finite.
         """
         x, e = table.lateral_displacement, table.gauge_deviation
         x_step, e_step = uniform_spacing(x), uniform_spacing(e)
@@ -155,25 +153,15 @@ def simulate_wheelset(
     psi', ym, ym' in SI; without it wheelset and mass start at rest relative to the track, on its centre line. Two runs
     of the same input give the same bits.
 
-    Parameters
-    ----------
-    parameters
-        Of the vehicle, Eq. 1-5.
-    table
-        Contact geometry on uniform grids of y - d and gauge deviation.
-    track
-        Alignment, gauge deviation and curves along the track.
-    speed
-        (n,) m/s every ``STEP`` s.
-    start
-        Distance at the first sample, m.
-    initial
-        (6,) y, y', psi, psi', ym, ym' in SI at the first sample; None to start at rest relative to the track.
+    Args:
+        parameters: Of the vehicle, Eq. 1-5.
+        table: Contact geometry on uniform grids of y - d and gauge deviation.
+        speed: (n,) m/s every ``STEP`` s.
+        start: Distance at the first sample, m.
+        initial: (6,) y, y', psi, psi', ym, ym' in SI at the first sample; None to start at rest relative to the track.
 
-    Raises
-    ------
-    ParameterError
-        Speed that is negative or not finite, or the run leaves the track.
+    Raises:
+        ParameterError: Speed that is negative or not finite, or the run leaves the track.
     """
     speed = frozen_array(speed, (None,), name="speed")  # read-only from every caller: it is compiled once
     prepared = table if isinstance(table, PreparedTable) else PreparedTable.of(table)
@@ -215,19 +203,12 @@ def simulate_wheelset(
 def course(track: TrackTruth, speed: FloatArray, start: float) -> FloatArray:
     """Return the distance (n,), m, at each sample, after checking that speed and track allow the run.
 
-    Parameters
-    ----------
-    track
-        Where to.
-    speed
-        (n,) m/s every ``STEP`` s.
-    start
-        Distance at the first sample, m.
+    Args:
+        speed: (n,) m/s every ``STEP`` s.
+        start: Distance at the first sample, m.
 
-    Raises
-    ------
-    ParameterError
-        As :func:`simulate_wheelset`.
+    Raises:
+        ParameterError: As :func:`simulate_wheelset`.
     """
     if not (np.isfinite(speed).all() and len(speed) > 1 and speed.min() >= 0.0):
         raise ParameterError("two samples or more, none negative, are needed", field="speed")

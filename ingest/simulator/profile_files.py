@@ -16,10 +16,8 @@ from ingest.simulator.scenario import SectionPlan, WheelsetPlan
 def wheel_in(path: Path) -> Profile:
     """Return the wheel profile in a file, read once in a process.
 
-    Raises
-    ------
-    ProfileError
-        As ``read_wheel_profile``.
+    Raises:
+        ProfileError: As ``read_wheel_profile``.
     """
     return read_wheel_profile(path)
 
@@ -28,17 +26,11 @@ def wheel_in(path: Path) -> Profile:
 def rail_in(path: Path, mirror: bool | None) -> Profile:  # noqa: FBT001 - a place beside the path, as the plans have it
     """Return the rail profile in a file, read once in a process.
 
-    Parameters
-    ----------
-    path
-        The file.
-    mirror
-        Whether its gauge side is at positive y of the file; None decides from the shape.
+    Args:
+        mirror: Whether its gauge side is at positive y of the file; None decides from the shape.
 
-    Raises
-    ------
-    ProfileError
-        As ``read_profile``.
+    Raises:
+        ProfileError: As ``read_profile``.
     """
     return read_profile(path, "rail", mirror=mirror)
 

@@ -12,15 +12,7 @@ MGT_OF_GROWTH = 100.0  # million gross tonnes, by which growth is given
 
 
 def depth_gained(section: SectionPlan, days: float) -> float:
-    """Return by how much the bands of both rails are deeper after some days of traffic, m.
-
-    Parameters
-    ----------
-    section
-        Its traffic, and what that wears.
-    days
-        Since the first campaign.
-    """
+    """Return by how much the bands of both rails are deeper after some days of traffic, m."""
     if section.tonnage is None:
         return 0.0
     return section.rail_growth * section.tonnage / MGT_OF_GROWTH * days / DAYS_PER_YEAR
@@ -29,12 +21,8 @@ def depth_gained(section: SectionPlan, days: float) -> float:
 def section_at(scenario: Scenario, odometer: float) -> SectionPlan:
     """Return the section as its rails are when the vehicles' odometer stands at ``odometer``, m.
 
-    Parameters
-    ----------
-    scenario
-        Section and sessions.
-    odometer
-        m.
+    Args:
+        odometer: m.
     """
     section, sessions = scenario.section, scenario.sessions
     gained = depth_gained(section, (odometer - sessions.first_odometer) / sessions.distance_per_day)

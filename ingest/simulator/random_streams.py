@@ -36,24 +36,10 @@ class Stream(IntEnum):
 
 
 def seed_of(seed: int, stream: Stream, *key: int) -> np.random.SeedSequence:
-    """Return the seed of one random stream: the same for the same seed of the scenario and key.
-
-    Parameters
-    ----------
-    seed
-        Of the scenario.
-    stream, key
-        Which stream.
-    """
+    """Return the seed of one random stream: the same for the same seed of the scenario and key."""
     return np.random.SeedSequence(seed, spawn_key=(stream, *key))
 
 
 def generator(seed: int, stream: Stream, *key: int) -> np.random.Generator:
-    """Return the generator of one random stream.
-
-    Parameters
-    ----------
-    seed, stream, key
-        As :func:`seed_of` takes them.
-    """
+    """Return the generator of one random stream."""
     return np.random.default_rng(seed_of(seed, stream, *key))

@@ -57,18 +57,11 @@ def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) 
 
     Outside, the edge cell is continued linearly in x; e is held at the edge.
 
-    Parameters
-    ----------
-    table
-        (n, g, 7) contact geometry at the nodes, in the order rL, rR, dL, dR, phi, phi_x, phi_e; m and rad.
-    grid
-        The grids of the table.
-    x
-        Displacement y - d, m.
-    e
-        Gauge deviation, m.
-    out
-        (7,) written.
+    Args:
+        table: (n, g, 7) contact geometry at the nodes, in the order rL, rR, dL, dR, phi, phi_x, phi_e; m and rad.
+        x: Displacement y - d, m.
+        e: Gauge deviation, m.
+        out: (7,) written.
     """
     n, g, width = table.shape
     fx = (x - grid.x0) * grid.per_x
@@ -94,16 +87,10 @@ def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) 
 def track_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
     """Write alignment, its slope, gauge deviation, its slope at distance ``s`` into ``out`` (4,).
 
-    Parameters
-    ----------
-    coefficients
-        (m, 8) of the cubic splines of alignment and gauge deviation in each interval, m.
-    grid
-        The grid of distance.
-    s
-        Distance, m.
-    out
-        (4,) written: m and m/m.
+    Args:
+        coefficients: (m, 8) of the cubic splines of alignment and gauge deviation in each interval, m.
+        s: Distance, m.
+        out: (4,) written: m and m/m.
     """
     i = min(max(int((s - grid.s0) / grid.interval), 0), len(coefficients) - 1)
     h = s - grid.s0 - i * grid.interval
@@ -133,30 +120,16 @@ def derivatives(
     ``forced`` (3,) is added to the accelerations; ``contact[7]`` is the roll rate. Return whether y - d is inside
     the contact table.
 
-    Parameters
-    ----------
-    c
-        Parameters of the vehicle.
-    table
-        (n, g, 7) contact geometry at the nodes.
-    coefficients
-        (m, 8) splines of the track.
-    grid
-        The grids of both.
-    speed
-        m/s.
-    s
-        Distance, m.
-    state
-        (6,) y, y', psi, psi', ym, ym' in SI.
-    forced
-        (3,) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
-    rates
-        (6,) written.
-    contact
-        (8,) written: the looked-up values, then the roll rate, rad/s.
-    track
-        (4,) written: alignment, its slope, gauge deviation, its slope.
+    Args:
+        table: (n, g, 7) contact geometry at the nodes.
+        coefficients: (m, 8) splines of the track.
+        speed: m/s.
+        s: Distance, m.
+        state: (6,) y, y', psi, psi', ym, ym' in SI.
+        forced: (3,) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
+        rates: (6,) written.
+        contact: (8,) written: the looked-up values, then the roll rate, rad/s.
+        track: (4,) written: alignment, its slope, gauge deviation, its slope.
     """
     track_at(coefficients, grid, s, track)
     inside = look_up(table, grid, state[0] - track[0], track[2], contact)
@@ -176,14 +149,9 @@ def derivatives(
 def at_rest(c: Constants, state: FloatArray, rates: FloatArray) -> None:
     """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring.
 
-    Parameters
-    ----------
-    c
-        Parameters of the vehicle.
-    state
-        (6,) y, y', psi, psi', ym, ym' in SI.
-    rates
-        (6,) written.
+    Args:
+        state: (6,) y, y', psi, psi', ym, ym' in SI.
+        rates: (6,) written.
     """
     rates[:] = 0.0
     rates[4], rates[5] = state[5], -(c.ky * (state[4] - state[0]) + c.fy * state[5]) / c.suspended
@@ -193,18 +161,11 @@ def at_rest(c: Constants, state: FloatArray, rates: FloatArray) -> None:
 def equations(c: Constants, speed: float, state: FloatArray, contact: FloatArray, rates: FloatArray) -> None:
     """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known.
 
-    Parameters
-    ----------
-    c
-        Parameters of the vehicle.
-    speed
-        m/s, above ``STANDSTILL``.
-    state
-        (6,) y, y', psi, psi', ym, ym' in SI.
-    contact
-        (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
-    rates
-        (6,) written.
+    Args:
+        speed: m/s, above ``STANDSTILL``.
+        state: (6,) y, y', psi, psi', ym, ym' in SI.
+        contact: (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
+        rates: (6,) written.
     """
     y, v, psi, psi_rate, ym, vm = state[0], state[1], state[2], state[3], state[4], state[5]
     roll, roll_rate, per_speed = contact[4], contact[7], 1.0 / speed

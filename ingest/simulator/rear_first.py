@@ -26,15 +26,7 @@ def length_ahead(vehicle: VehiclePlan) -> float:
 
 
 def seen_from_ahead(scenario: Scenario, vehicle: VehiclePlan) -> tuple[Scenario, VehiclePlan]:
-    """Return the scenario and the vehicle as one that runs forward when its rear end is first.
-
-    Parameters
-    ----------
-    scenario
-        That the vehicle is of.
-    vehicle
-        As registered, front to rear.
-    """
+    """Return the scenario and the vehicle as one that runs forward when its rear end is first."""
     ahead = length_ahead(vehicle)
     turned = replace(
         vehicle,

@@ -134,25 +134,15 @@ def simulate_gear(
     As ``ingest.simulator.motion.simulate_wheelset``. The mass that a node measures is in a bogie the frame above its
     axle: y_f + x_i psi_f.
 
-    Parameters
-    ----------
-    gear
-        What runs.
-    tables
-        Contact geometry of each axle.
-    track
-        Alignment, gauge deviation and curves along the track.
-    speed
-        (n,) m/s every ``STEP`` s.
-    start
-        Distance of the first axle at the first sample, m.
-    initial
-        (16,) states at the first sample in the order of ``gear_rates``; None to start at rest relative to the track.
+    Args:
+        speed: (n,) m/s every ``STEP`` s.
+        start: Distance of the first axle at the first sample, m.
+        initial: (16,) states at the first sample in the order of ``gear_rates``; None to start at rest relative to the
+            track.
 
-    Raises
-    ------
-    ParameterError
-        Speed that is negative or not finite, or an axle leaves the track; another number of tables than of axles.
+    Raises:
+        ParameterError: Speed that is negative or not finite, or an axle leaves the track; another number of tables than
+            of axles.
     """
     if len(tables) != gear.axles:
         raise ParameterError(f"{len(tables)} for {gear.axles} wheelsets", field="tables")

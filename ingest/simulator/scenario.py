@@ -98,15 +98,7 @@ class VehiclePlan:
 
 
 def usual_offsets(axles: int, bogie: BogieParameters | None = None) -> tuple[float, ...]:
-    """Return the distances of ``axles`` axles behind the position reference, m, where none are given.
-
-    Parameters
-    ----------
-    axles
-        How many there are.
-    bogie
-        Of the vehicle, where it has bogies.
-    """
+    """Return the distances of ``axles`` axles behind the position reference, m, where none are given."""
     if bogie is None:
         return tuple(_AXLE_SPACING * axle for axle in range(axles))
     pairs = (divmod(axle, AXLES_OF_A_BOGIE) for axle in range(axles))
@@ -342,10 +334,8 @@ class Scenario:
     def vehicle(self, code: str) -> VehiclePlan:
         """Return a vehicle by its code.
 
-        Raises
-        ------
-        ScenarioError
-            There is none.
+        Raises:
+            ScenarioError: There is none.
         """
         for plan in self.vehicles:
             if plan.code == code:

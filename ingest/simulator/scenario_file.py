@@ -181,10 +181,8 @@ class ScenarioTable(InputTable):
     def scenario(self, folder: Path) -> Scenario:
         """Return the scenario in SI units.
 
-        Parameters
-        ----------
-        folder
-            Folder of the scenario file: relative file names start here.
+        Args:
+            folder: Folder of the scenario file: relative file names start here.
         """
         length, bogie = self.section.length_m or 0.0, self.dynamics.bogie_plan()
         parameters = self.dynamics.parameters()
@@ -237,15 +235,11 @@ def builtin_scenarios() -> tuple[str, ...]:
 def load_scenario(name_or_path: str | Path) -> Scenario:
     """Read a scenario.
 
-    Parameters
-    ----------
-    name_or_path
-        The name of a built-in scenario, or else a file.
+    Args:
+        name_or_path: The name of a built-in scenario, or else a file.
 
-    Raises
-    ------
-    ScenarioError
-        No such scenario or file, no TOML, or an entry that is missing, unknown or impossible.
+    Raises:
+        ScenarioError: No such scenario or file, no TOML, or an entry that is missing, unknown or impossible.
     """
     if str(name_or_path) in builtin_scenarios():
         with as_file(files("ingest.simulator") / "scenarios" / f"{name_or_path}.toml") as path:
@@ -261,15 +255,8 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
 def read_scenario(path: Path) -> Scenario:
     """Read a scenario file.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    ScenarioError
-        As ``load_scenario``.
+    Raises:
+        ScenarioError: As ``load_scenario``.
     """
     file = read_toml(path, ScenarioError)
     table = file.parse(ScenarioTable)

@@ -75,14 +75,8 @@ class NodeErrors:
 def draw_node_errors(plan: SensorErrors, node: np.random.Generator, campaign: np.random.Generator) -> NodeErrors:
     """Return what one node has in one campaign.
 
-    Parameters
-    ----------
-    plan
-        Standard deviations.
-    node
-        Random stream of the node: what stays.
-    campaign
-        Random stream of the node and the campaign: the temperature.
+    Args:
+        campaign: Random stream of the node and the campaign: the temperature.
     """
     scale, turned, skew = node.standard_normal(CHANNELS), node.standard_normal((2, AXES)), node.standard_normal()
     slope, drift = campaign.standard_normal((2, CHANNELS))
@@ -100,10 +94,9 @@ def draw_node_errors(plan: SensorErrors, node: np.random.Generator, campaign: np
 def turned_axes(angles: FloatArray) -> FloatArray:
     """Return the matrix (3, 3) that gives a vector of the vehicle in the axes of a sensor.
 
-    Parameters
-    ----------
-    angles
-        (3,) rad by which the sensor is turned about z, then about its own y, then about its own x; given as x, y, z.
+    Args:
+        angles: (3,) rad by which the sensor is turned about z, then about its own y, then about its own x; given as x,
+            y, z.
     """
     (cx, cy, cz), (sx, sy, sz) = np.cos(angles), np.sin(angles)
     about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, sx], [0.0, -sx, cx]])
@@ -117,16 +110,10 @@ def in_sensor_axes(true: FloatArray, longitudinal: FloatArray, errors: NodeError
 
     The spin of the wheels does not reach an axle box: its pitch is zero.
 
-    Parameters
-    ----------
-    true
-        (4, n) in the axes of the vehicle, in the order of ``ACCELERATIONS``.
-    longitudinal
-        (n,) acceleration of the vehicle, m/s^2.
-    errors
-        Mounting angles.
-    gravity
-        Whether the transducers measure it: 9.81 m/s^2 upwards at rest.
+    Args:
+        true: (4, n) in the axes of the vehicle, in the order of ``ACCELERATIONS``.
+        longitudinal: (n,) acceleration of the vehicle, m/s^2.
+        gravity: Whether the transducers measure it: 9.81 m/s^2 upwards at rest.
     """
     lateral, yaw, roll, mass = true
     upwards = GRAVITY if gravity else 0.0
@@ -144,14 +131,10 @@ def in_sensor_axes(true: FloatArray, longitudinal: FloatArray, errors: NodeError
 def sampled_late(signals: FloatArray, skew: float, step: float) -> FloatArray:
     """Return signals (m, n) as a node sees them that samples ``skew`` s late; linear between samples, ends held.
 
-    Parameters
-    ----------
-    signals
-        (m, n) every ``step`` s.
-    skew
-        s; negative for a node that samples early.
-    step
-        s.
+    Args:
+        signals: (m, n) every ``step`` s.
+        skew: s; negative for a node that samples early.
+        step: s.
     """
     at = np.arange(signals.shape[1], dtype=np.float64)
     return np.stack([np.interp(at + skew / step, at, signal) for signal in signals])
@@ -160,21 +143,11 @@ def sampled_late(signals: FloatArray, skew: float, step: float) -> FloatArray:
 def vibration_of(vibration: Vibration, count: int, step: float, rng: np.random.Generator) -> FloatArray:
     """Return the vibration (4, count) of the channels: normal, band-limited, each for itself.
 
-    Parameters
-    ----------
-    vibration
-        Root mean squares and band.
-    count
-        Number of samples.
-    step
-        Their interval, s.
-    rng
-        Source of it.
+    Args:
+        step: Their interval, s.
 
-    Raises
-    ------
-    ParameterError
-        The band is not below half of the sampling rate.
+    Raises:
+        ParameterError: The band is not below half of the sampling rate.
     """
     rate = 1.0 / step
     if not 0.0 < vibration.lowest_hz < vibration.highest_hz < 0.5 * rate:

@@ -109,21 +109,12 @@ def measure(
 ) -> SensorRecord:
     """Return the record of a sensor node: noise, offset, drift, limits and the filter before decimation applied.
 
-    Parameters
-    ----------
-    motion
-        True motion of n samples every ``STEP`` s.
-    node
-        Channels and rate of the node.
-    rng
-        Source of noise and drift.
-    offsets
-        (4,) constant offsets of this sensor, m/s^2 and rad/s^2 (of a gyroscope rad/s), in the order of
-        ``ACCELERATIONS``.
-    errors
-        How this node differs from its data sheet; None: not at all.
-    short_pulses
-        Whether the motion accelerates for less time than passes between two of its samples.
+    Args:
+        motion: True motion of n samples every ``STEP`` s.
+        offsets: (4,) constant offsets of this sensor, m/s^2 and rad/s^2 (of a gyroscope rad/s), in the order of
+            ``ACCELERATIONS``.
+        errors: How this node differs from its data sheet; None: not at all.
+        short_pulses: Whether the motion accelerates for less time than passes between two of its samples.
     """
     n, stride = len(motion), node.stride
     size = -(-n // stride)

@@ -48,19 +48,7 @@ def iso_time(t_ns: int) -> str:
 
 
 def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: TrackTruth) -> Path:
-    """Write the registry and, if there is one, the surveyed track into ``folder``; return the registry's path.
-
-    Parameters
-    ----------
-    folder
-        Where to.
-    scenario
-        Fleet, section and what of it is surveyed.
-    track
-        The true track, for its length.
-    survey
-        The track with the errors of the survey.
-    """
+    """Write the registry and, if there is one, the surveyed track into ``folder``; return the registry's path."""
     section = scenario.section
     track_file = f"{section.code.lower()}.csv"
     length = track.length if section.recipe is None else section.recipe.length
@@ -96,14 +84,8 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
 def write_truth(folder: Path, scenario: Scenario, truths: Sequence[WheelsetTruth]) -> Path:
     """Write what is true of every wheelset and campaign into ``folder``; return the file's path.
 
-    Parameters
-    ----------
-    folder
-        Where to.
-    scenario
-        Names and plans of the wheelsets.
-    truths
-        Of all wheelsets and campaigns, in any order.
+    Args:
+        truths: Of all wheelsets and campaigns, in any order.
     """
     wheelsets: list[JsonValue] = []
     for vehicle in scenario.vehicles:
@@ -276,17 +258,10 @@ def wheelset_truth(
 ) -> WheelsetTruth:
     """Return the truth of one wheelset in one campaign.
 
-    Parameters
-    ----------
-    plan
-        The vehicle.
-    axle
-        Number of the axle, from 0.
-    campaign
-        Number of the campaign, from 0.
-    odometer
-        Of the vehicle, m.
-    geometry
-        Contact geometry and conicity of the wheelset at that mileage.
+    Args:
+        axle: Number of the axle, from 0.
+        campaign: Number of the campaign, from 0.
+        odometer: Of the vehicle, m.
+        geometry: Contact geometry and conicity of the wheelset at that mileage.
     """
     return WheelsetTruth(plan.code, axle + 1, campaign + 1, wear_at(plan.wheelsets[axle], odometer), geometry)

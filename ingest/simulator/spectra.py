@@ -30,14 +30,10 @@ def density(kind: Irregularity, wavenumber: FloatArray, level: float = ALIGNMENT
 
     Alignment: S = A Wc^2 / ((W^2 + Wr^2)(W^2 + Wc^2)). Gauge, as cross level: the same times W^2 / (W^2 + Ws^2).
 
-    Parameters
-    ----------
-    kind
-        Alignment or gauge.
-    wavenumber
-        (n,) angular wavenumber, rad/m.
-    level
-        A, m2 rad/m.
+    Args:
+        kind: Alignment or gauge.
+        wavenumber: (n,) angular wavenumber, rad/m.
+        level: A, m2 rad/m.
     """
     w2 = np.asarray(wavenumber, dtype=np.float64) ** 2
     S = level * CRITICAL_WAVENUMBER**2 / ((w2 + LOW_WAVENUMBER**2) * (w2 + CRITICAL_WAVENUMBER**2))
@@ -47,14 +43,10 @@ def density(kind: Irregularity, wavenumber: FloatArray, level: float = ALIGNMENT
 def standard_deviation(kind: Irregularity, wavelengths: tuple[float, float], level: float) -> float:
     """Return the standard deviation, m, of the density over a band.
 
-    Parameters
-    ----------
-    kind
-        Alignment or gauge.
-    wavelengths
-        Shortest and longest, m.
-    level
-        A, m2 rad/m.
+    Args:
+        kind: Alignment or gauge.
+        wavelengths: Shortest and longest, m.
+        level: A, m2 rad/m.
     """
     low, high = _band(wavelengths)
     variance, _ = scipy.integrate.quad(lambda w: float(density(kind, np.array(w), level)), low, high)
@@ -75,25 +67,16 @@ def synthesise(
     Every wavenumber line inside the band carries the amplitude of the density and a random phase. The mean is
     removed and the standard deviation set on the stretch that is returned.
 
-    Parameters
-    ----------
-    kind
-        Alignment or gauge.
-    length
-        Of the track, m.
-    interval
-        Between points, m.
-    target_std
-        Standard deviation of the result, m.
-    wavelengths
-        Shortest and longest, m.
-    rng
-        Source of the phases.
+    Args:
+        kind: Alignment or gauge.
+        length: Of the track, m.
+        interval: Between points, m.
+        target_std: Standard deviation of the result, m.
+        wavelengths: Shortest and longest, m.
 
-    Raises
-    ------
-    ParameterError
-        The band is empty or not resolved by ``interval``, or the stretch is shorter than the longest wavelength.
+    Raises:
+        ParameterError: The band is empty or not resolved by ``interval``, or the stretch is shorter than the longest
+            wavelength.
     """
     _band(wavelengths)
     if wavelengths[0] < 4.0 * interval:
@@ -111,14 +94,9 @@ def synthesise(
 def period_of(count: int, longest: float, interval: float) -> int:
     """Return how many points a periodic irregularity has of which ``count`` points are used.
 
-    Parameters
-    ----------
-    count
-        Points that are used.
-    longest
-        Longest wavelength, m: that much is left over, so that begin and end do not follow each other.
-    interval
-        Between points, m.
+    Args:
+        longest: Longest wavelength, m: that much is left over, so that begin and end do not follow each other.
+        interval: Between points, m.
     """
     return int(scipy.fft.next_fast_len(count + round(longest / interval), real=True))
 
@@ -128,23 +106,13 @@ def periodic(
 ) -> FloatArray:
     """Return one period (size,) of an irregularity, of any level: every line inside the band has a random phase.
 
-    Parameters
-    ----------
-    kind
-        Alignment or gauge.
-    size
-        Points.
-    interval
-        Between points, m.
-    wavelengths
-        Shortest and longest, m.
-    rng
-        Source of the phases.
+    Args:
+        kind: Alignment or gauge.
+        interval: Between points, m.
+        wavelengths: Shortest and longest, m.
 
-    Raises
-    ------
-    ParameterError
-        The band is empty.
+    Raises:
+        ParameterError: The band is empty.
     """
     low, high = _band(wavelengths)
     wavenumber = 2.0 * np.pi * scipy.fft.rfftfreq(size, interval)

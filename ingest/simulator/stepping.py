@@ -37,16 +37,11 @@ OUTPUTS = (
 def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> None:
     """Write ``state`` + ``h`` ``rates`` into ``out``.
 
-    Parameters
-    ----------
-    state
-        (n,) in SI.
-    h
-        Time step, s.
-    rates
-        (n,) time derivative of the state.
-    out
-        (n,) written.
+    Args:
+        state: (n,) in SI.
+        h: Time step, s.
+        rates: (n,) time derivative of the state.
+        out: (n,) written.
     """
     for k in range(len(state)):
         out[k] = state[k] + h * rates[k]
@@ -73,36 +68,19 @@ def runge_kutta(
 
     Speed rises by ``slope``, what is ``forced`` (3,) by ``forced_slope`` (3,); ``forced`` is left as it is at the end.
 
-    Parameters
-    ----------
-    c
-        Parameters of the vehicle.
-    table
-        (n, g, 7) contact geometry at the nodes.
-    coefficients
-        (m, 8) splines of the track.
-    grid
-        The grids of both.
-    speed
-        At the beginning of the step, m/s.
-    slope
-        By which the speed rises, m/s^2.
-    s
-        Distance at the beginning, m.
-    h
-        Time step, s.
-    state
-        (6,) changed to the state at the end.
-    forced
-        (3,) accelerations that the path forces at the beginning; changed to those at the end.
-    forced_slope
-        (3,) by which they rise, per s.
-    stages
-        (5, 6) work space; the first row holds the rates at the beginning.
-    contact
-        (8,) work space.
-    track
-        (4,) work space.
+    Args:
+        table: (n, g, 7) contact geometry at the nodes.
+        coefficients: (m, 8) splines of the track.
+        speed: At the beginning of the step, m/s.
+        slope: By which the speed rises, m/s^2.
+        s: Distance at the beginning, m.
+        h: Time step, s.
+        state: (6,) changed to the state at the end.
+        forced: (3,) accelerations that the path forces at the beginning; changed to those at the end.
+        forced_slope: (3,) by which they rise, per s.
+        stages: (5, 6) work space; the first row holds the rates at the beginning.
+        contact: (8,) work space.
+        track: (4,) work space.
     """
     k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
     middle, after = speed + 0.5 * slope * h, speed + slope * h
@@ -138,30 +116,16 @@ def integrate(
     ``path`` (n, 3) are the accelerations that the path forces. Step i is divided into ``parts[i]`` sub-steps. Return
     how many samples left the contact table.
 
-    Parameters
-    ----------
-    c
-        Parameters of the vehicle.
-    table
-        (n, g, 7) contact geometry at the nodes.
-    coefficients
-        (m, 8) splines of the track.
-    grid
-        The grids of both.
-    speed
-        (k,) m/s at every sample.
-    distance
-        (k,) m at every sample.
-    path
-        (k, 3) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
-    step
-        Interval of the samples, s.
-    parts
-        (k - 1,) sub-steps of each step.
-    state
-        (6,) at the first sample; changed to that at the last.
-    out
-        (17, k) written, in the order of ``OUTPUTS``.
+    Args:
+        table: (n, g, 7) contact geometry at the nodes.
+        coefficients: (m, 8) splines of the track.
+        speed: (k,) m/s at every sample.
+        distance: (k,) m at every sample.
+        path: (k, 3) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
+        step: Interval of the samples, s.
+        parts: (k - 1,) sub-steps of each step.
+        state: (6,) at the first sample; changed to that at the last.
+        out: (17, k) written, in the order of ``OUTPUTS``.
     """
     stages, contact, track, forced = np.empty((5, STATES)), np.empty(LOOKED_UP + 1), np.empty(4), np.empty(FORCED)
     outside = 0
@@ -193,20 +157,12 @@ def write_sample(
 ) -> None:
     """Write sample ``i`` of every output into ``out`` (17, n), in the order of ``OUTPUTS``.
 
-    Parameters
-    ----------
-    state
-        (6,) y, y', psi, psi', ym, ym' in SI.
-    rates
-        (6,) time derivative of the state.
-    contact
-        (8,) looked-up values and roll rate.
-    track
-        (4,) alignment, its slope, gauge deviation, its slope.
-    out
-        (17, n) written in one column.
-    i
-        The column.
+    Args:
+        state: (6,) y, y', psi, psi', ym, ym' in SI.
+        rates: (6,) time derivative of the state.
+        contact: (8,) looked-up values and roll rate.
+        track: (4,) alignment, its slope, gauge deviation, its slope.
+        out: (17, n) written in one column.
     """
     for k in range(STATES):
         out[k, i] = state[k]
@@ -221,16 +177,10 @@ def sub_steps(speed: FloatArray, step: float, rate_at_1: float, limit: float) ->
 
     ``rate_at_1`` is the creep rate at 1 m/s; it falls with speed.
 
-    Parameters
-    ----------
-    speed
-        (n,) m/s.
-    step
-        Interval of the samples, s.
-    rate_at_1
-        Creep rate at 1 m/s, 1/s; it falls with speed.
-    limit
-        Of creep rate times sub-step.
+    Args:
+        speed: (n,) m/s.
+        step: Interval of the samples, s.
+        rate_at_1: Creep rate at 1 m/s, 1/s; it falls with speed.
     """
     slowest = np.maximum(np.minimum(speed[1:], speed[:-1]), STANDSTILL)
     return np.maximum(1, np.ceil(rate_at_1 * step / (limit * slowest))).astype(np.int64)

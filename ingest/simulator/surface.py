@@ -23,19 +23,8 @@ STRETCH_END = 5.0  # m at each end of a stretch over which friction changes to t
 def with_surface(track: TrackTruth, plan: RunningPlan, seed: int) -> TrackTruth:
     """Return the track with what the scenario draws along it; each has a random stream of its own.
 
-    Parameters
-    ----------
-    track
-        The true track.
-    plan
-        What is drawn.
-    seed
-        Of the scenario.
-
-    Raises
-    ------
-    ParameterError
-        The grid of the track does not carry the wavelengths.
+    Raises:
+        ParameterError: The grid of the track does not carry the wavelengths.
     """
     if not plan.changes_the_track:
         return track
@@ -55,14 +44,9 @@ def with_surface(track: TrackTruth, plan: RunningPlan, seed: int) -> TrackTruth:
 def friction_along(plan: FrictionPlan, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
     """Return the coefficient of friction (n,): every value between the limits is as frequent, changes are smooth.
 
-    Parameters
-    ----------
-    plan
-        Limits, and the standard deviation of the Gaussian that smooths white noise.
-    n, interval
-        Of the grid; the latter in m.
-    rng
-        Source of the noise.
+    Args:
+        plan: Limits, and the standard deviation of the Gaussian that smooths white noise.
+        n, interval: Of the grid; the latter in m.
     """
     width = plan.correlation / interval
     reach = int(np.ceil(4.0 * width))
@@ -74,14 +58,8 @@ def friction_along(plan: FrictionPlan, n: int, interval: float, rng: np.random.G
 def friction_factor(plan: RunningPlan, seed: int, campaign: int) -> float:
     """Return by what the coefficient of friction is multiplied in a campaign (from 0): rails are dry, wet or dirty.
 
-    Parameters
-    ----------
-    plan
-        How much that varies.
-    seed
-        Of the scenario.
-    campaign
-        From 0.
+    Args:
+        campaign: From 0.
     """
     if plan.friction is None or plan.friction.campaign_std == 0.0:
         return 1.0
@@ -91,16 +69,9 @@ def friction_factor(plan: RunningPlan, seed: int, campaign: int) -> float:
 def with_stretches(track: TrackTruth, plan: RunningPlan, campaign: int, mean_friction: float) -> TrackTruth:
     """Return the track of one campaign: with the stretches of another friction that there are by then.
 
-    Parameters
-    ----------
-    track
-        With what is drawn along it.
-    plan
-        With the stretches.
-    campaign
-        From 0.
-    mean_friction
-        What the friction of the track is over, in that campaign.
+    Args:
+        campaign: From 0.
+        mean_friction: What the friction of the track is over, in that campaign.
     """
     there = [one for one in plan.stretches if campaign + 1 >= one.from_campaign]
     if not there:

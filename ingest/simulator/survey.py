@@ -24,17 +24,8 @@ def surveyed(scenario: Scenario, track: TrackTruth) -> TrackTruth:
     other ways in which it may be wrong come before them: another section, of all or of the gauge alone, a shift along
     the track, a factor.
 
-    Parameters
-    ----------
-    scenario
-        The section and its survey.
-    track
-        The true track.
-
-    Raises
-    ------
-    ScenarioError
-        The file of another section cannot be read, or is too short.
+    Raises:
+        ScenarioError: The file of another section cannot be read, or is too short.
     """
     plan, section = scenario.section.survey, scenario.section
     source = track

@@ -33,12 +33,9 @@ def gauge_grid(track: TrackTruth) -> FloatArray:
 def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
     """Return the lateral displacement, m, beyond which a wheelset of the scenario derails.
 
-    Parameters
-    ----------
-    scenario
-        Listed or drawn fleet; recorded track or recipe.
-    track
-        The true track: in wide gauge flange contact comes later, by half the gauge deviation.
+    Args:
+        scenario: Listed or drawn fleet; recorded track or recipe.
+        track: The true track: in wide gauge flange contact comes later, by half the gauge deviation.
     """
     recipe = scenario.section.recipe
     _, widest = track.gauge_range()
@@ -61,13 +58,6 @@ def first_climb(table: ContactTable, motion: WheelsetMotion) -> int | None:
 
     A wheel climbs where the wheelset is beyond the table, or where the table has no contact of both wheels (its values
     are those of the nearest displacement that has one).
-
-    Parameters
-    ----------
-    table
-        Contact geometry of the wheelset.
-    motion
-        How it moved.
     """
     if motion.outside == 0 and table.exists.all():
         return None

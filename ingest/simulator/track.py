@@ -149,17 +149,11 @@ class TrackRecipe:
 def make_track(recipe: TrackRecipe, seed: np.random.SeedSequence) -> TrackTruth:
     """Return a track after the B176 spectra; alignment, gauge and all else have random streams of their own.
 
-    Parameters
-    ----------
-    recipe
-        What is on the track.
-    seed
-        Of all random streams.
+    Args:
+        seed: Of all random streams.
 
-    Raises
-    ------
-    ParameterError
-        The recipe cannot be made; its field is that of a scenario's section.
+    Raises:
+        ParameterError: The recipe cannot be made; its field is that of a scenario's section.
     """
     alignment_rng, gauge_rng, *others = (np.random.default_rng(child) for child in seed.spawn(4 + len(recipe.isolated)))
     alignment_parts = [Waves("alignment", recipe.alignment_std, recipe.wavelengths), recipe.long_alignment]
@@ -197,11 +191,9 @@ def read_track(path: Path, interval: float | None = None) -> TrackTruth:
     Distances must increase; uneven spacing is resampled by cubic spline every ``interval`` m (the median spacing
     by default).
 
-    Raises
-    ------
-    ScenarioError
-        The file cannot be read, a column is missing, a cell is not a finite number, more than 2 m are missing, or
-        values are in another unit; names file, line and column.
+    Raises:
+        ScenarioError: The file cannot be read, a column is missing, a cell is not a finite number, more than 2 m are
+            missing, or values are in another unit; names file, line and column.
     """
     try:
         table = read_track_columns(path)
@@ -246,17 +238,7 @@ def from_zero(track: TrackTruth) -> TrackTruth:
 
 
 def write_track(path: Path, track: TrackTruth, *, gauge_only: bool = False) -> None:
-    """Write a track as CSV, as ``read_track`` reads it (mm and 1/km with 6 decimals).
-
-    Parameters
-    ----------
-    path
-        The file.
-    track
-        What to write.
-    gauge_only
-        Leave the alignment out.
-    """
+    """Write a track as CSV, as ``read_track`` reads it (mm and 1/km with 6 decimals)."""
     columns, header = [track.s, 1e3 * track.alignment, 1e3 * track.gauge_deviation], list(COLUMNS)
     if gauge_only:
         columns, header = [track.s, 1e3 * track.gauge_deviation], list(GAUGE_COLUMNS)

@@ -14,15 +14,7 @@ MILLI = 1e3
 
 
 def class_entry(scenario: Scenario, code: str) -> JsonValue:
-    """Return the entry of a class of a scenario: with the parameters of its vehicles and the sensors of its nodes.
-
-    Parameters
-    ----------
-    scenario
-        Its parameters and sensors.
-    code
-        Of the class.
-    """
+    """Return the entry of a class of a scenario: with the parameters of its vehicles and the sensors of its nodes."""
     parameters, bogie, sensors = scenario.parameters, scenario.bogie, scenario.sensors
     scale_std = sensors.errors.scale
     entry: dict[str, JsonValue] = {

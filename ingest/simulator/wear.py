@@ -58,23 +58,14 @@ def worn_contact(
 ) -> WornContact:
     """Return the contact geometry of a worn wheelset on ``section``, rigid with roll.
 
-    Parameters
-    ----------
-    plan, wear
-        The wheelset as new, and what it has lost.
-    section
-        Rail, inclination and nominal gauge.
-    gauge_deviation
-        (g,) m, for which gauges.
-    limit
-        m of lateral displacement to either side.
-    step
-        m of lateral displacement between the points of the table.
+    Args:
+        plan, wear: The wheelset as new, and what it has lost.
+        gauge_deviation: (g,) m, for which gauges.
+        limit: m of lateral displacement to either side.
+        step: m of lateral displacement between the points of the table.
 
-    Raises
-    ------
-    ContactError
-        The profiles never touch.
+    Raises:
+        ContactError: The profiles never touch.
     """
     wheelset = _on_track(plan, wear, section)
     return WornContact(wheelset, contact_table(wheelset, _grid(limit, step), gauge_deviation, outside="hold"))
@@ -138,15 +129,11 @@ _CURVES = (
 def truth_of(contact: WornContact) -> GeometryTruth:
     """Return the true geometry of a worn wheelset at nominal gauge, whatever gauge its line has.
 
-    Parameters
-    ----------
-    contact
-        As :func:`worn_contact` returns it; contact is searched again, for the wheelset rolls in its table.
+    Args:
+        contact: As :func:`worn_contact` returns it; contact is searched again, for the wheelset rolls in its table.
 
-    Raises
-    ------
-    ContactError
-        The profiles never touch.
+    Raises:
+        ContactError: The profiles never touch.
     """
     grid = contact.table.lateral_displacement
     table = contact_table(contact.wheelset, grid, method=ContactMethod.EN15302, outside="hold")
@@ -166,15 +153,7 @@ def truth_of(contact: WornContact) -> GeometryTruth:
 
 
 def worn_profiles(plan: WheelsetPlan, wear: WearState) -> tuple[Profile, Profile]:
-    """Return the profiles of the left and the right wheel of ``plan`` after that wear.
-
-    Parameters
-    ----------
-    plan
-        Wheels, and the form of their wear.
-    wear
-        What their treads have lost.
-    """
+    """Return the profiles of the left and the right wheel of ``plan`` after that wear."""
     left, right = wheels_of(plan)
     return _worn(plan, left, wear.depth_left), _worn(plan, right, wear.depth_right)
 

@@ -65,14 +65,10 @@ Client = TypeVar("Client")
 class Topic:
     """A topic and how its brokers are reached.
 
-    Attributes
-    ----------
-    servers
-        Brokers, ``host:port`` with commas between them.
-    name
-        Of the topic.
-    properties
-        Of librdkafka beside ours, such as those of TLS and SASL. They may hold passwords.
+    Attributes:
+        servers: Brokers, ``host:port`` with commas between them.
+        name: Of the topic.
+        properties: Of librdkafka beside ours, such as those of TLS and SASL. They may hold passwords.
     """
 
     servers: str
@@ -95,15 +91,8 @@ class Topic:
 def load_properties(path: Path) -> dict[str, str]:
     """Return the properties of a file: lines ``name=value``; empty ones and those that begin with ``#`` are left out.
 
-    Parameters
-    ----------
-    path
-        The file.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, a line is none of these, or a property is one of ours; never with a value.
+    Raises:
+        InputError: It cannot be read, a line is none of these, or a property is one of ours; never with a value.
     """
     found: dict[str, str] = {}
     for number, line in enumerate(read_text_within(path, SETTINGS_BYTES, InputError).splitlines(), start=1):
@@ -123,10 +112,8 @@ def load_properties(path: Path) -> dict[str, str]:
 def require_client() -> None:
     """Refuse to go on without the library.
 
-    Raises
-    ------
-    PassingFaultError
-        It is not installed.
+    Raises:
+        PassingFaultError: It is not installed.
     """
     if importlib.util.find_spec("confluent_kafka") is None:
         missing = "the Kafka client is not installed: pip install 'treadwatch[kafka]'"
@@ -136,17 +123,8 @@ def require_client() -> None:
 def connected(make: Callable[[], Client], topic: Topic) -> Client:
     """Return a client, or refuse a configuration that cannot be used; the brokers need not be there.
 
-    Parameters
-    ----------
-    make
-        Makes it.
-    topic
-        Whose configuration it has.
-
-    Raises
-    ------
-    InputError
-        A property cannot be used. Its value is not repeated: it may be a secret.
+    Raises:
+        InputError: A property cannot be used. Its value is not repeated: it may be a secret.
     """
     from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
 

@@ -46,18 +46,8 @@ class Decoding:
 class Consuming:
     """Takes messages until asked to end.
 
-    Parameters
-    ----------
-    reader
-        Of the topic.
-    taking
-        From references to receipts.
-    decoding
-        From receipts to windows.
-    status
-        Where it says what it does.
-    stopped
-        Whether an end is requested.
+    Args:
+        stopped: Whether an end is requested.
     """
 
     def __init__(
@@ -78,10 +68,8 @@ class Consuming:
     def run(self) -> None:
         """Consume; what has no committed offset at the end comes again.
 
-        Raises
-        ------
-        MigrationError
-            The database is at another migration.
+        Raises:
+            MigrationError: The database is at another migration.
         """
         while not self._stopped():
             message = self._reader.next(POLL_S)

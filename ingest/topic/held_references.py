@@ -34,17 +34,12 @@ class HeldReferences:
     def hold(self, reference: Reference, error: Exception) -> None:
         """Keep a reference with what stood against it.
 
-        Parameters
-        ----------
-        reference
-            To a chunk without a receipt.
-        error
-            What was raised, or would be.
+        Args:
+            reference: To a chunk without a receipt.
+            error: What was raised, or would be.
 
-        Raises
-        ------
-        StorageError
-            The database cannot be reached.
+        Raises:
+            StorageError: The database cannot be reached.
         """
         subject, text = (SubjectKind.RECORDING, reference.digest, STAGE), as_text(reference)
         with self.storage.write() as unit:
@@ -58,15 +53,8 @@ class HeldReferences:
     def release(self, digest: str) -> None:
         """End the quarantine of a reference, if it was in one.
 
-        Parameters
-        ----------
-        digest
-            Of the chunk.
-
-        Raises
-        ------
-        StorageError
-            The database cannot be reached.
+        Raises:
+            StorageError: The database cannot be reached.
         """
         with self.storage.read() as unit:
             item = unit.quarantine.get(SubjectKind.RECORDING, digest, STAGE)
@@ -77,10 +65,8 @@ class HeldReferences:
     def due(self) -> Sequence[Reference]:
         """Return references for which another attempt is due, at most :data:`AT_ONCE`.
 
-        Raises
-        ------
-        StorageError
-            The database cannot be reached.
+        Raises:
+            StorageError: The database cannot be reached.
         """
         with self.storage.read() as unit:
             items: Sequence[Quarantined] = unit.quarantine.due(STAGE, self.clock.now_ns(), AT_ONCE)
@@ -89,13 +75,5 @@ class HeldReferences:
 
 
 def missing(reference: Reference, fault: LostRecordingError) -> PassingFaultError:
-    """Return what is kept of a chunk whose bytes are not there, or are others.
-
-    Parameters
-    ----------
-    reference
-        To it.
-    fault
-        What the raw store said.
-    """
+    """Return what is kept of a chunk whose bytes are not there, or are others."""
     return PassingFaultError(f"a reference names this chunk of vehicle {reference.vehicle}: {fault}")

@@ -49,21 +49,13 @@ class Sent(StrEnum):
 class Publisher:
     """Publishes references from a thread of its own; it starts with the first.
 
-    Parameters
-    ----------
-    topic
-        Where to.
-    fleet_of
-        Returns the fleet of a vehicle; raises TreadwatchError where it is not known.
-    most_waiting
-        References that may wait.
+    Args:
+        fleet_of: Returns the fleet of a vehicle; raises TreadwatchError where it is not known.
+        most_waiting: References that may wait.
 
-    Raises
-    ------
-    PassingFaultError
-        The client is not installed.
-    InputError
-        Its configuration cannot be used.
+    Raises:
+        PassingFaultError: The client is not installed.
+        InputError: Its configuration cannot be used.
     """
 
     def __init__(self, topic: Topic, fleet_of: Callable[[str], str], most_waiting: int = MOST_WAITING) -> None:
@@ -86,10 +78,8 @@ class Publisher:
     def publish(self, record: ChunkRecord) -> None:
         """Hand a reference over to a committed receipt; it never waits and never fails.
 
-        Parameters
-        ----------
-        record
-            The receipt; where it is decoded or decided on already, nobody needs the reference.
+        Args:
+            record: The receipt; where it is decoded or decided on already, nobody needs the reference.
         """
         reference = reference_of(record) if record.state is ChunkState.STORED else None
         if reference is None:
@@ -107,10 +97,8 @@ class Publisher:
     def close(self, timeout_s: float = CLOSE_S) -> None:
         """Publish what waits within a time, drop the rest, and log how many did not reach the topic.
 
-        Parameters
-        ----------
-        timeout_s
-            In all, s.
+        Args:
+            timeout_s: In all, s.
         """
         from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
 

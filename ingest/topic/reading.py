@@ -38,19 +38,9 @@ class Received:
 class TopicReader:
     """Joins the group; used by one thread.
 
-    Parameters
-    ----------
-    topic
-        Which.
-    status
-        Where it says how it stands.
-
-    Raises
-    ------
-    PassingFaultError
-        The client is not installed.
-    InputError
-        Its configuration cannot be used.
+    Raises:
+        PassingFaultError: The client is not installed.
+        InputError: Its configuration cannot be used.
     """
 
     def __init__(self, topic: Topic, status: ConsumerStatus) -> None:
@@ -71,21 +61,13 @@ class TopicReader:
     def next(self, timeout_s: float) -> Received | None:
         """Return the next message; None where none came in time.
 
-        Parameters
-        ----------
-        timeout_s
-            s.
+        Args:
+            timeout_s: s.
         """
         return self._early.popleft() if self._early else self._polled(timeout_s)
 
     def done(self, message: Received) -> None:
-        """Let the offset behind a message be committed, unless its partition is another member's by now.
-
-        Parameters
-        ----------
-        message
-            Of which everything is committed that it needs.
-        """
+        """Let the offset behind a message be committed, unless its partition is another member's by now."""
         from confluent_kafka import KafkaException, TopicPartition  # noqa: PLC0415 - an extra
 
         if not self.holds(message):
@@ -110,12 +92,9 @@ class TopicReader:
     def wait(self, seconds: float, stopped: Callable[[], bool]) -> None:
         """Take no message for a while, and stay in the group.
 
-        Parameters
-        ----------
-        seconds
-            s.
-        stopped
-            Whether an end is requested.
+        Args:
+            seconds: s.
+            stopped: Whether an end is requested.
         """
         until_s = time.monotonic() + seconds
         with self.paused():

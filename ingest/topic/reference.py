@@ -28,20 +28,13 @@ _PRINTABLE = r"^[^\x00-\x1f\x7f]+$"
 class Reference:
     """What a message says of a chunk.
 
-    Attributes
-    ----------
-    digest
-        sha256 of its bytes, in hexadecimal.
-    suffix
-        Of its format, such as ``.blf``.
-    vehicle
-        Code.
-    size_bytes
-        Of the chunk.
-    file_name
-        Under which it came.
-    received_ns
-        When it was received, ns UTC of the clock of whoever published the reference.
+    Attributes:
+        digest: sha256 of its bytes, in hexadecimal.
+        suffix: Of its format, such as ``.blf``.
+        vehicle: Code.
+        size_bytes: Of the chunk.
+        file_name: Under which it came.
+        received_ns: When it was received, ns UTC of the clock of whoever published the reference.
     """
 
     digest: str
@@ -66,13 +59,7 @@ class _Body(BaseModel):
 
 
 def reference_of(record: ChunkRecord) -> Reference | None:
-    """Return the reference to a received chunk; None where it is no log, which no other place could take.
-
-    Parameters
-    ----------
-    record
-        Its receipt.
-    """
+    """Return the reference to a received chunk; None where it is no log, which no other place could take."""
     if record.suffix not in SUFFIXES:
         return None
     name = (record.file_name or f"{record.digest}{record.suffix}")[-MOST_NAME_LETTERS:]
@@ -82,12 +69,8 @@ def reference_of(record: ChunkRecord) -> Reference | None:
 def message_of(reference: Reference, fleet: str) -> tuple[bytes, bytes]:
     """Return key and value of the message of a reference.
 
-    Parameters
-    ----------
-    reference
-        To a chunk.
-    fleet
-        Code of the vehicle's fleet; empty where the registry does not know the vehicle.
+    Args:
+        fleet: Code of the vehicle's fleet; empty where the registry does not know the vehicle.
     """
     body = {
         "version": VERSION,
@@ -102,13 +85,7 @@ def message_of(reference: Reference, fleet: str) -> tuple[bytes, bytes]:
 
 
 def read_message(key: bytes | None, value: bytes | None) -> Reference | Refused:
-    """Return the reference of a message, or why there is none.
-
-    Parameters
-    ----------
-    key, value
-        Of the message; what others wrote.
-    """
+    """Return the reference of a message, or why there is none."""
     if value is None or len(value) > MOST_BYTES:
         size = "no value" if value is None else f"{len(value):,} bytes, a reference has at most {MOST_BYTES:,}"
         return Refused(Outcome.MALFORMED, f"has {size}")

@@ -13,24 +13,16 @@ from ingest.topic.outcomes import Outcome
 class ConsumerStatus:
     """What a consumer knows; written by its thread, and read by any.
 
-    Attributes
-    ----------
-    broker_fault, raw_fault, database_fault
-        What is wrong with the brokers or the topic, the raw store and the database; None while they work.
-    behind
-        Which limit keeps new receipts out; None where none does.
-    outcomes
-        Messages by what became of them, since the start.
-    decoded, not_decoded
-        Chunks that were decoded, and that could not be, since the start.
-    partitions
-        How many are this consumer's.
-    behind_by
-        Messages of these partitions that are not taken yet, as far as the brokers have said.
-    last_message_s
-        When the last message was taken, seconds since the Unix epoch; None before the first.
-    last_age_s
-        How old its reference was then, s.
+    Attributes:
+        broker_fault, raw_fault, database_fault: What is wrong with the brokers or the topic, the raw store and the
+            database; None while they work.
+        behind: Which limit keeps new receipts out; None where none does.
+        outcomes: Messages by what became of them, since the start.
+        decoded, not_decoded: Chunks that were decoded, and that could not be, since the start.
+        partitions: How many are this consumer's.
+        behind_by: Messages of these partitions that are not taken yet, as far as the brokers have said.
+        last_message_s: When the last message was taken, seconds since the Unix epoch; None before the first.
+        last_age_s: How old its reference was then, s.
     """
 
     broker_fault: str | None = "not asked yet"

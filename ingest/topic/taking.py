@@ -32,16 +32,9 @@ class Taken:
 class ReferenceTaking:
     """Takes references in.
 
-    Parameters
-    ----------
-    storage, raw
-        Where receipts go, and where the bytes must be.
-    clock
-        Ours.
-    backlog
-        Says whether more receipts may come.
-    sender
-        What receipts say of who sent the chunk.
+    Args:
+        storage, raw: Where receipts go, and where the bytes must be.
+        backlog: Says whether more receipts may come.
     """
 
     storage: SqlStorage
@@ -58,18 +51,10 @@ class ReferenceTaking:
     def take(self, reference: Reference) -> Taken | Behind:
         """Make sure that there is a receipt, and return what was found; or the limit that keeps new receipts out.
 
-        Parameters
-        ----------
-        reference
-            To a chunk.
-
-        Raises
-        ------
-        StorageError
-            The database cannot be reached: nothing has changed.
-        PassingFaultError
-            The store of raw recordings is away, or not that of the database, such as a folder that is not mounted: the
-            same.
+        Raises:
+            StorageError: The database cannot be reached: nothing has changed.
+            PassingFaultError: The store of raw recordings is away, or not that of the database, such as a folder that
+                is not mounted: the same.
         """
         with self.storage.read() as unit:
             found = unit.chunks.get(reference.digest)

@@ -22,14 +22,8 @@ from fleet_db.migrate import upgrade
 def populated_service(kind: str, folder: Path, postgres_server_url: str) -> Iterator[Service]:
     """Yield a service over a populated database that nothing else uses.
 
-    Parameters
-    ----------
-    kind
-        ``sqlite`` or ``postgresql``.
-    folder
-        Of its data.
-    postgres_server_url
-        Of the server.
+    Args:
+        kind: ``sqlite`` or ``postgresql``.
     """
     with new_database(postgres_server_url) if kind == "postgresql" else nullcontext() as url:
         settings = Settings(data_dir=folder, database_url=url, port=0, log_level="warning", _env_file=None)
@@ -43,13 +37,7 @@ def populated_service(kind: str, folder: Path, postgres_server_url: str) -> Iter
 
 @contextmanager
 def new_database(server_url: str) -> Iterator[str]:
-    """Yield the URL of an empty database that nothing else uses.
-
-    Parameters
-    ----------
-    server_url
-        Of the server.
-    """
+    """Yield the URL of an empty database that nothing else uses."""
     name = f"api_{uuid.uuid4().hex}"
     with psycopg.connect(server_url, autocommit=True) as connection:
         connection.execute(f'CREATE DATABASE "{name}"')

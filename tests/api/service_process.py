@@ -38,14 +38,9 @@ class ServiceProcess:
 def service_process(folder: Path, database_url: str | None = None, **environment: str) -> Iterator[ServiceProcess]:
     """Yield a service on a free port.
 
-    Parameters
-    ----------
-    folder
-        Of its data and of its log.
-    database_url
-        A migrated database; by default SQLite in ``folder``.
-    environment
-        Further settings, without their prefix.
+    Args:
+        database_url: A migrated database; by default SQLite in ``folder``.
+        environment: Further settings, without their prefix.
     """
     given: Mapping[str, str] = {"DATA_DIR": str(folder / "data"), "PORT": "0", "DATABASE_URL": database_url or ""}
     variables = {f"TREADWATCH_{name}": value for name, value in {**given, **environment}.items()}
@@ -74,15 +69,7 @@ def _port(process: subprocess.Popen[bytes], log: Path) -> int:
 
 
 def wait_for(word: str, log: Path) -> None:
-    """Wait until a word is in a log: services write theirs in the background, after they have answered.
-
-    Parameters
-    ----------
-    word
-        In a line of the log.
-    log
-        File of the log.
-    """
+    """Wait until a word is in a log: services write theirs in the background, after they have answered."""
     until = time.monotonic() + START_S
     while word not in log.read_text():
         assert time.monotonic() < until, log.read_text()

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from bench.house import (
-    documented_parameters,
     entered_files,
 )
 
@@ -76,18 +75,10 @@ def test_each_fault_of_a_tree_is_printed_with_its_place(tree: Path) -> None:
         "estimation/jobs/__init__.py:1 long: 51 lines",
         "`branched` is too complex (12 > 10)",
         "tests/test_long.py: 401 lines",
-        "solved: third",
         "heard: 1",
     ):
         assert place in printed
     assert "versions" not in printed
-    assert "1 of 1" in printed
-
-
-def test_parameters_are_documented_in_their_section_alone() -> None:
-    text = "Return x.\n\nParameters\n----------\na, b\n    Two.\n*rest : int\n    More.\n\nReturns\n-------\nc\n    It."
-    assert documented_parameters(text) == {"a", "b", "rest"}
-    assert documented_parameters("Return x of ``a``.") == set()
 
 
 def test_values_infrastructure_and_the_alignment_job_are_no_part_of_the_path() -> None:

@@ -20,14 +20,9 @@ def place_frames(clock: SyncClock, t_ns: IntArray, cycles: int) -> Placement:
     next SYNC shows how many were lost, so that a frame that is stamped late, with none lost, is still taken for what it
     is. Frames between SYNCs that are not in time belong to the one before them.
 
-    Parameters
-    ----------
-    clock
-        The SYNCs.
-    t_ns
-        (n,) stamps of the frames of one message, ascending, ns.
-    cycles
-        The message is sent every so many SYNCs; 0 if it does not follow SYNC.
+    Args:
+        t_ns: (n,) stamps of the frames of one message, ascending, ns.
+        cycles: The message is sent every so many SYNCs; 0 if it does not follow SYNC.
     """
     if len(clock.t_ns) == 0 or len(t_ns) == 0:
         return Placement(np.full(len(t_ns), UNPLACED))

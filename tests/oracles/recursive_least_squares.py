@@ -29,21 +29,14 @@ class RecursiveState:
 def init(features: FloatArray, measured: FloatArray, known: FloatArray, forgetting: float = 1.0) -> RecursiveState:
     """Start from the samples collected up to the threshold count (Eq. 10-11).
 
-    Parameters
-    ----------
-    features
-        (n, p) regressors X.
-    measured
-        (n,) output y.
-    known
-        (n,) known part Omega.
-    forgetting
-        Weights of the start, W^(age); 1 is the paper's print.
+    Args:
+        features: (n, p) regressors X.
+        measured: (n,) output y.
+        known: (n,) known part Omega.
+        forgetting: Weights of the start, W^(age); 1 is the paper's print.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        X'X is singular.
+    Raises:
+        numpy.linalg.LinAlgError: X'X is singular.
     """
     n = len(measured)
     root = np.sqrt(forgetting ** np.arange(n - 1, -1, -1, dtype=np.float64))
@@ -61,14 +54,10 @@ def update(
 ) -> RecursiveState:
     """Add one sample (Eq. 12-14).
 
-    Parameters
-    ----------
-    feature
-        (p,) regressors.
-    measured, known
-        Output and its known part.
-    forgetting
-        0 < W <= 1.
+    Args:
+        feature: (p,) regressors.
+        measured, known: Output and its known part.
+        forgetting: 0 < W <= 1.
     """
     P = state.covariance
     Px = P @ feature

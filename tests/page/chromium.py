@@ -14,10 +14,8 @@ PATIENCE_S = 600.0
 def chromium() -> str:
     """Return the path of the browser; install Debian's package where there is none and we are root.
 
-    Raises
-    ------
-    RuntimeError
-        There is none; gives the command to install it.
+    Raises:
+        RuntimeError: There is none; gives the command to install it.
     """
     found = _found()
     if found is None and os.geteuid() == 0 and Path("/etc/debian_version").exists():

@@ -63,15 +63,11 @@ class AlarmFloodRule:
 class RuleBook:
     """One rule of every type; ``RuleBook()`` holds the shipped defaults.
 
-    Attributes
-    ----------
-    rules, alarm_flood
-        What holds where nothing else is said.
-    name
-        What the operator calls this version of the rules.
-    scoped
-        The books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and a class
-        that are named, so that one look-up decides. They have no scopes themselves.
+    Attributes:
+        rules, alarm_flood: What holds where nothing else is said.
+        name: What the operator calls this version of the rules.
+        scoped: The books of fleets and classes, by (fleet, class) with None for any other: of every pair of a fleet and
+            a class that are named, so that one look-up decides. They have no scopes themselves.
     """
 
     rules: tuple[AlertRule, ...] = field(default_factory=lambda: tuple(rule() for rule in ALERT_RULES))
@@ -90,12 +86,8 @@ class RuleBook:
     def of(self, fleet: str, vehicle_class: str | None) -> RuleBook:
         """Return the rules of the vehicles of a class in a fleet.
 
-        Parameters
-        ----------
-        fleet
-            Its code.
-        vehicle_class
-            Code; None where it is not known.
+        Args:
+            vehicle_class: Code; None where it is not known.
         """
         named_fleet = fleet if any(one == fleet for one, _ in self.scoped) else None
         named_class = vehicle_class if any(one == vehicle_class for _, one in self.scoped) else None
@@ -104,10 +96,8 @@ class RuleBook:
     def with_rules(self, *rules: AlertRule) -> RuleBook:
         """Return a book with these rules in place of those of their types, or added to them.
 
-        Parameters
-        ----------
-        *rules
-            At most one of a type.
+        Args:
+            *rules: At most one of a type.
         """
         given = {rule.kind: rule for rule in rules}
         known = {rule.kind: rule for rule in self.rules}
@@ -116,15 +106,11 @@ class RuleBook:
     def rule(self, rule_type: type[Rule]) -> Rule:
         """Return the rule of a type.
 
-        Parameters
-        ----------
-        rule_type
-            One of ``ALERT_RULES``.
+        Args:
+            rule_type: One of ``ALERT_RULES``.
 
-        Raises
-        ------
-        LookupError
-            The book has none of this type.
+        Raises:
+            LookupError: The book has none of this type.
         """
         for rule in self.rules:
             if isinstance(rule, rule_type):
@@ -134,15 +120,8 @@ class RuleBook:
     def delays_of(self, kind: str) -> AlertDelays:
         """Return the delays of a rule.
 
-        Parameters
-        ----------
-        kind
-            Of an alert.
-
-        Raises
-        ------
-        LookupError
-            The book has no rule of this kind.
+        Raises:
+            LookupError: The book has no rule of this kind.
         """
         for rule in self.rules:
             if rule.kind == kind:
@@ -152,9 +131,7 @@ class RuleBook:
     def enabled(self, kind: str) -> bool:
         """Return whether alerts of a kind are raised.
 
-        Parameters
-        ----------
-        kind
-            Of an alert; that of a rule which is gone is not.
+        Args:
+            kind: Of an alert; that of a rule which is gone is not.
         """
         return any(rule.enabled for rule in self.rules if rule.kind == kind)

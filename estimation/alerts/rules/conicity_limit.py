@@ -41,13 +41,7 @@ class SpeedBand:
     vehicle_class: str = ANY_CLASS
 
     def at(self, speed_km_h: float) -> float:
-        """Return the limit.
-
-        Parameters
-        ----------
-        speed_km_h
-            Greatest speed of the vehicle.
-        """
+        """Return the limit."""
         return self.limit + self.per_km_h * speed_km_h
 
 
@@ -71,26 +65,12 @@ class ConicityLimitRule(AlertRule):
     bands: tuple[SpeedBand, ...] = DEFAULT_BANDS
 
     def limit_for(self, vehicle: VehicleRecord) -> float | None:
-        """Return the limit of a vehicle; None where no band applies.
-
-        Parameters
-        ----------
-        vehicle
-            Its class and greatest speed count.
-        """
+        """Return the limit of a vehicle; None where no band applies."""
         speed_km_h = round(3.6 * vehicle.max_speed_m_s, SPEED_DIGITS)
         return self.limit_at(vehicle.vehicle_class, speed_km_h)
 
     def limit_at(self, vehicle_class: str, speed_km_h: float) -> float | None:
-        """Return the limit; bands of the class itself go before those of any class. None where no band applies.
-
-        Parameters
-        ----------
-        vehicle_class
-            Of the vehicle.
-        speed_km_h
-            Its greatest speed.
-        """
+        """Return the limit; bands of the class itself go before those of any class. None where no band applies."""
         for band in (*self._bands(vehicle_class), *self._bands(ANY_CLASS)):
             if speed_km_h <= band.up_to_km_h:
                 return band.at(speed_km_h)
@@ -123,13 +103,7 @@ class ConicityLimitRule(AlertRule):
         )
 
     def limit_of(self, facts: WheelsetFacts) -> float | None:
-        """Return the limit of a wheelset; None in no vehicle, or where no band applies.
-
-        Parameters
-        ----------
-        facts
-            Of one wheelset.
-        """
+        """Return the limit of a wheelset; None in no vehicle, or where no band applies."""
         return None if facts.vehicle is None else self.limit_for(facts.vehicle)
 
 
@@ -146,24 +120,13 @@ def conicity_limit_finding(
 ) -> Finding:
     """Return the finding on the limit by the conicity.
 
-    Parameters
-    ----------
-    rule
-        Probabilities and margins.
-    wheelset
-        Serial.
-    state
-        The conicity at 3 mm now, and what else is compared with the limit.
-    windows
-        Windows behind it.
-    limit
-        The raise limit.
-    measured_ns
-        Time of the newest data behind the conicity.
-    current
-        That of the current geometry, where the conicity is of the trend.
-    not_assessable_reason
-        Why the data do not describe the present wheelset (silent, sensor fault, reprofiled since); None where they do.
+    Args:
+        state: The conicity at 3 mm now, and what else is compared with the limit.
+        windows: Windows behind it.
+        measured_ns: Time of the newest data behind the conicity.
+        current: That of the current geometry, where the conicity is of the trend.
+        not_assessable_reason: Why the data do not describe the present wheelset (silent, sensor fault, reprofiled
+            since); None where they do.
     """
     against = state.against(limit)
     reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)

@@ -63,16 +63,9 @@ def data_quality_finding(
 ) -> Finding:
     """Return the finding of the newest windows on what is implausible.
 
-    Parameters
-    ----------
-    rule
-        Counts of windows.
-    wheelset
-        Serial.
-    windows
-        Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
-    measured_ns
-        Used where there is no window.
+    Args:
+        windows: Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
+        measured_ns: Used where there is no window.
     """
     latest = newest_windows(windows, rule.latest_windows)
     reasons = Counter(window.implausible.code.value for window in latest if window.implausible is not None)

@@ -15,15 +15,7 @@ from estimation.values.reasons import Reason, ReasonCode
 
 
 def superseded(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, CloseReason, int]]:
-    """Return open alerts that a dated record or the configuration has ended, each with the reason and the time.
-
-    Parameters
-    ----------
-    facts
-        Of one wheelset.
-    book
-        The rules.
-    """
+    """Return open alerts that a dated record or the configuration has ended, each with the reason and the time."""
     ended = ((alert, _ending(alert, facts, book)) for alert in facts.open_alerts)
     return [(alert, *ending) for alert, ending in ended if ending is not None]
 
@@ -59,14 +51,8 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
     those do not follow the class of the vehicle, the wear rules find ``unknown``: old numbers are never read as the
     present state. Where its identity is in doubt no wear alert is opened either.
 
-    Parameters
-    ----------
-    facts
-        Of one wheelset.
-    book
-        The rules.
-    now_ns
-        Our time, nanoseconds UTC since the Unix epoch.
+    Args:
+        now_ns: Our time, nanoseconds UTC since the Unix epoch.
     """
     if facts.wheelset.mounting is None:
         return []

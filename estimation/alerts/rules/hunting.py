@@ -64,12 +64,8 @@ class HuntingRule(AlertRule):
 def hunts(window: WindowRecord, share: float) -> bool:
     """Return whether a window shows hunting for a share of its running time.
 
-    Parameters
-    ----------
-    window
-        Stored window.
-    share
-        From 0 to 1; of 0 some hunting is needed still.
+    Args:
+        share: From 0 to 1; of 0 some hunting is needed still.
     """
     return window.quality.hunting.share >= share and window.quality.hunting.share > 0.0
 
@@ -77,16 +73,9 @@ def hunts(window: WindowRecord, share: float) -> bool:
 def hunting_finding(rule: HuntingRule, wheelset: str, windows: Sequence[WindowRecord], measured_ns: int) -> Finding:
     """Return the finding of the latest windows on hunting.
 
-    Parameters
-    ----------
-    rule
-        Counts of windows.
-    wheelset
-        Serial.
-    windows
-        Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
-    measured_ns
-        Used where there is no window.
+    Args:
+        windows: Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
+        measured_ns: Used where there is no window.
     """
     latest = newest_windows(windows, rule.latest_windows)
     found = [w for w in latest if hunts(w, rule.hunting_share)]

@@ -46,14 +46,9 @@ class IdentityRule(AlertRule):
 def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: Alert | None) -> Finding | None:
     """Return the finding on a wheelset's identity; None where the geometries agree with it.
 
-    Parameters
-    ----------
-    event
-        What has been found since the last identity change; None where nothing.
-    mounting
-        In service.
-    standing
-        The open alert: it stands until its mounting is corrected on file.
+    Args:
+        event: What has been found since the last identity change; None where nothing.
+        standing: The open alert: it stands until its mounting is corrected on file.
     """
     if event is None:
         return None if standing is None else _unchanged(standing)

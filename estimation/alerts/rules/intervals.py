@@ -29,15 +29,11 @@ def with_standing(
     What hides the present state (``not_assessable_reason``) does not undo what the data have shown. Severity and
     action are then those of the newest data that decide.
 
-    Parameters
-    ----------
-    find
-        Finding of facts; None where the rule does not apply.
-    facts
-        Of one wheelset; without ``intervals`` the finding leaves open whether an alert stands. The newest
-        ``LOOK_BACK`` intervals count, with delays in kilometres also those of the last ``reach_km``.
-    delays
-        How long before it is raised and cleared.
+    Args:
+        find: Finding of facts; None where the rule does not apply.
+        facts: Of one wheelset; without ``intervals`` the finding leaves open whether an alert stands. The newest
+            ``LOOK_BACK`` intervals count, with delays in kilometres also those of the last ``reach_km``.
+        delays: How long before it is raised and cleared.
     """
     now = find(facts)
     if now is None:
@@ -76,12 +72,8 @@ def _deciding(
 def counting(facts: WheelsetFacts, delays: AlertDelays) -> int:
     """Return how many of the newest intervals count.
 
-    Parameters
-    ----------
-    facts
-        Of one wheelset.
-    delays
-        Those in kilometres may reach further back.
+    Args:
+        delays: Those in kilometres may reach further back.
     """
     return within_reach([record.mileage_km for record in facts.intervals], LOOK_BACK, reach_km(delays))
 

@@ -70,18 +70,9 @@ def limit_forecast_finding(
 ) -> Finding:
     """Return the finding on the distance that is left to the limit of the trend.
 
-    Parameters
-    ----------
-    rule
-        Distances and probabilities.
-    wheelset
-        Serial.
-    trend
-        Trend since the last reprofiling.
-    measured_ns
-        Time of the newest data behind the trend.
-    not_assessable_reason
-        Why the data do not describe the present wheelset; None where they do.
+    Args:
+        measured_ns: Time of the newest data behind the trend.
+        not_assessable_reason: Why the data do not describe the present wheelset; None where they do.
     """
     points = len(trend.value)
     reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else trend.not_comparable)

@@ -104,10 +104,8 @@ class LimitState:
 def limit_state(facts: WheelsetFacts) -> LimitState | None:
     """Return what is known of the conicity of a wheelset; None without a geometry.
 
-    Parameters
-    ----------
-    facts
-        Of one wheelset. The fitted trend says what is at 3 mm, or the current geometry where none is comparable.
+    Args:
+        facts: Of one wheelset. The fitted trend says what is at 3 mm, or the current geometry where none is comparable.
     """
     if facts.geometry is None:
         return None

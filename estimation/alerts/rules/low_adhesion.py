@@ -35,12 +35,8 @@ class LowAdhesionRule(AlertRule):
 def section_finding(rule: LowAdhesionRule, found: SectionAdhesion) -> Finding:
     """Return what the rule finds of a section; its ``wheelset`` is empty.
 
-    Parameters
-    ----------
-    rule
-        Limit.
-    found
-        The newest friction of the section.
+    Args:
+        found: The newest friction of the section.
     """
     low = [cell for cell in found.cells if _within(cell, found)]
     worst = max(low, key=lambda cell: cell.low_probability, default=None)

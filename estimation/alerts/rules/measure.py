@@ -78,18 +78,10 @@ class MeasureRule(AlertRule):
 def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limit: float, *, measured: bool) -> Finding:
     """Return whether the profiles are to be measured.
 
-    Parameters
-    ----------
-    rule
-        Probabilities.
-    state
-        What is known of the conicity.
-    decided
-        The finding of the limit's own rule, which goes before.
-    limit
-        Of the conicity at 3 mm.
-    measured
-        Whether the profiles have been measured just now.
+    Args:
+        state: What is known of the conicity.
+        decided: The finding of the limit's own rule, which goes before.
+        limit: Of the conicity at 3 mm.
     """
     at_limit, at_reached = state.at_limit(limit), state.at_reached(limit)
     over = max((one.probability for one in (at_limit, at_reached) if one is not None), default=0.0)

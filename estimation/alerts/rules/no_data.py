@@ -45,24 +45,12 @@ def no_data_finding(
 ) -> Finding:
     """Return whether the wheelset has fallen silent.
 
-    Parameters
-    ----------
-    rule
-        Days.
-    wheelset
-        Serial.
-    last_usable_ns
-        End of the newest window that was estimated or waits for it; None where there is none.
-    in_service_since_ns
-        When it was mounted; silence counts from there.
-    now_ns
-        Our time.
+    Args:
+        last_usable_ns: End of the newest window that was estimated or waits for it; None where there is none.
 
-    Returns
-    -------
-    Finding
-        Its ``measured_ns`` is when the silence began to count, not the time of the evaluation, so that another
-        evaluation says the same.
+    Returns:
+        Finding: Its ``measured_ns`` is when the silence began to count, not the time of the evaluation, so that another
+            evaluation says the same.
     """
     since = silent_since_ns(last_usable_ns, in_service_since_ns)
     silent_days = (now_ns - since) / DAY_NS
@@ -106,11 +94,7 @@ def _with_refused(found: Finding, windows: Sequence[WindowRecord], since_ns: int
 def silent_since_ns(last_usable_ns: int | None, in_service_since_ns: int) -> int:
     """Return from when silence counts.
 
-    Parameters
-    ----------
-    last_usable_ns
-        End of the newest window that was estimated or waits for it; None where there is none.
-    in_service_since_ns
-        When the wheelset was mounted.
+    Args:
+        last_usable_ns: End of the newest window that was estimated or waits for it; None where there is none.
     """
     return max(in_service_since_ns, last_usable_ns if last_usable_ns is not None else in_service_since_ns)

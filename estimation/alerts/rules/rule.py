@@ -105,26 +105,18 @@ class WheelsetFacts:
 class AlertRule(ABC):
     """An alert rule; its fields are what the operator sets.
 
-    Attributes
-    ----------
-    kind
-        Name of the rule in rules files and of its alerts, at most 32 letters.
-    limit_unit
-        Unit of the limits of its alerts.
-    of_wear
-        It judges the profile: its alerts end with a reprofiling, and it is asked with ``not_assessable_reason``.
-    of_sensors
-        It judges the sensors: its alerts end where they are exchanged or calibrated.
-    hides_wear
-        Why the profile cannot be judged while this rule is breached; empty where it can.
-    advice
-        What is the matter and what to do, in the words of the worklist; empty where the rule has words of its own.
-    counts_km
-        Its findings have a mileage, so that its delays may be in kilometres.
-    relations
-        Fields of which one limits another, each as (field, "<=" or ">=", field).
-    enabled, delays
-        Whether it is evaluated; how long before an alert follows.
+    Attributes:
+        kind: Name of the rule in rules files and of its alerts, at most 32 letters.
+        limit_unit: Unit of the limits of its alerts.
+        of_wear: It judges the profile: its alerts end with a reprofiling, and it is asked with
+            ``not_assessable_reason``.
+        of_sensors: It judges the sensors: its alerts end where they are exchanged or calibrated.
+        hides_wear: Why the profile cannot be judged while this rule is breached; empty where it can.
+        advice: What is the matter and what to do, in the words of the worklist; empty where the rule has words of its
+            own.
+        counts_km: Its findings have a mileage, so that its delays may be in kilometres.
+        relations: Fields of which one limits another, each as (field, "<=" or ">=", field).
+        enabled, delays: Whether it is evaluated; how long before an alert follows.
     """
 
     kind: ClassVar[str]
@@ -143,12 +135,8 @@ class AlertRule(ABC):
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:
         """Return what the rule finds; None where it does not apply.
 
-        Parameters
-        ----------
-        facts
-            Of a wheelset in service.
-        now_ns
-            Our time, nanoseconds UTC since the Unix epoch.
+        Args:
+            now_ns: Our time, nanoseconds UTC since the Unix epoch.
         """
 
 
@@ -173,25 +161,16 @@ def estimate_evidence(value: Estimate) -> dict[str, JsonValue]:
 
 
 def unknown_evidence(reason: Reason | None) -> dict[str, JsonValue]:
-    """Return why a rule cannot decide, as sentence and code; both None where it can.
-
-    Parameters
-    ----------
-    reason
-        Why.
-    """
+    """Return why a rule cannot decide, as sentence and code; both None where it can."""
     return {"unknown_because": text_of(reason), "unknown_because_code": code_of(reason)}
 
 
 def newest_windows(windows: Sequence[WindowRecord], count: int) -> list[WindowRecord]:
     """Return the newest windows, oldest first.
 
-    Parameters
-    ----------
-    windows
-        In any order.
-    count
-        How many at most.
+    Args:
+        windows: In any order.
+        count: How many at most.
     """
     return sorted(windows, key=lambda window: window.start_ns)[-count:]
 
@@ -199,12 +178,8 @@ def newest_windows(windows: Sequence[WindowRecord], count: int) -> list[WindowRe
 def measured_until(windows: Sequence[WindowRecord], otherwise_ns: int) -> int:
     """Return the end of the last window, ns UTC.
 
-    Parameters
-    ----------
-    windows
-        In any order.
-    otherwise_ns
-        Returned where there is none.
+    Args:
+        windows: In any order.
     """
     return max((window.start_ns + window.length_ns for window in windows), default=otherwise_ns)
 
@@ -212,10 +187,8 @@ def measured_until(windows: Sequence[WindowRecord], otherwise_ns: int) -> int:
 def too_few_windows(windows: int, needed: int) -> Reason | None:
     """Return that there are fewer windows than a rule needs; None where there are enough.
 
-    Parameters
-    ----------
-    windows, needed
-        How many there are, and the least number.
+    Args:
+        windows, needed: How many there are, and the least number.
     """
     if windows >= needed:
         return None

@@ -75,14 +75,8 @@ def faulty(rule: SensorFaultRule, window: WindowRecord, hunted: frozenset[int] =
     A sensor that clips because its wheelset hunts, or another one that shakes its vehicle, is sound; so is one that a
     wheel with a flat strikes.
 
-    Parameters
-    ----------
-    rule
-        Shares of samples.
-    window
-        Stored window.
-    hunted
-        Starts of windows in which a wheelset of the vehicle hunts.
+    Args:
+        hunted: Starts of windows in which a wheelset of the vehicle hunts.
     """
     quality = window.quality
     if quality.sensor_fault:
@@ -107,18 +101,10 @@ def sensor_fault_finding(
     With k faulty ones of n, the probability that the share of faulty windows exceeds a limit is that of a
     Beta(k + 1, n - k + 1), the posterior of a flat prior.
 
-    Parameters
-    ----------
-    rule
-        Shares and probabilities.
-    wheelset
-        Serial.
-    windows
-        Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
-    measured_ns
-        Used where there is no window.
-    hunted
-        Starts of windows in which a wheelset of the vehicle hunts.
+    Args:
+        windows: Windows of the mounting in service, any order; the newest ``rule.latest_windows`` are looked at.
+        measured_ns: Used where there is no window.
+        hunted: Starts of windows in which a wheelset of the vehicle hunts.
     """
     latest = newest_windows(windows, rule.latest_windows)
     reasons = [r for r in (faulty(rule, w, hunted) for w in latest) if r]

@@ -56,12 +56,8 @@ class Standing:
     def after(self, found: Finding, delays: AlertDelays) -> Standing:
         """Return what it is after one more finding in order of vehicle time; one that decides nothing changes nothing.
 
-        Parameters
-        ----------
-        found
-            The next finding.
-        delays
-            How long a run raises and clears.
+        Args:
+            delays: How long a run raises and clears.
         """
         if found.breached is None:
             return self
@@ -75,12 +71,9 @@ class Standing:
 def raised_at(found: Iterable[Finding], delays: AlertDelays) -> int | None:
     """Return when an alert was raised that stands after the findings, ns UTC; None where none stands.
 
-    Parameters
-    ----------
-    found
-        In order of vehicle time; those that decide nothing do not count.
-    delays
-        How long a run raises and clears.
+    Args:
+        found: In order of vehicle time; those that decide nothing do not count.
+        delays: How long a run raises and clears.
     """
     standing = Standing()
     for one in found:
@@ -94,12 +87,9 @@ def latest_run(newest_first: Iterable[Finding], delays: AlertDelays) -> bool:
     That is where an alert ends that is raised by breaches on end, for its on-delay, and cleared by findings beyond the
     clear limit, for its off-delay. Going back from the newest, most wheelsets are decided by two.
 
-    Parameters
-    ----------
-    newest_first
-        Findings that decide, in falling order of vehicle time; read as far as needed.
-    delays
-        How long a run raises and clears.
+    Args:
+        newest_first: Findings that decide, in falling order of vehicle time; read as far as needed.
+        delays: How long a run raises and clears.
     """
     raising = clearing = NO_RUN
     for found in newest_first:
@@ -115,12 +105,9 @@ def latest_run(newest_first: Iterable[Finding], delays: AlertDelays) -> bool:
 def began(newest_first: Iterable[Finding], delays: AlertDelays) -> int | None:
     """Return when an alert that stands was raised, ns UTC, looking back to the last run that cleared.
 
-    Parameters
-    ----------
-    newest_first
-        Findings that decide, in falling order of vehicle time; read as far as needed.
-    delays
-        How long a run raises and clears.
+    Args:
+        newest_first: Findings that decide, in falling order of vehicle time; read as far as needed.
+        delays: How long a run raises and clears.
     """
     read: list[Finding] = []
     clearing = NO_RUN
@@ -133,27 +120,17 @@ def began(newest_first: Iterable[Finding], delays: AlertDelays) -> int | None:
 
 
 def reach_km(delays: AlertDelays) -> float:
-    """Return how far back findings count where a delay is in kilometres; 0 where none is.
-
-    Parameters
-    ----------
-    delays
-        Of the rule.
-    """
+    """Return how far back findings count where a delay is in kilometres; 0 where none is."""
     return LOOK_BACK * max(delays.on_delay_km, delays.off_delay_km)
 
 
 def within_reach(mileages_km: Sequence[float | None], count: int, reach: float) -> int:
     """Return how many of the newest data count: at least ``count``, and those of the last kilometres.
 
-    Parameters
-    ----------
-    mileages_km
-        In order of vehicle time; None where not known.
-    count
-        How many count at least.
-    reach
-        Kilometres; 0 where none count.
+    Args:
+        mileages_km: In order of vehicle time; None where not known.
+        count: How many count at least.
+        reach: Kilometres; 0 where none count.
     """
     known = [at for at in mileages_km if at is not None]
     if reach <= 0.0 or not known:
@@ -171,19 +148,12 @@ def of_windows(
 ) -> Finding:
     """Return the finding of the latest windows, with whether an alert stands had it been evaluated at each of them.
 
-    Parameters
-    ----------
-    find
-        Finding of at most ``latest`` windows, oldest first.
-    facts
-        Windows in any order; the newest ``LOOK_BACK`` times ``latest`` of them count, with delays in kilometres also
-        all of the last ``reach_km``.
-    suspect
-        Whether a window can raise anything; without such windows nothing stands.
-    latest
-        Windows that a finding is made of.
-    delays
-        How long before it is raised and cleared.
+    Args:
+        find: Finding of at most ``latest`` windows, oldest first.
+        facts: Windows in any order; the newest ``LOOK_BACK`` times ``latest`` of them count, with delays in kilometres
+            also all of the last ``reach_km``.
+        suspect: Whether a window can raise anything; without such windows nothing stands.
+        delays: How long before it is raised and cleared.
     """
     now = find(facts.windows)
     if not any(suspect(window) for window in facts.windows):

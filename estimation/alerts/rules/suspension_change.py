@@ -71,14 +71,8 @@ class SuspensionChangeRule(AlertRule):
 def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: SuspensionChange) -> Finding:
     """Return the finding of a change.
 
-    Parameters
-    ----------
-    rule
-        Limits and probabilities.
-    wheelset
-        Serial of the wheelset that the alert stands at.
-    found
-        The change of its vehicle.
+    Args:
+        wheelset: Serial of the wheelset that the alert stands at.
     """
     over = _beyond(found, rule.raise_change)
     over_clear = _beyond(found, rule.clear_change)

@@ -48,15 +48,7 @@ class UnregisteredChangeRule(AlertRule):
 
 
 def explained(step: TrendStep, facts: WheelsetFacts) -> bool:
-    """Return whether a step is explained: it was mounted then, its sensors were exchanged, or it is another wheelset.
-
-    Parameters
-    ----------
-    step
-        Of the trend since the last reprofiling.
-    facts
-        Of its wheelset.
-    """
+    """Return whether a step is explained: mounted then, sensors exchanged, or another wheelset."""
     doubt, mounting = facts.not_assessable_reason, facts.wheelset.mounting
     if doubt is not None and doubt.code is ReasonCode.IDENTITY_DOUBTFUL:
         return True
@@ -68,12 +60,9 @@ def explained(step: TrendStep, facts: WheelsetFacts) -> bool:
 def at_the_time(registered_ns: int | None, before_ns: int, after_ns: int) -> bool:
     """Return whether what was registered for a time happened within a change, to the day.
 
-    Parameters
-    ----------
-    registered_ns
-        ns UTC; None where nothing was.
-    before_ns, after_ns
-        End of the data before the change, begin of those behind it.
+    Args:
+        registered_ns: ns UTC; None where nothing was.
+        before_ns, after_ns: End of the data before the change, begin of those behind it.
     """
     return registered_ns is not None and before_ns - DAY_NS <= registered_ns <= after_ns + DAY_NS
 
@@ -83,16 +72,8 @@ def unregistered_change_finding(
 ) -> Finding:
     """Return the finding of a step.
 
-    Parameters
-    ----------
-    rule
-        Sizes from which it is severe.
-    wheelset
-        Serial.
-    step
-        Newest of its trend.
-    around
-        What else is known about its time.
+    Args:
+        around: What else is known about its time.
     """
     size, causes = step.size.value or 0.0, explanations(step, around)
     severe = Severity.CRITICAL if size >= rule.critical_rise else Severity.WARNING

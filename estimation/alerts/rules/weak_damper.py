@@ -59,14 +59,8 @@ class WeakDamperRule(AlertRule):
 def weak_damper_finding(rule: WeakDamperRule, wheelset: str, found: GearDamper) -> Finding:
     """Return the finding of a damper.
 
-    Parameters
-    ----------
-    rule
-        Limits and probabilities.
-    wheelset
-        Serial of the wheelset that the alert stands at.
-    found
-        The damper of its running gear.
+    Args:
+        wheelset: Serial of the wheelset that the alert stands at.
     """
     few = too_few_windows(found.windows, rule.minimum_windows)
     weak, not_whole = _below(found, rule.raise_share), _below(found, rule.clear_share)

@@ -163,22 +163,12 @@ def wheel_asymmetry_finding(
     the open alert (``raised_by``, from its evidence) is known and below its clear limit and no known one is above its
     own.
 
-    Parameters
-    ----------
-    rule
-        Limits in mm, probabilities and the smallest number of windows.
-    wheelset
-        Serial number.
-    asymmetry
-        Offset of the zero crossing of R and difference of the wheels' shapes, m, with their intervals.
-    windows
-        How many windows the geometry rests on.
-    measured_ns
-        Start of the newest of them, ns UTC.
-    raised_by
-        Names of the indicators that raised the open alert; empty where none is open.
-    not_assessable_reason
-        Why the geometry does not count at present; None where it does.
+    Args:
+        rule: Limits in mm, probabilities and the smallest number of windows.
+        asymmetry: Offset of the zero crossing of R and difference of the wheels' shapes, m, with their intervals.
+        measured_ns: Start of the newest of them, ns UTC.
+        raised_by: Names of the indicators that raised the open alert; empty where none is open.
+        not_assessable_reason: Why the geometry does not count at present; None where it does.
     """
     reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)
     limits = {

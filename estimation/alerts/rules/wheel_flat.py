@@ -74,12 +74,8 @@ class WheelFlatRule(AlertRule):
 def strikes(window: WindowRecord, turn_m: float) -> bool:
     """Return whether a wheel of this turn strikes for most of a window.
 
-    Parameters
-    ----------
-    window
-        Stored window.
-    turn_m
-        Run in a turn of the wheel, m.
+    Args:
+        turn_m: Run in a turn of the wheel, m.
     """
     blows = window.quality.blows
     return blows.sustained and abs(blows.turn_m / turn_m - 1.0) <= MOST_APART
@@ -93,16 +89,9 @@ def wheel_flat_finding(
     With k of n windows in which the wheel strikes, the probability that it does in more than a share of them is that
     of a Beta(k + 1, n - k + 1), the posterior of a flat prior.
 
-    Parameters
-    ----------
-    rule
-        Shares and probabilities.
-    wheelset
-        In service.
-    windows
-        Of its profile in this mounting, any order; the newest ``rule.latest_windows`` are looked at.
-    turn_m
-        Run in a turn of the wheel, m.
+    Args:
+        windows: Of its profile in this mounting, any order; the newest ``rule.latest_windows`` are looked at.
+        turn_m: Run in a turn of the wheel, m.
     """
     latest = newest_windows(windows, rule.latest_windows)
     found = [window for window in latest if strikes(window, turn_m)]

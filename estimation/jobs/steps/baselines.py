@@ -18,13 +18,7 @@ class Baseline:
 
 
 def baselines(wheelset: WheelsetRecord) -> list[Baseline]:
-    """Return the baselines of a wheelset, oldest first; number 0 begins when it was new.
-
-    Parameters
-    ----------
-    wheelset
-        With its reprofilings.
-    """
+    """Return the baselines of a wheelset, oldest first; number 0 begins when it was new."""
     turned = sorted(wheelset.reprofilings, key=lambda item: item.at_ns)
     starts = [(0, 0.0), *((item.at_ns, item.mileage_km) for item in turned)]
     ends: list[int | None] = [item.at_ns for item in turned] + [None]

@@ -27,14 +27,10 @@ ContactSearch = Callable[[WheelPair, Sequence[RailShare]], WheelContact | Reason
 class ComparisonReader:
     """Reads comparisons in one transaction.
 
-    Attributes
-    ----------
-    unit
-        Registry, geometries, trends, windows, tracks and alerts are read.
-    contact
-        Finds the contact geometry of a pair of wheels on rails.
-    interval_km
-        Mileage interval of the estimates.
+    Attributes:
+        unit: Registry, geometries, trends, windows, tracks and alerts are read.
+        contact: Finds the contact geometry of a pair of wheels on rails.
+        interval_km: Mileage interval of the estimates.
     """
 
     unit: UnitOfWork
@@ -42,15 +38,7 @@ class ComparisonReader:
     interval_km: float
 
     def of_wheelset(self, wheelset: WheelsetRecord, measurements: Sequence[MeasuredProfiles]) -> list[Comparison]:
-        """Return each of the measurements of a wheelset beside the estimate that belongs to it.
-
-        Parameters
-        ----------
-        wheelset
-            With its reprofilings.
-        measurements
-            Some of its measurements.
-        """
+        """Return each of the measurements of a wheelset beside the estimate that belongs to it."""
         if not measurements:
             return []
         intervals = self.unit.geometries.intervals(wheelset.serial)
@@ -74,12 +62,8 @@ class ComparisonReader:
 
         Without an estimate those of the newest window's section, or those of all sections where these are alike.
 
-        Parameters
-        ----------
-        serial
-            Of the wheelset.
-        record
-            The estimate; None where there is none.
+        Args:
+            record: The estimate; None where there is none.
         """
         sections = {one.code: one for one in self.unit.tracks.sections()}
         if record is not None:
@@ -101,14 +85,9 @@ class ComparisonReader:
 def rests_on(unit: UnitOfWork, record: GeometryRecord, measurements: Sequence[MeasuredProfiles]) -> bool:
     """Return whether an estimate was made on an alignment for which one of some measurements was evidence.
 
-    Parameters
-    ----------
-    unit
-        Reports of alignments are read.
-    record
-        The estimate; its track versions, and those that they were made from, are looked at.
-    measurements
-        Of the same profiles.
+    Args:
+        record: The estimate; its track versions, and those that they were made from, are looked at.
+        measurements: Of the same profiles.
     """
     named = {evidence_of_measurement(measurement_name(one)) for one in measurements}
     return any(_any_evidence(unit, section, versions, named) for section, versions in record.track_versions.items())

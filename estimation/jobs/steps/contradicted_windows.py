@@ -21,16 +21,9 @@ def contradiction(
 ) -> Reason | None:
     """Return why so many windows of the time of some were refused; None where fewer were.
 
-    Parameters
-    ----------
-    refused
-        Windows of the same wheelset that were refused by one of ``CONTRADICTIONS``, oldest first.
-    vehicles
-        On which the windows with tables were measured.
-    first_ns, last_ns
-        Start of the first and of the last of them.
-    windows
-        Their number.
+    Args:
+        refused: Windows of the same wheelset that were refused by one of ``CONTRADICTIONS``, oldest first.
+        first_ns, last_ns: Start of the first and of the last of them.
     """
     first, last = first_ns - BEFORE_AND_AFTER_NS, last_ns + BEFORE_AND_AFTER_NS
     against = [one.reason for one in refused if one.vehicle in vehicles and first <= one.start_ns <= last]

@@ -46,39 +46,19 @@ class FileLookup:
     _known: dict[tuple[str, str], OnFile] = field(default_factory=dict)
 
     def of(self, vehicle: str, wheelset: str) -> OnFile:
-        """Return what is on file of a wheelset on a vehicle.
-
-        Parameters
-        ----------
-        vehicle
-            Code.
-        wheelset
-            Serial.
-        """
+        """Return what is on file of a wheelset on a vehicle."""
         key = (vehicle, wheelset)
         if key not in self._known:
             self._known[key] = self._look_up(vehicle, wheelset)
         return self._known[key]
 
     def life(self, record: WindowRecord) -> ProfileLife:
-        """Return the life of the profile in a window.
-
-        Parameters
-        ----------
-        record
-            The window.
-        """
+        """Return the life of the profile in a window."""
         wheelset = self.of(record.vehicle, record.wheelset).wheelset
         return profile_life(wheelset, record, self.settings.estimation.interval_km)
 
     def member(self, record: WindowRecord) -> EpochMember:
-        """Return a window with digests of what is on file and of what of it concerns the window.
-
-        Parameters
-        ----------
-        record
-            The window.
-        """
+        """Return a window with digests of what is on file and of what of it concerns the window."""
         found = self.of(record.vehicle, record.wheelset)
         near = [
             digest
@@ -119,17 +99,7 @@ def _profiles_digest(item: MeasuredProfiles) -> str:
 
 
 def given(unit: UnitOfWork, section: TrackSectionRecord, settings: JobSettings) -> tuple[str, FoldState]:
-    """Return a digest of what all epochs of a section rest on, and what is known of it before the first.
-
-    Parameters
-    ----------
-    unit
-        The registry is read.
-    section
-        The section.
-    settings
-        Of the jobs.
-    """
+    """Return a digest of what all epochs of a section rest on, and what is known of it before the first."""
     registered = unit.tracks.registered(section.code)
     layout = unit.tracks.layout_version(section.code)
     text = f"{section!r} {layout} {registered} {settings.alignment_parameters()!r}"
@@ -139,10 +109,8 @@ def given(unit: UnitOfWork, section: TrackSectionRecord, settings: JobSettings) 
 def input_digest(members: Sequence[EpochMember]) -> str:
     """Return a digest of the windows of an epoch and of what they are looked at with.
 
-    Parameters
-    ----------
-    members
-        In any order.
+    Args:
+        members: In any order.
     """
     text = hashlib.sha256()
     for member in sorted(members, key=lambda one: (one.record.wheelset, one.record.start_ns)):
@@ -153,15 +121,7 @@ def input_digest(members: Sequence[EpochMember]) -> str:
 
 
 def entries(lookup: FileLookup, records: Sequence[WindowRecord]) -> list[Entry]:
-    """Return windows with the lives of their profiles.
-
-    Parameters
-    ----------
-    lookup
-        What is on file.
-    records
-        Windows.
-    """
+    """Return windows with the lives of their profiles."""
     return [(record, lookup.life(record)) for record in records]
 
 

@@ -47,13 +47,6 @@ def epoch_passes(context: JobContext, chosen: Sequence[Entry]) -> EpochPasses:
     """Return the passes of windows, and the reasons of those that hold none; a few windows at a time in memory.
 
     Windows that follow each other are one pass, for its ends are lost to the filter.
-
-    Parameters
-    ----------
-    context
-        Storage and settings.
-    chosen
-        Windows with the life of their profiles.
     """
     settings, step = context.settings.estimation, context.settings.alignment.pass_step
     found: list[Pass] = []

@@ -34,13 +34,7 @@ class EstimatedWith:
         return replace(self.settings.geometry, uncertainty=self.uncertainty)
 
     def estimated(self, table: BinTable) -> WheelsetGeometry:
-        """Return the geometry of windows.
-
-        Parameters
-        ----------
-        table
-            Their summed bin tables.
-        """
+        """Return the geometry of windows."""
         return estimate_geometry(table, self.bins, self.geometry)
 
     def as_json(self) -> Mapping[str, JsonValue]:
@@ -59,15 +53,7 @@ class EstimatedWith:
 
 
 def no_geometry(settings: EstimationSettings, parameter_key: str) -> WheelsetGeometry:
-    """Return the geometry of no window.
-
-    Parameters
-    ----------
-    settings
-        Of the estimation.
-    parameter_key
-        Key of the geometry that it follows.
-    """
+    """Return the geometry of no window."""
     bins = BinParameters(source=settings.signals.source, band_limited=True)
     empty = estimate_geometry(bin_table.init(bins), bins, settings.geometry)
     return replace(empty, parameter_key=parameter_key)

@@ -30,17 +30,8 @@ class FailedWindow:
 def attempted(compute: Callable[[WindowRecord], T], record: WindowRecord) -> T | FailedWindow:
     """Return what a calculation makes of a window, or that it failed.
 
-    Parameters
-    ----------
-    compute
-        The calculation.
-    record
-        Of the window.
-
-    Raises
-    ------
-    StorageError
-        The database, or all of the files, cannot be used.
+    Raises:
+        StorageError: The database, or all of the files, cannot be used.
     """
     try:
         return compute(record)
@@ -51,17 +42,7 @@ def attempted(compute: Callable[[WindowRecord], T], record: WindowRecord) -> T |
 
 
 def refuse_failed(context: JobContext, isolation: Isolation, failed: Sequence[FailedWindow]) -> None:
-    """Refuse windows at which something failed, with its reason, and keep them in quarantine.
-
-    Parameters
-    ----------
-    context
-        Storage.
-    isolation
-        The quarantine.
-    failed
-        The windows.
-    """
+    """Refuse windows at which something failed, with its reason, and keep them in quarantine."""
     for one in failed:
         record = one.record
         isolation.keep(SubjectKind.WINDOW, key_of(record), _inputs(context, record), one.error)
@@ -71,17 +52,7 @@ def refuse_failed(context: JobContext, isolation: Isolation, failed: Sequence[Fa
 
 
 def release_others(isolation: Isolation, records: Sequence[WindowRecord], failed: Sequence[FailedWindow]) -> None:
-    """End the quarantine of windows that were estimated or refused for a reason of their own.
-
-    Parameters
-    ----------
-    isolation
-        The quarantine.
-    records
-        The windows of a batch.
-    failed
-        Those that failed, which stay.
-    """
+    """End the quarantine of windows that were estimated or refused for a reason of their own."""
     again = {key_of(one.record) for one in failed}
     for record in records:
         if key_of(record) not in again:
@@ -89,15 +60,7 @@ def release_others(isolation: Isolation, records: Sequence[WindowRecord], failed
 
 
 def let_due_wait_again(context: JobContext, isolation: Isolation) -> None:
-    """Let windows that failed before wait for the estimation again where they are due; where they were, too.
-
-    Parameters
-    ----------
-    context
-        Storage and clock.
-    isolation
-        The quarantine.
-    """
+    """Let windows that failed before wait for the estimation again where they are due; where they were, too."""
     for item in isolation.held(SubjectKind.WINDOW):
         with context.storage.read() as unit:
             record = unit.windows.get(*key_of_text(item.key))

@@ -24,23 +24,13 @@ def raise_in_fleet(
 ) -> list[AlertEventKind]:
     """Store the alerts that a run has found, and bring the fleet alerts up to their members.
 
-    Parameters
-    ----------
-    unit
-        A transaction that writes; all of this belongs in one.
-    fleet
-        Code of the fleet.
-    found
-        What raises an alert of one of its wheelsets; not stored yet.
-    book
-        Rules, of which those of the fleet are taken.
-    now_ns
-        Our time, as which the events are recorded.
+    Args:
+        unit: A transaction that writes; all of this belongs in one.
+        found: What raises an alert of one of its wheelsets; not stored yet.
+        book: Rules, of which those of the fleet are taken.
 
-    Returns
-    -------
-    list of AlertEventKind
-        The events recorded, those of members included.
+    Returns:
+        list of AlertEventKind: The events recorded, those of members included.
     """
     version, book = book.version, book.of(fleet, None)
     standing = _standing(unit, fleet)

@@ -26,13 +26,6 @@ def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
 
     One that was found in another place than the registry has for the wheelset now is none: what was recorded after it
     is another wheelset's by now.
-
-    Parameters
-    ----------
-    unit
-        Alerts and mountings are read.
-    serial
-        Wheelset.
     """
     alerts = unit.alerts.page(
         fleet=None, wheelset=serial, kind=IDENTITY, condition=None, open_only=False, after_id=None, limit=_ALL
@@ -42,13 +35,7 @@ def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
 
 
 def suspected(unit: UnitOfWork) -> frozenset[str]:
-    """Return the wheelsets with an identity alert, open or closed: all others have had no identity change.
-
-    Parameters
-    ----------
-    unit
-        Alerts are read.
-    """
+    """Return the wheelsets with an identity alert, open or closed: all others have had no identity change."""
     found: set[str] = set()
     after = None
     while True:
@@ -85,16 +72,8 @@ def new_events(
 
     A wheelset whose geometry did not jump when it was looked at last is looked at again from where it has changed.
 
-    Parameters
-    ----------
-    unit
-        Geometries, alerts and looks are read.
-    wheelsets
-        All wheelsets of a fleet; those without a mounting are left out.
-    parameters
-        Thresholds of the comparison.
-    code_version
-        Of the numerics.
+    Args:
+        wheelsets: All wheelsets of a fleet; those without a mounting are left out.
     """
     looks, newest, changed = unit.looks.of(STAGE), unit.geometries.newest_numbers(), suspected(unit)
     histories, calm = {}, {}

@@ -15,15 +15,7 @@ from estimation.values.windows import WindowKey, WindowRecord
 
 
 def likely_chosen(unit: UnitOfWork, records: Sequence[WindowRecord]) -> set[WindowKey]:
-    """Return which windows of a batch would be chosen beside those of the newest roll-up of their wheelset.
-
-    Parameters
-    ----------
-    unit
-        Roll-ups are read.
-    records
-        Of the windows.
-    """
+    """Return which windows of a batch would be chosen beside those of the newest roll-up of their wheelset."""
     of_wheelset: defaultdict[str, list[WindowRecord]] = defaultdict(list)
     for record in records:
         if not record.quality.hunting.sustained:

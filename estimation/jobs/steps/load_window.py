@@ -24,17 +24,8 @@ KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> Window | Reason:
     """Return a stored window as :meth:`WindowLoader.load` does.
 
-    Parameters
-    ----------
-    unit
-        Windows, vehicles and mountings are read.
-    record, vehicle_class
-        The window, and the class of its vehicle.
-
-    Raises
-    ------
-    PurgedError, DamagedError
-        As :meth:`WindowLoader.load`.
+    Raises:
+        PurgedError, DamagedError: As :meth:`WindowLoader.load`.
     """
     return WindowLoader(unit, VehicleLookup(unit)).load(record, vehicle_class)
 
@@ -43,14 +34,10 @@ def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleCl
 class WindowLoader:
     """Loads windows, as one transaction sees them; those that were loaded last are kept for the other of their bogie.
 
-    Attributes
-    ----------
-    unit
-        Windows are read.
-    vehicles
-        Of the same transaction.
-    known
-        Records that the transaction has read; others are looked up.
+    Attributes:
+        unit: Windows are read.
+        vehicles: Of the same transaction.
+        known: Records that the transaction has read; others are looked up.
     """
 
     unit: UnitOfWork
@@ -64,19 +51,9 @@ class WindowLoader:
         The registry may have another wheelset there by now, while the window is still to be made again, or cannot be;
         the bogie's frame may be unknown or another.
 
-        Parameters
-        ----------
-        record
-            Of the window.
-        vehicle_class
-            Of its vehicle.
-
-        Raises
-        ------
-        PurgedError
-            The samples of the window have been purged.
-        DamagedError
-            The samples of the window, or of the one on the other axle, are damaged; names the file.
+        Raises:
+            PurgedError: The samples of the window have been purged.
+            DamagedError: The samples of the window, or of the one on the other axle, are damaged; names the file.
         """
         window = self._samples(record.key)
         elsewhere = self._elsewhere(window)

@@ -12,14 +12,8 @@ CAUSE = "the file of a window is lost or damaged"
 def assemble_if_lost(unit: UnitOfWork, record: WindowRecord, refusal: Reason) -> None:
     """Let the windows of a vehicle at a time be made again where one was refused for its file.
 
-    Parameters
-    ----------
-    unit
-        A transaction to write in, that of the refusal.
-    record
-        The window.
-    refusal
-        Why it was refused.
+    Args:
+        unit: A transaction to write in, that of the refusal.
     """
     if refusal.code is ReasonCode.FILE_DAMAGED:
         unit.stale_spans.add(record.vehicle, record.start_ns, record.start_ns + record.length_ns, CAUSE)

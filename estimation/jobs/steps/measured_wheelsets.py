@@ -35,18 +35,10 @@ def measured(
 ) -> Measured:
     """Return the curves of profiles that were measured within ``within_km`` of the windows, by the lathe's last visit.
 
-    Parameters
-    ----------
-    unit
-        The registry is read.
-    section
-        Its rails and gauge.
-    records, lives
-        Windows, and the life of its wheelset for each.
-    within_km
-        Mileage between measurement and window at which the profile still is what it was.
-    classes
-        Of the vehicles: sensors that measure gravity show the displacement at rail level.
+    Args:
+        records, lives: Windows, and the life of its wheelset for each.
+        within_km: Mileage between measurement and window at which the profile still is what it was.
+        classes: Of the vehicles: sensors that measure gravity show the displacement at rail level.
     """
     curves: dict[ProfileLife, MeasuredCurve] = {}
     notes: list[str] = []
@@ -79,13 +71,7 @@ def _newest(unit: UnitOfWork, record: WindowRecord, within_km: float) -> Measure
 
 
 def measurement_name(item: MeasuredProfiles) -> str:
-    """Return how reports of alignments name a measurement.
-
-    Parameters
-    ----------
-    item
-        The measurement.
-    """
+    """Return how reports of alignments name a measurement."""
     return f"{item.wheelset} of {datetime.fromtimestamp(item.at_ns // 10**9, UTC):%Y-%m-%d}"
 
 

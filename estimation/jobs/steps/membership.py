@@ -46,34 +46,20 @@ class Membership:
     def baseline_of(self, start_ns: int) -> Baseline:
         """Return the baseline of a time.
 
-        Parameters
-        ----------
-        start_ns
-            From 0.
+        Args:
+            start_ns: From 0.
         """
         return next(one for one in reversed(self.baselines) if one.from_ns <= start_ns)
 
     def assumed(self, roll_up: RollUp) -> Assumed | None:
-        """Return what the windows of a roll-up are estimated with; None where its class is another by now.
-
-        Parameters
-        ----------
-        roll_up
-            With windows.
-        """
+        """Return what the windows of a roll-up are estimated with; None where its class is another by now."""
         found = self.classes.assumed(roll_up.vehicles[-1], self.wheelset)
         if not isinstance(found, Assumed) or found.table_key != roll_up.key.table_key:
             return None
         return found if found.on_file.vehicle_class.code == roll_up.key.vehicle_class else None
 
     def class_of(self, vehicle: str) -> str:
-        """Return the key of the tables on a vehicle and the code of its class; empty where that is not on file.
-
-        Parameters
-        ----------
-        vehicle
-            Code.
-        """
+        """Return the key of the tables on a vehicle and the code of its class; empty where that is not on file."""
         found = self.classes.assumed(vehicle, self.wheelset)
         return f"{found.table_key} {found.on_file.vehicle_class.code}" if isinstance(found, Assumed) else ""
 
@@ -82,13 +68,6 @@ class Membership:
 
         A table of other parameters waits to be made again, and what was recorded while a wheelset was exchanged is of
         neither.
-
-        Parameters
-        ----------
-        window
-            With its bin table.
-        mileage_km
-            That the wheelset had run.
         """
         record = window.record
         found, side = self.classes.assumed(record.vehicle, self.wheelset), self._side(record.start_ns)
@@ -99,15 +78,7 @@ class Membership:
         return RollUpKey(baseline.number, interval, side, found.table_key, found.on_file.vehicle_class.code)
 
     def member(self, window: TabledWindow, mileage_km: float, key: RollUpKey) -> Member:
-        """Return a window as part of its roll-up.
-
-        Parameters
-        ----------
-        window, mileage_km
-            The window, and what the wheelset had run.
-        key
-            Of the roll-up.
-        """
+        """Return a window as part of its roll-up."""
         record, at_ns = window.record, window.record.start_ns
         table = f"{window.parameter_key} {window.content_digest}"
         if any(m.from_ns <= at_ns and (m.to_ns is None or at_ns < m.to_ns) for m in self.turned):
@@ -117,36 +88,16 @@ class Membership:
         return Member(window, mileage_km, digest, self.forgetting(key, mileage_km))
 
     def forgetting(self, key: RollUpKey, mileage_km: float) -> float:
-        """Return the weight of a window against the end of its interval.
-
-        Parameters
-        ----------
-        key
-            Of the roll-up.
-        mileage_km
-            Of the window.
-        """
+        """Return the weight of a window against the end of its interval."""
         return float(0.5 ** ((self.end_km(key) - mileage_km) / self.half_life_km))
 
     def of_its_baseline(self, roll_up: RollUp) -> bool:
-        """Whether the time of a roll-up is of the baseline, and on the side of its last change, of its key.
-
-        Parameters
-        ----------
-        roll_up
-            With windows.
-        """
+        """Whether the time of a roll-up is of the baseline, and on the side of its last change, of its key."""
         found = self._span(roll_up)
         return found is not None and (found[0].number, found[1]) == (roll_up.key.baseline, roll_up.key.side)
 
     def place_of(self, roll_up: RollUp) -> tuple[int, int, Side] | None:
-        """Return baseline, interval and side of a roll-up as they are now; None where its time is of several.
-
-        Parameters
-        ----------
-        roll_up
-            With windows.
-        """
+        """Return baseline, interval and side of a roll-up as they are now; None where its time is of several."""
         found = self._span(roll_up)
         if found is None:
             return None
@@ -161,13 +112,7 @@ class Membership:
         return baseline, side
 
     def end_km(self, key: RollUpKey) -> float:
-        """Return the mileage at which an interval ends.
-
-        Parameters
-        ----------
-        key
-            Of a roll-up.
-        """
+        """Return the mileage at which an interval ends."""
         baseline = self.baselines[min(key.baseline, len(self.baselines) - 1)]
         return baseline.mileage_km + (key.interval + 1) * self.interval_km
 
@@ -182,14 +127,8 @@ class Membership:
 def membership(unit: UnitOfWork, serial: str, classes: ClassLookup) -> Membership:
     """Return the rules for the windows of a wheelset as they are now.
 
-    Parameters
-    ----------
-    unit
-        Registry, alerts and trends are read.
-    serial
-        Serial number of the wheelset.
-    classes
-        Of the same transaction.
+    Args:
+        classes: Of the same transaction.
     """
     wheelset = classes.wheelset(serial)
     return Membership(

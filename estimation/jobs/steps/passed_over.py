@@ -21,12 +21,9 @@ CONTRADICTED = Reason(
 class PassedOverWindows:
     """Looks at the windows of one wheelset, as one transaction sees them.
 
-    Attributes
-    ----------
-    unit
-        Windows are read.
-    rules
-        By which they were rolled.
+    Attributes:
+        unit: Windows are read.
+        rules: By which they were rolled.
     """
 
     unit: UnitOfWork
@@ -34,13 +31,7 @@ class PassedOverWindows:
     _windows: Sequence[tuple[int, PassedOver]] | None = field(default=None, init=False)
 
     def counts(self, roll_ups: Sequence[RollUp]) -> Mapping[str, int]:
-        """Return how many windows of the time of some roll-ups stay as they are, by what would have changed them.
-
-        Parameters
-        ----------
-        roll_ups
-            With windows.
-        """
+        """Return how many windows of the time of some roll-ups stay as they are, by what would have changed them."""
         if self._windows is None:
             self._windows = self.unit.windows.passed_over(self.rules.wheelset)
         spans = [(one.first_ns, one.last_ns) for one in roll_ups]
@@ -50,13 +41,7 @@ class PassedOverWindows:
         return dict(sorted(found.items()))
 
     def contradicted(self, roll_up: RollUp) -> bool:
-        """Whether what is stored of a roll-up is wrong by now: its windows were of another class, place or mileage.
-
-        Parameters
-        ----------
-        roll_up
-            With windows.
-        """
+        """Whether what is stored of a roll-up is wrong by now: its windows were of another class, place or mileage."""
         counts = self.counts([roll_up])
         other_class = PassedOver.CLASS_CHANGED in counts and self.rules.assumed(roll_up) is None
         return other_class or PassedOver.RECORD_CHANGED in counts or not self.rules.of_its_baseline(roll_up)

@@ -15,13 +15,7 @@ APART_NS = 86_400_000_000_000  # starts of new windows, of which those between a
 
 
 def judge_mileages(context: JobContext) -> int:
-    """Judge the mileages of wheelsets with new windows; return how many windows have another verdict.
-
-    Parameters
-    ----------
-    context
-        Storage; each wheelset is one transaction.
-    """
+    """Judge the mileages of wheelsets with new windows; return how many windows have another verdict."""
     with context.storage.read() as unit:
         wheelsets = unit.plausibility.unjudged()
     changed = 0

@@ -14,13 +14,7 @@ HOUR_NS = 3_600_000_000_000
 
 
 def pooled_ns(rule: LowAdhesionRule) -> int:
-    """Return how long passes are pooled, ns.
-
-    Parameters
-    ----------
-    rule
-        In force.
-    """
+    """Return how long passes are pooled, ns."""
     return round(rule.pooled_hours * HOUR_NS)
 
 
@@ -29,14 +23,8 @@ def friction_parameters(
 ) -> FrictionParameters:
     """Return the limits of a rule as the friction of a section is found with them, and what the file leaves open.
 
-    Parameters
-    ----------
-    rule
-        In force.
-    unit
-        A transaction that reads.
-    passes
-        That are pooled; a vehicle whose class is not on file counts as one without stds of its own.
+    Args:
+        passes: That are pooled; a vehicle whose class is not on file counts as one without stds of its own.
     """
     codes = {unit.registry.vehicle(code).vehicle_class for code in {one.vehicle for one in passes}}
     found = [unit.registry.vehicle_class(code) for code in sorted(codes)]
@@ -45,27 +33,16 @@ def friction_parameters(
 
 
 def section_length(unit: UnitOfWork, section: str) -> float:
-    """Return the length of a section, m; 0 of one that is not on file any more: it has no places.
-
-    Parameters
-    ----------
-    unit
-        A transaction that reads.
-    section
-        Code.
-    """
+    """Return the length of a section, m; 0 of one that is not on file any more: it has no places."""
     return next((one.length_m for one in unit.tracks.sections() if one.code == section), 0.0)
 
 
 def pool_ends(starts: Collection[int], length_ns: int) -> Sequence[int]:
     """Return the ends of as few spans as hold all times, oldest first; the last ends with the newest.
 
-    Parameters
-    ----------
-    starts
-        Times, ns.
-    length_ns
-        Of a span, both ends included.
+    Args:
+        starts: Times, ns.
+        length_ns: Of a span, both ends included.
     """
     ends: list[int] = []
     for start in sorted(set(starts), reverse=True):

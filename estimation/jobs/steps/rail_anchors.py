@@ -74,14 +74,8 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
     Sections with other rails, or another gauge, than those that all are compared with hold nothing, though their rails
     be known: what a wheel is there does not follow for the reference rails.
 
-    Parameters
-    ----------
-    unit
-        Registry, alignments and sections are read.
-    cells
-        All.
-    context
-        Names the sections whose rails are as on file.
+    Args:
+        context: Names the sections whose rails are as on file.
     """
     windows: Counter[str] = Counter()
     for one in cells:
@@ -108,14 +102,8 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
 def anchors(unit: UnitOfWork, inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
     """Return what holds the level, with the conicities that follow from profiles.
 
-    Parameters
-    ----------
-    unit
-        Measured profiles are read.
-    inputs
-        From :func:`anchor_inputs`.
-    amplitude
-        (k,) m.
+    Args:
+        amplitude: (k,) m.
     """
     nothing = np.full(len(amplitude), np.nan)
     wheel = designed_wheel(inputs.profile, inputs.nominal_radius)

@@ -42,14 +42,8 @@ def cells_of(unit: UnitOfWork, serial: str, context: JobContext) -> CellsFound:
     Of a mileage interval whose windows have been purged the cells stay as they are; where its geometry is refused by
     now they are not used, until it is not any more.
 
-    Parameters
-    ----------
-    unit
-        Roll-ups, tables, geometries, alignments and the registry are read.
-    serial
-        Serial number of the wheelset.
-    context
-        Settings and version of the numerics.
+    Args:
+        unit: Roll-ups, tables, geometries, alignments and the registry are read.
     """
     stored = {(one.wheel, one.rail): one for one in unit.rails.cells(serial)}
     rules = membership(unit, serial, ClassLookup(unit, context.settings.estimation))
@@ -151,13 +145,7 @@ class _CellReader:
 
 
 def at_own_gauge(track: TrackAlignment) -> TrackAlignment:
-    """Return an alignment whose gauge deviation has no mean: what a section's gauge does belongs to its rails.
-
-    Parameters
-    ----------
-    track
-        With the gauge as on file.
-    """
+    """Return an alignment whose gauge deviation has no mean: what a section's gauge does belongs to its rails."""
     return replace(track, gauge_deviation=track.gauge_deviation - np.mean(track.gauge_deviation))
 
 

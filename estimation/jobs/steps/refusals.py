@@ -16,26 +16,14 @@ def count_of(reason: Reason) -> str:
 
 
 def refusals(counts: Mapping[str, int]) -> dict[ReasonCode, int]:
-    """Return how many windows a run has refused, by reason code, the most frequent first.
-
-    Parameters
-    ----------
-    counts
-        Of the run.
-    """
+    """Return how many windows a run has refused, by reason code, the most frequent first."""
     known = {count_of(Reason(code, "")): code for code in ReasonCode}
     found = {known[name]: count for name, count in counts.items() if name in known and count}
     return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].value)))
 
 
 def refusals_text(counts: Mapping[str, int]) -> str:
-    """Return what windows were refused for, with what to do; empty where none was.
-
-    Parameters
-    ----------
-    counts
-        Of a run.
-    """
+    """Return what windows were refused for, with what to do; empty where none was."""
     parts = []
     for code, count in refusals(counts).items():
         remedy = code.remedy.rstrip(".")

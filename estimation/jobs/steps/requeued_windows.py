@@ -24,13 +24,6 @@ def requeued(context: JobContext, stage: str) -> Mapping[str, int]:
 
     A version that differs from the one of a table by less than that left unknown is none to estimate again for, nor is
     a recording of the gauge alone.
-
-    Parameters
-    ----------
-    context
-        Storage and settings.
-    stage
-        Name of the job.
     """
     with context.storage.read() as unit:
         news = section_news(unit, context, stage)
@@ -51,14 +44,11 @@ def requeued(context: JobContext, stage: str) -> Mapping[str, int]:
 class _Found:
     """What has come, and for what.
 
-    Attributes
-    ----------
-    outdated
-        Windows that were estimated on another version of the alignment, or with other parameters, than they are to be.
-    aligned
-        Sections with windows that were refused without an alignment, of which there is one.
-    classed
-        Vehicles with windows that were refused without a class, of which there is one.
+    Attributes:
+        outdated: Windows that were estimated on another version of the alignment, or with other parameters, than they
+            are to be.
+        aligned: Sections with windows that were refused without an alignment, of which there is one.
+        classed: Vehicles with windows that were refused without a class, of which there is one.
     """
 
     outdated: Collection[WindowKey]

@@ -37,20 +37,13 @@ Place = tuple[int, int]  # baseline and interval
 class RolledGeometries:
     """Geometries of one wheelset, as one transaction sees its roll-ups.
 
-    Attributes
-    ----------
-    unit
-        Everything is read from it.
-    rules
-        By which the windows were rolled.
-    rolled
-        The roll-ups.
-    context
-        Settings and version of the numerics.
-    radius
-        What was found of the radius on file on the way.
-    earlier
-        Digest and sum of the intervals before the newest one, where it had to be made.
+    Attributes:
+        unit: Everything is read from it.
+        rules: By which the windows were rolled.
+        rolled: The roll-ups.
+        context: Settings and version of the numerics.
+        radius: What was found of the radius on file on the way.
+        earlier: Digest and sum of the intervals before the newest one, where it had to be made.
     """
 
     unit: UnitOfWork
@@ -70,10 +63,8 @@ class RolledGeometries:
     def sums(self, part: Part) -> tuple[ExactTable, ExactTable]:
         """Return the sums of a roll-up; of those that have changed some are kept in memory.
 
-        Parameters
-        ----------
-        part
-            With a class that is still the same.
+        Args:
+            part: With a class that is still the same.
         """
         found = self._sums.get(part.roll_up.key) or sums(self.unit, self.rules, part)
         assert found is not None  # ``records`` asks for parts whose class is the same
@@ -253,10 +244,8 @@ class RolledGeometries:
     def estimated_with(self, parts: Sequence[Part]) -> EstimatedWith:
         """Return what a geometry is estimated with.
 
-        Parameters
-        ----------
-        parts
-            The roll-ups that it is made of; the class is that of the last one.
+        Args:
+            parts: The roll-ups that it is made of; the class is that of the last one.
         """
         assumed, versions = self._assumed(parts[-1]), _versions([part.roll_up for part in parts])
         newest = [self.unit.tracks.alignment(code, used[-1]) for code, used in versions.items()]
@@ -267,12 +256,8 @@ class RolledGeometries:
     def contradiction(self, parts: Sequence[Part], place: tuple[int, int | None]) -> Contradiction | None:
         """Return what speaks against a geometry beside its own samples; None where nothing does.
 
-        Parameters
-        ----------
-        parts
-            The roll-ups that it is made of.
-        place
-            Baseline and interval; None is the current geometry.
+        Args:
+            place: Baseline and interval; None is the current geometry.
         """
         roll_ups = [part.roll_up for part in parts]
         corrected = any(self._passed_over.contradicted(one) for one in roll_ups)
@@ -294,10 +279,8 @@ class RolledGeometries:
     def forgetting(self, parts: Sequence[Part]) -> BinTable:
         """Return the sum of roll-ups with forgetting; the newest window has weight 1.
 
-        Parameters
-        ----------
-        parts
-            In the order of their intervals.
+        Args:
+            parts: In the order of their intervals.
         """
         newest_km = max((part.roll_up for part in parts), key=lambda one: one.last_ns).last_km
         *before, last = parts

@@ -95,15 +95,7 @@ def _counted(part: Part) -> Part:
 
 
 def rolled(unit: UnitOfWork, rules: Membership) -> Rolled:
-    """Return the roll-ups of a wheelset with everything that has happened to its windows since they were stored.
-
-    Parameters
-    ----------
-    unit
-        Tables and roll-ups are read.
-    rules
-        Those in force.
-    """
+    """Return the roll-ups of a wheelset with everything that has happened to its windows since they were stored."""
     state, stored = unit.roll_ups.state(rules.wheelset), unit.roll_ups.of(rules.wheelset)
     if state is not None and _same_rules(state, rules):
         found = _continued(unit, rules, state, stored)
@@ -301,17 +293,7 @@ def _without(unit: UnitOfWork, rules: Membership, part: Part, taken: Sequence[Ta
 
 
 def members(unit: UnitOfWork, rules: Membership, part: Part) -> list[Member]:
-    """Return the windows of a roll-up that still have tables, oldest first.
-
-    Parameters
-    ----------
-    unit
-        Tables are read.
-    rules
-        By which they were rolled.
-    part
-        The roll-up.
-    """
+    """Return the windows of a roll-up that still have tables, oldest first."""
     key, number = part.roll_up.key, part.roll_up.number
     rolled_before = [] if number is None or part.afresh else unit.tables.of_roll_up(rules.wheelset, number)
     before = [rules.member(one, one.running_km, key) for one in rolled_before if one.running_km is not None]
@@ -321,14 +303,8 @@ def members(unit: UnitOfWork, rules: Membership, part: Part) -> list[Member]:
 def sums(unit: UnitOfWork, rules: Membership, part: Part) -> tuple[ExactTable, ExactTable] | None:
     """Return the sums of a roll-up's tables, plain and forgetting; None where its class is another by now.
 
-    Parameters
-    ----------
-    unit
-        Sums and tables are read, one table at a time.
-    rules
-        By which they were rolled.
-    part
-        The roll-up.
+    Args:
+        unit: Sums and tables are read, one table at a time.
     """
     roll_up = part.roll_up
     stored = None if part.afresh or roll_up.number is None else unit.roll_ups.sums(roll_up.number)

@@ -24,14 +24,10 @@ class RadiusOnFile:
 
     What most of them say was computed when they were estimated; of the others the samples are read, once in their life.
 
-    Attributes
-    ----------
-    unit
-        Windows are read.
-    wheelset
-        Serial number.
-    fresh
-        What was computed on the way.
+    Attributes:
+        unit: Windows are read.
+        wheelset: Serial number.
+        fresh: What was computed on the way.
     """
 
     unit: UnitOfWork
@@ -51,14 +47,9 @@ class RadiusOnFile:
         A window takes no part whose samples, or those of the other axle of its bogie, are missing or damaged. Where
         none has samples any more, what was found when they were there remains.
 
-        Parameters
-        ----------
-        chosen
-            Content digest and start of the windows.
-        assumed
-            Their class, with the radius on file.
-        stored
-            Returns what the geometry that is stored has against the radius, where it is asked for.
+        Args:
+            chosen: Content digest and start of the windows.
+            stored: Returns what the geometry that is stored has against the radius, where it is asked for.
         """
         found = self._sums({start_ns: digest for digest, start_ns in chosen}, assumed)
         before = None if found or stored is None else stored()
@@ -105,10 +96,8 @@ class RadiusOnFile:
 def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:
     """Return what a geometry keeps of a doubt on its radius among its parameters.
 
-    Parameters
-    ----------
-    found
-        What its windows have against the radius on file.
+    Args:
+        found: What its windows have against the radius on file.
     """
     if found is None or found.certain:
         return {}
@@ -119,14 +108,8 @@ def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:
 def former(unit: UnitOfWork, wheelset: str, baseline: int, interval: int | None) -> GeometryRecord | None:
     """Return the geometry that is stored of an interval, or the current one; None where there is none.
 
-    Parameters
-    ----------
-    unit
-        Geometries are read.
-    wheelset
-        Serial.
-    baseline, interval
-        Its key; None is the current geometry.
+    Args:
+        baseline, interval: Its key; None is the current geometry.
     """
     if interval is None:
         return next((one for one in unit.geometries.baselines(wheelset) if one.baseline == baseline), None)
@@ -137,10 +120,8 @@ def former(unit: UnitOfWork, wheelset: str, baseline: int, interval: int | None)
 def remembered(record: GeometryRecord | None) -> Contradiction | None:
     """Return what a stored geometry has against the radius on file; None where nothing.
 
-    Parameters
-    ----------
-    record
-        Of the geometry; None where none is stored.
+    Args:
+        record: Of the geometry; None where none is stored.
     """
     if record is None:
         return None

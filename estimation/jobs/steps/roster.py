@@ -28,10 +28,8 @@ class Roster:
 
         Alerts are of wheelsets; so what is known of a vehicle is said at one of its own.
 
-        Parameters
-        ----------
-        of_vehicles
-            By code; vehicles without a wheelset are left out.
+        Args:
+            of_vehicles: By code; vehicles without a wheelset are left out.
         """
         first: dict[str, tuple[int, str]] = {}
         for wheelset in self.wheelsets if of_vehicles else ():
@@ -43,11 +41,5 @@ class Roster:
 
 
 def roster(unit: UnitOfWork) -> Roster:
-    """Return what is on file.
-
-    Parameters
-    ----------
-    unit
-        The registry is read.
-    """
+    """Return what is on file."""
     return Roster(unit.registry.wheelsets(), {vehicle.code: vehicle for vehicle in unit.registry.vehicles()})

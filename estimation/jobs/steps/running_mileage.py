@@ -26,10 +26,8 @@ def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
 
     Where the odometer made no impossible step it is the mileage as stored, bit for bit.
 
-    Parameters
-    ----------
-    windows
-        Of one wheelset between two reprofilings, oldest first.
+    Args:
+        windows: Of one wheelset between two reprofilings, oldest first.
     """
     return [mileage_km for mileage_km, _ in running(windows, None)]
 
@@ -37,12 +35,9 @@ def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
 def running(windows: Sequence[WindowRecord], before: Odometer | None) -> list[tuple[float, Odometer]]:
     """Return the mileage of each window, km, and where the chain stands after it.
 
-    Parameters
-    ----------
-    windows
-        Of one wheelset between two reprofilings, oldest first.
-    before
-        Where the chain stands before the first of them; None where there is no earlier one.
+    Args:
+        windows: Of one wheelset between two reprofilings, oldest first.
+        before: Where the chain stands before the first of them; None where there is no earlier one.
     """
     at = before or _begin(windows)
     found: list[tuple[float, Odometer]] = []
@@ -53,24 +48,12 @@ def running(windows: Sequence[WindowRecord], before: Odometer | None) -> list[tu
 
 
 def known_mileage(stored_km: float) -> float:
-    """Return a stored mileage, NaN where no wheelset can have run it.
-
-    Parameters
-    ----------
-    stored_km
-        As the odometer gave it.
-    """
+    """Return a stored mileage, NaN where no wheelset can have run it."""
     return stored_km if abs(stored_km) <= MOST_KM else math.nan
 
 
 def plausible_step(first: WindowRecord, second: WindowRecord) -> bool:
-    """Whether the odometer made no impossible step from one window to a later one; both must have a reading.
-
-    Parameters
-    ----------
-    first, second
-        Of one wheelset between two reprofilings.
-    """
+    """Whether the odometer made no impossible step from one window to a later one; both must have a reading."""
     step = known_mileage(second.mileage_km) - known_mileage(first.mileage_km)
     return 0.0 <= step <= most_km((second.start_ns - first.start_ns) / NANOSECONDS)
 
@@ -94,9 +77,7 @@ def _read(at: Odometer, window: WindowRecord) -> Odometer:
 def most_km(seconds: float) -> float:
     """Return how far a vehicle can have run in some time, km.
 
-    Parameters
-    ----------
-    seconds
-        From 0.
+    Args:
+        seconds: From 0.
     """
     return FASTEST_KM_S * min(seconds, HOUR_S) + MOST_KM_DAY * seconds / DAY_S

@@ -20,14 +20,8 @@ def section_news(unit: UnitOfWork, context: JobContext, stage: str) -> dict[str,
     change (``fleet_db.changes``), and on what is compared here: its record, its alignments and layouts, classes and
     settings. Sections that are not on file any more count by their windows alone.
 
-    Parameters
-    ----------
-    unit
-        All of it as one transaction sees it, before the look.
-    context
-        Settings and version of the numerics.
-    stage
-        Name of the job.
+    Args:
+        unit: All of it as one transaction sees it, before the look.
     """
     seen, touched = unit.section_looks.of(stage), unit.section_looks.touched()
     common = _common(unit, context)
@@ -41,17 +35,7 @@ def section_news(unit: UnitOfWork, context: JobContext, stage: str) -> dict[str,
 
 
 def note_sections(context: JobContext, stage: str, looks: Mapping[str, SectionLook]) -> None:
-    """Note looks that found nothing to do; without any nothing is written.
-
-    Parameters
-    ----------
-    context
-        Storage.
-    stage
-        Name of the job.
-    looks
-        From :func:`section_news`.
-    """
+    """Note looks that found nothing to do; without any nothing is written."""
     if looks:
         with context.storage.write() as unit:
             unit.section_looks.note(stage, looks)

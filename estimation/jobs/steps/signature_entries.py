@@ -57,14 +57,10 @@ class Entries:
 class EntryReader:
     """Finds what the fleet knows of wheelsets, as one transaction sees it.
 
-    Attributes
-    ----------
-    unit
-        Registry, geometries and sections are read.
-    classes, vehicles
-        Of the same transaction.
-    parameters
-        How old and how uncertain a conicity may be.
+    Attributes:
+        unit: Registry, geometries and sections are read.
+        classes, vehicles: Of the same transaction.
+        parameters: How old and how uncertain a conicity may be.
     """
 
     unit: UnitOfWork
@@ -79,13 +75,7 @@ class EntryReader:
     _contacts: dict[tuple[str, int, RailShare], tuple[float, float] | None] = field(default_factory=dict)
 
     def entries(self, known: Sequence[KnownSignatures]) -> Entries:
-        """Return the library entries that signatures make, the newest of each wheelset, place and band of speed.
-
-        Parameters
-        ----------
-        known
-            Signatures of windows.
-        """
+        """Return the library entries that signatures make, the newest of each wheelset, place and band of speed."""
         doubted, left_out = frozenset(suspected(self.unit)), Counter[ReasonCode]()
         newest: dict[tuple[str, int, Place, int], LibraryEntry] = {}
         for one in known:
@@ -116,37 +106,17 @@ class EntryReader:
         return self._entries(one, baseline, label)
 
     def baseline_at(self, wheelset: str, at_ns: int) -> Baseline:
-        """Return the life of a wheelset's profile at a time.
-
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        at_ns
-            Vehicle time.
-        """
+        """Return the life of a wheelset's profile at a time."""
         return next(one for one in reversed(self.lives(wheelset)) if one.from_ns <= max(at_ns, 0))
 
     def lives(self, wheelset: str) -> Sequence[Baseline]:
-        """Return the lives of a wheelset's profile, oldest first.
-
-        Parameters
-        ----------
-        wheelset
-            Serial.
-        """
+        """Return the lives of a wheelset's profile, oldest first."""
         if wheelset not in self._baselines:
             self._baselines[wheelset] = baselines(self.classes.wheelset(wheelset))
         return self._baselines[wheelset]
 
     def sharing(self, one: KnownSignatures) -> tuple[str, ...]:
-        """Return the wheelsets whose samples are in a window's signatures: its own, and the other of its bogie.
-
-        Parameters
-        ----------
-        one
-            With signatures.
-        """
+        """Return the wheelsets whose samples are in a window's signatures: its own, and the other of its bogie."""
         found, on_file = one.found, self.classes.of_vehicle(one.found.vehicle)
         mounting = next((m for m in self._mountings(found.wheelset) if _within(m, found.vehicle, found.start_ns)), None)
         if isinstance(on_file, Reason) or mounting is None:
@@ -156,13 +126,7 @@ class EntryReader:
         return (found.wheelset,) if other is None else (found.wheelset, other.wheelset)
 
     def pair(self, one: KnownSignatures) -> DesignPair:
-        """Return the design profiles of wheels and rails that a window ran on.
-
-        Parameters
-        ----------
-        one
-            With signatures.
-        """
+        """Return the design profiles of wheels and rails that a window ran on."""
         section = self._section(one)
         rail = None if section is None else f"{section.rail_profile} {section.rail_inclination:.6f}"
         return DesignPair(self.classes.wheelset(one.found.wheelset).wheel_profile, rail)
@@ -250,10 +214,8 @@ class EntryReader:
 def at_limit(known: Sequence[KnownConicity]) -> tuple[float, float] | None:
     """Return conicity and std at 3 mm, extrapolated where the motion does not go as far; None where neither is known.
 
-    Parameters
-    ----------
-    known
-        Of one interval, in the order of their amplitudes.
+    Args:
+        known: Of one interval, in the order of their amplitudes.
     """
     for one in known:
         if abs(one.amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE:

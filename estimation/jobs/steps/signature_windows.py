@@ -32,12 +32,8 @@ TOGETHER = 200  # wheelsets asked for in one statement
 def refresh_windows(context: JobContext, wheelsets: Sequence[str]) -> Mapping[str, int]:
     """Store the signatures of windows that have none, batch by batch; return what was counted.
 
-    Parameters
-    ----------
-    context
-        Of the job.
-    wheelsets
-        Serials of those that may have such windows.
+    Args:
+        wheelsets: Serials of those that may have such windows.
     """
     counts: Counter[str] = Counter(signed=0, without_signature=0, made_again=0)
     for first in range(0, len(wheelsets), TOGETHER):
@@ -71,14 +67,8 @@ def _stored(
 def assumed_digest(assumed: Assumed, parameters: SignatureParameters, layouts: Mapping[str, int | None]) -> str:
     """Return the digest of all that the signatures of a wheelset on a vehicle rest on beside the samples.
 
-    Parameters
-    ----------
-    assumed
-        Class, filters and gates.
-    parameters
-        Cells and bands.
-    layouts
-        Versions by section.
+    Args:
+        layouts: Versions by section.
     """
     chosen = {name: value for name, value in asdict(parameters).items() if name in OF_SIGNATURES}
     text = repr((VERSION, assumed.digest, sorted(chosen.items()), sorted(layouts.items(), key=str)))
@@ -91,15 +81,6 @@ def usable(
     """Return the signatures that are made as they would be now and are finite, and how many windows have none.
 
     Those that were made otherwise and whose samples are purged cannot be made again: their places may be others.
-
-    Parameters
-    ----------
-    unit
-        Classes and layouts are read.
-    context
-        Settings.
-    known
-        Signatures of windows.
     """
     classes, layouts = ClassLookup(unit, context.settings.estimation), _layout_versions(unit)
     found, left_out, digests = [], Counter[ReasonCode](), dict[tuple[str, str], str]()

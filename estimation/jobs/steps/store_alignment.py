@@ -75,10 +75,8 @@ class Computed:
 def survey_checked(survey: Reason | None) -> bool:
     """Return whether a survey has been decided on.
 
-    Parameters
-    ----------
-    survey
-        What the fleet has found of it; None where it was not checked.
+    Args:
+        survey: What the fleet has found of it; None where it was not checked.
     """
     return code_of(survey) not in _UNDECIDED
 
@@ -88,19 +86,8 @@ def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
 
     Windows of an epoch that identified nothing are left for the next, but for those that hold no pass.
 
-    Parameters
-    ----------
-    unit
-        A transaction to write in.
-    computed
-        What was found.
-    context
-        Settings, clock and code version of the job.
-
-    Returns
-    -------
-    bool
-        Whether it was stored.
+    Returns:
+        bool: Whether it was stored.
     """
     due, section = computed.due, computed.due.section.code
     if _changed(unit, computed, context):
@@ -139,17 +126,7 @@ def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
 
 
 def cut(unit: UnitOfWork, due: Due, context: JobContext) -> None:
-    """Forget an epoch that has no window any more, and those behind it.
-
-    Parameters
-    ----------
-    unit
-        A transaction to write in.
-    due
-        The epoch.
-    context
-        Clock of the job.
-    """
+    """Forget an epoch that has no window any more, and those behind it."""
     unit.epochs.start_again(due.section.code, due.number - 1)
     unit.suspensions.forget(due.section.code, due.number, behind=True)
     _supersede(unit, due, due.before, context, kept=0)
@@ -188,14 +165,8 @@ def _after(unit: UnitOfWork, computed: Computed, context: JobContext) -> FoldSta
 def is_hardly_another(base: TrackAlignment | None, update: AlignmentUpdate, settings: AlignmentSettings) -> bool:
     """Return whether what an epoch makes of the alignment is, for its windows, the one that was in force before.
 
-    Parameters
-    ----------
-    base
-        The oldest version from which the one in force does not differ materially; None where there is none.
-    update
-        What the epoch makes of it.
-    settings
-        Differences that matter.
+    Args:
+        base: The oldest version from which the one in force does not differ materially; None where there is none.
     """
     if base is None:
         return False
@@ -272,15 +243,7 @@ def _report(unit: UnitOfWork, computed: Computed, version: int | None, context: 
 
 
 def classes_of(classes: ClassLookup, records: Sequence[WindowRecord]) -> dict[str, ClassOnFile]:
-    """Return the class of each vehicle of windows, where it is on file.
-
-    Parameters
-    ----------
-    classes
-        As on file.
-    records
-        Windows.
-    """
+    """Return the class of each vehicle of windows, where it is on file."""
     found = {vehicle: classes.of_vehicle(vehicle) for vehicle in sorted({record.vehicle for record in records})}
     return {vehicle: one for vehicle, one in found.items() if not isinstance(one, Reason)}
 

@@ -13,17 +13,7 @@ MOST_WINDOWS = 600  # of a running gear that count and are kept: 10 hours of run
 
 
 def store_dampers(unit: UnitOfWork, found: Sequence[WindowDamper], context: JobContext) -> None:
-    """Store what windows say, and the dampers of their running gears, in one transaction.
-
-    Parameters
-    ----------
-    unit
-        A transaction to write in.
-    found
-        Of windows that were read.
-    context
-        Code version.
-    """
+    """Store what windows say, and the dampers of their running gears, in one transaction."""
     for one in found:
         unit.dampers.put(one)
     for vehicle, first_axle in sorted({one.gear for one in found}):

@@ -30,23 +30,7 @@ def store_suspension(
     classes: Mapping[str, ClassOnFile],
     context: JobContext,
 ) -> int:
-    """Store the stiffness ratio of every vehicle that the epoch shows; return of how many.
-
-    Parameters
-    ----------
-    unit
-        A transaction to write in.
-    epoch
-        Where it belongs.
-    records
-        Windows of the epoch.
-    update
-        What was found.
-    classes
-        By vehicle, as the epoch was estimated with.
-    context
-        Clock and code version of the job.
-    """
+    """Store the stiffness ratio of every vehicle that the epoch shows; return of how many."""
     iterated = update.estimate.iterated
     if iterated is None or not update.estimate.report.converged or update.outcome.windows_wait:
         return 0
@@ -77,14 +61,8 @@ def store_suspension(
 def shown_by_wheelset(unit: UnitOfWork, on_file: Roster, book: RuleBook) -> Mapping[str, SuspensionShown]:
     """Return what is shown of all vehicles, each at the wheelset of the vehicle's first axle that has one.
 
-    Parameters
-    ----------
-    unit
-        Findings are read.
-    on_file
-        Wheelsets and vehicles.
-    book
-        What counts as now and what friction may do, the same for all; what raises and clears, by fleet and class.
+    Args:
+        book: What counts as now and what friction may do, the same for all; what raises and clears, by fleet and class.
     """
     p = book.rule(SuspensionChangeRule).parameters
     histories = suspension_histories(unit.suspensions.newest(p.recent + p.most_past), p)

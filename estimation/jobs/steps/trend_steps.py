@@ -21,15 +21,7 @@ AMPLITUDES = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)  # m, at which a profile behind 
 
 
 def last_change(unit: UnitOfWork, wheelset: WheelsetRecord) -> IdentityChange | None:
-    """Return the last change that data of a wheelset are not merged across: of its identity, or a step of its trend.
-
-    Parameters
-    ----------
-    unit
-        Alerts, mountings and trends are read.
-    wheelset
-        With its reprofilings.
-    """
+    """Return the last change that data of a wheelset are not merged across: of its identity, or a step of its trend."""
     identity = identity_change(unit, wheelset.serial)
     step = step_of(unit.trends.latest(wheelset.serial), wheelset)
     changes = [identity, None if step is None else IdentityChange(step.before_ns, step.after_ns)]
@@ -37,15 +29,7 @@ def last_change(unit: UnitOfWork, wheelset: WheelsetRecord) -> IdentityChange | 
 
 
 def step_of(record: TrendRecord | None, wheelset: WheelsetRecord) -> TrendStep | None:
-    """Return the newest step of the present profile; None where there is none.
-
-    Parameters
-    ----------
-    record
-        Newest trend.
-    wheelset
-        With its reprofilings.
-    """
+    """Return the newest step of the present profile; None where there is none."""
     return None if record is None or record.baseline != len(wheelset.reprofilings) else record.trend.step
 
 
@@ -54,16 +38,8 @@ def surroundings(
 ) -> StepSurroundings:
     """Return what else is known about the time of a step: the design of the wheel, and the other wheelsets.
 
-    Parameters
-    ----------
-    unit
-        Registry, sections and trends are read.
-    wheelset
-        With a step.
-    vehicle
-        Code of the one that it runs in.
-    behind
-        Its intervals behind the step.
+    Args:
+        behind: Its intervals behind the step.
     """
     mounted = [one for one in unit.registry.wheelsets(wheelset.fleet) if one.serial != wheelset.serial]
     beside = [one for one in mounted if one.mounting is not None and one.mounting.vehicle == vehicle]

@@ -18,16 +18,11 @@ from estimation.vehicle.class_on_file import ClassOnFile
 class Assumed:
     """What a window is estimated with.
 
-    Attributes
-    ----------
-    on_file
-        Class of the vehicle.
-    windows
-        What turns the window into motion.
-    table_key
-        Of the bin tables that follow.
-    digest
-        Of all that a result rests on, standard deviations included.
+    Attributes:
+        on_file: Class of the vehicle.
+        windows: What turns the window into motion.
+        table_key: Of the bin tables that follow.
+        digest: Of all that a result rests on, standard deviations included.
     """
 
     on_file: ClassOnFile
@@ -50,13 +45,7 @@ class ClassLookup:
     _wheelsets: dict[str, WheelsetRecord] = field(default_factory=dict)
 
     def wheelset(self, serial: str) -> WheelsetRecord:
-        """Return a wheelset.
-
-        Parameters
-        ----------
-        serial
-            Serial number.
-        """
+        """Return a wheelset."""
         if serial not in self._wheelsets:
             self._wheelsets[serial] = self.unit.registry.wheelset(serial)
         return self._wheelsets[serial]
@@ -64,23 +53,15 @@ class ClassLookup:
     def look_up(self, serials: Sequence[str]) -> None:
         """Look up several wheelsets together.
 
-        Parameters
-        ----------
-        serials
-            Those that are not on file are looked up again when they are asked for.
+        Args:
+            serials: Those that are not on file are looked up again when they are asked for.
         """
         missing = sorted(set(serials) - self._wheelsets.keys())
         if missing:
             self._wheelsets.update({one.serial: one for one in self.unit.registry.wheelsets_of(missing)})
 
     def of_vehicle(self, vehicle: str) -> ClassOnFile | Reason:
-        """Return the class of a vehicle, or that it is not on file.
-
-        Parameters
-        ----------
-        vehicle
-            Code.
-        """
+        """Return the class of a vehicle, or that it is not on file."""
         if vehicle not in self._classes:
             code = self.unit.registry.vehicle(vehicle).vehicle_class
             found = self.unit.registry.vehicle_class(code)
@@ -88,15 +69,7 @@ class ClassLookup:
         return self._classes[vehicle]
 
     def assumed(self, vehicle: str, wheelset: str) -> Assumed | Reason:
-        """Return what the windows of a wheelset on a vehicle are estimated with, or why they are not.
-
-        Parameters
-        ----------
-        vehicle
-            Code.
-        wheelset
-            Serial.
-        """
+        """Return what the windows of a wheelset on a vehicle are estimated with, or why they are not."""
         key = (vehicle, wheelset)
         if key not in self._assumed:
             self._assumed[key] = self._look_up(vehicle, wheelset)
@@ -121,11 +94,5 @@ class ClassLookup:
 
 
 def class_unknown(code: str) -> Reason:
-    """Return the reason why windows of a vehicle wait whose class is not on file.
-
-    Parameters
-    ----------
-    code
-        Of the class.
-    """
+    """Return the reason why windows of a vehicle wait whose class is not on file."""
     return Reason(ReasonCode.CLASS_UNKNOWN, f"class {code!r} of the vehicle is not on file")

@@ -15,10 +15,8 @@ LATEST_NS = 2**63 - 1
 class VehicleLookup:
     """Looks up vehicles and mountings.
 
-    Attributes
-    ----------
-    unit
-        Vehicles and mountings are read.
+    Attributes:
+        unit: Vehicles and mountings are read.
     """
 
     unit: UnitOfWork
@@ -28,15 +26,8 @@ class VehicleLookup:
     def vehicle(self, code: str) -> VehicleRecord:
         """Return a vehicle.
 
-        Parameters
-        ----------
-        code
-            Of the vehicle.
-
-        Raises
-        ------
-        NotFoundError
-            There is none of that code.
+        Raises:
+            NotFoundError: There is none of that code.
         """
         if code not in self._vehicles:
             self._vehicles[code] = self.unit.registry.vehicle(code)
@@ -45,12 +36,9 @@ class VehicleLookup:
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time; None where there was none.
 
-        Parameters
-        ----------
-        vehicle, axle
-            Code, and the axle from 1.
-        at_ns
-            ns UTC on the vehicle's clock.
+        Args:
+            vehicle, axle: Code, and the axle from 1.
+            at_ns: ns UTC on the vehicle's clock.
         """
         if vehicle not in self._mountings:
             self._mountings[vehicle] = self.unit.registry.mountings_on(vehicle, 0, LATEST_NS)

@@ -37,16 +37,11 @@ def facts_of(
 ) -> WheelsetFacts:
     """Return what the rules need of a wheelset, but for what is found beside the others of its fleet.
 
-    Parameters
-    ----------
-    unit
-        Geometries, trends, windows, dampers, alerts and exchanges of sensors are read.
-    wheelset, vehicle
-        The vehicle that it runs in; None where it is in none.
-    book
-        Of its fleet and class: it says how far back its rules look.
-    settings
-        Of all jobs.
+    Args:
+        unit: Geometries, trends, windows, dampers, alerts and exchanges of sensors are read.
+        wheelset, vehicle: The vehicle that it runs in; None where it is in none.
+        book: Of its fleet and class: it says how far back its rules look.
+        settings: Of all jobs.
     """
     mounting = wheelset.mounting
     alerts: Sequence[Alert] = unit.alerts.all_open(wheelset.serial)
@@ -83,17 +78,7 @@ def _profiles_measured_km(unit: UnitOfWork, wheelset: WheelsetRecord) -> float |
 
 
 def hunted_beside(unit: UnitOfWork, vehicle: str, windows: Sequence[WindowRecord]) -> frozenset[int]:
-    """Return in which windows a wheelset of the vehicle hunts; empty where nothing clips that it could explain.
-
-    Parameters
-    ----------
-    unit
-        Windows are read.
-    vehicle
-        Its code.
-    windows
-        Of a wheelset.
-    """
+    """Return in which windows a wheelset of the vehicle hunts; empty where nothing clips that it could explain."""
     clipped = [window.start_ns for window in windows if window.quality.clipped > 0.0]
     return unit.windows.hunted(vehicle, min(clipped)) if clipped else frozenset()
 
@@ -120,13 +105,7 @@ def _newest(
 
 
 def windows_wanted(book: RuleBook) -> tuple[int, float]:
-    """Return how many windows and how many kilometres the rules look back.
-
-    Parameters
-    ----------
-    book
-        Of a fleet and class.
-    """
+    """Return how many windows and how many kilometres the rules look back."""
     rules = (book.rule(SensorFaultRule), book.rule(HuntingRule), book.rule(DataQualityRule))
     flats = book.rule(WheelFlatRule)
     wanted = max(flats.latest_windows, *(rule.latest_windows for rule in rules))

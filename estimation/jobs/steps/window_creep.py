@@ -34,17 +34,7 @@ class CreepOfWindows:
 
 
 def creep_of_windows(unit: UnitOfWork, keys: Sequence[WindowKey], settings: EstimationSettings) -> CreepOfWindows:
-    """Return what is found of windows; one that is not there any more is left out.
-
-    Parameters
-    ----------
-    unit
-        A transaction to read in.
-    keys
-        Of the windows.
-    settings
-        Of the motion.
-    """
+    """Return what is found of windows; one that is not there any more is left out."""
     records = sorted(unit.windows.several(keys), key=lambda record: (record.vehicle, record.start_ns, record.axle))
     classes = ClassLookup(unit, settings)
     batch = inputs_of_batch(unit, records, classes)

@@ -33,12 +33,9 @@ class WindowInputs:
 class BatchInputs:
     """What the windows of a batch are estimated with, as one transaction sees it.
 
-    Attributes
-    ----------
-    vehicles
-        Of the transaction.
-    records
-        Of the windows and of those on the other axles of their bogies.
+    Attributes:
+        vehicles: Of the transaction.
+        records: Of the windows and of those on the other axles of their bogies.
     """
 
     vehicles: VehicleLookup
@@ -48,15 +45,8 @@ class BatchInputs:
     def of(self, key: WindowKey) -> WindowInputs:
         """Return what a window of the batch is estimated with.
 
-        Parameters
-        ----------
-        key
-            Of the window.
-
-        Raises
-        ------
-        Exception
-            It could not be read for this window.
+        Raises:
+            Exception: It could not be read for this window.
         """
         found = self._found[key]
         if isinstance(found, Exception):
@@ -67,14 +57,8 @@ class BatchInputs:
 def inputs_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord], classes: ClassLookup) -> BatchInputs:
     """Return what windows are estimated with.
 
-    Parameters
-    ----------
-    unit
-        Positions, layouts, vehicles, mountings and windows are read.
-    records
-        Of the windows.
-    classes
-        Of the same transaction.
+    Args:
+        classes: Of the same transaction.
     """
     vehicles = VehicleLookup(unit)
     positions = unit.tracks.positions([record.key for record in records])

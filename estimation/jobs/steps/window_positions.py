@@ -35,15 +35,7 @@ class Placing:
 
 
 def place_windows(unit: UnitOfWork, placing: Placing) -> None:
-    """Store where windows were; what was known of the others is forgotten.
-
-    Parameters
-    ----------
-    unit
-        A transaction to write in.
-    placing
-        The windows, and what was found of them.
-    """
+    """Store where windows were; what was known of the others is forgotten."""
     found = _positions(placing)
     for position in found:
         _place(unit, position)

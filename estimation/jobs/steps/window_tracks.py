@@ -14,12 +14,9 @@ from estimation.values.windows import WindowKey, WindowRecord
 class TrackLookup:
     """Looks up sections; each version of an alignment is read once.
 
-    Attributes
-    ----------
-    unit
-        Sections are read.
-    versions
-        By window, on which versions those of epochs are estimated.
+    Attributes:
+        unit: Sections are read.
+        versions: By window, on which versions those of epochs are estimated.
     """
 
     unit: UnitOfWork
@@ -29,13 +26,7 @@ class TrackLookup:
     _layouts: dict[str, TrackLayout | None] = field(default_factory=dict)
 
     def in_force(self, record: WindowRecord) -> AlignmentRecord | None:
-        """Return which alignment of a window's section is in force; None where none is, or the section is not known.
-
-        Parameters
-        ----------
-        record
-            Of the window.
-        """
+        """Return which alignment of a window's section is in force; None where none is, or the section is not known."""
         section = record.track_section
         if section is None:
             return None
@@ -44,13 +35,7 @@ class TrackLookup:
         return self._in_force[section]
 
     def alignment(self, record: WindowRecord) -> TrackAlignment | None:
-        """Return the alignment that a window is estimated on; None where there is none.
-
-        Parameters
-        ----------
-        record
-            Of the window.
-        """
+        """Return the alignment that a window is estimated on; None where there is none."""
         now, section = self.in_force(record), record.track_section
         version = self.versions.get(record.key, None if now is None else now.version)
         if section is None or version is None:
@@ -60,13 +45,7 @@ class TrackLookup:
         return self._alignments[section, version]
 
     def layout(self, record: WindowRecord) -> TrackLayout | None:
-        """Return the layout of a window's section; None where there is none.
-
-        Parameters
-        ----------
-        record
-            Of the window.
-        """
+        """Return the layout of a window's section; None where there is none."""
         section = record.track_section
         if section is None:
             return None
@@ -76,13 +55,5 @@ class TrackLookup:
 
 
 def tracks_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord]) -> TrackLookup:
-    """Return the look-up of the sections of some windows.
-
-    Parameters
-    ----------
-    unit
-        Epochs and sections are read.
-    records
-        Of the windows.
-    """
+    """Return the look-up of the sections of some windows."""
     return TrackLookup(unit, unit.epochs.alignment_versions([record.key for record in records]))

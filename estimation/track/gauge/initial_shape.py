@@ -37,14 +37,9 @@ def initial_gauge_effect(
 
     None where a gauge that would explain the residuals hardly varies.
 
-    Parameters
-    ----------
-    passes
-        On the grid of the panel.
-    solution, panel
-        As solved without gauge.
-    prior
-        What is known of the gauge deviation.
+    Args:
+        solution, panel: As solved without gauge.
+        prior: What is known of the gauge deviation.
     """
     vectors = _leading_vectors(passes, solution, panel)
     candidates = []

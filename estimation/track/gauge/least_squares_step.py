@@ -62,14 +62,9 @@ class _LinearisedPass:
 def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: Panel) -> PanelSolution:
     """Return a solution without gauge with h1 put in.
 
-    Parameters
-    ----------
-    solution
-        Solved without gauge.
-    effect
-        (w, gauge_basis_count) h1, m for ``gauge_unit`` of gauge.
-    panel
-        With a gauge.
+    Args:
+        solution: Solved without gauge.
+        effect: (w, gauge_basis_count) h1, m for ``gauge_unit`` of gauge.
     """
     h0, stiffness_term = solution.curves[:, :, : panel.parameters.basis_count], solution.curves[:, :, -1:]
     h1 = np.broadcast_to(effect, (len(h0), *effect.shape))
@@ -79,16 +74,8 @@ def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: Panel)
 def gauge_step(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior) -> GaugeStep:
     """Return the gauge deviation after one Gauss-Newton step from the gauge of ``panel``, with mean zero.
 
-    Parameters
-    ----------
-    passes
-        On the grid of the panel.
-    solution
-        Curves and alignment so far.
-    panel
-        With a gauge.
-    prior
-        Its standard deviation and smoothness.
+    Args:
+        prior: Its standard deviation and smoothness.
     """
     assert panel.gauge is not None
     rows = [one for item in passes if (one := _linearised(item, solution, panel)) is not None]

@@ -49,14 +49,8 @@ def search_gauge(
 ) -> FloatArray:
     """Return the gauge deviation (n,), m, with mean zero, at which ``passes`` agree best.
 
-    Parameters
-    ----------
-    passes, solution, panel
-        As solved last; ``panel.gauge`` is where the slow part of y - d is taken at.
-    shifts
-        All that the gauge does to each wheelset.
-    parameters
-        Grid, noise and smoothness.
+    Args:
+        passes, solution, panel: As solved last; ``panel.gauge`` is where the slow part of y - d is taken at.
     """
     levels = parameters.levels
     sums, squares = np.zeros((2, panel.grid.points, len(levels)))

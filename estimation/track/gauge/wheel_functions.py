@@ -80,15 +80,7 @@ class ContactSamples:
 def contact_samples(
     passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
 ) -> dict[ProfileLife, ContactSamples]:
-    """Return where every wheelset sat, seen from itself; what the filter takes from y - d is put back from h(R, e).
-
-    Parameters
-    ----------
-    passes
-        On the grid of the panel.
-    solution, panel
-        As solved, with a gauge.
-    """
+    """Return where every wheelset sat, seen from itself; what the filter takes from y - d is put back from h(R, e)."""
     found: dict[ProfileLife, list[FloatArray]] = {}
     for item in passes:
         curve = solution.curve_of(item.life)
@@ -105,15 +97,7 @@ def contact_samples(
 
 
 def fit_wheels(seen: ContactSamples, factor: float = 1.0) -> WheelFunctions:
-    """Return the functions of the wheels of one wheelset, gauge deviations taken ``factor`` times.
-
-    Parameters
-    ----------
-    seen
-        Contact samples of one wheelset.
-    factor
-        By which gauge deviations are multiplied.
-    """
+    """Return the functions of the wheels of one wheelset, gauge deviations taken ``factor`` times."""
     x, half = seen.displacement, 0.5 * factor * seen.gauge
     B = sparse.hstack([_hats(x - half, KNOTS), -_hats(-x - half, KNOTS)]).tocsr()
     normal, k = B.T @ B, len(KNOTS)
@@ -145,13 +129,7 @@ def remove_common_shift(shifts: Mapping[ProfileLife, GaugeShift]) -> dict[Profil
 
 
 def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[ProfileLife, GaugeShift]:
-    """Return all that the gauge does: what the panel knew beforehand, and h1 and h2 on top, as far as e was met.
-
-    Parameters
-    ----------
-    solution, panel
-        As solved, with a gauge.
-    """
+    """Return all that the gauge does: what the panel knew beforehand, and h1 and h2 on top, as far as e was met."""
     assert panel.gauge is not None
     p, largest = panel.parameters, float(np.abs(panel.gauge).max())
     e = np.clip(GAUGES, -largest, largest) / p.gauge_unit
@@ -170,10 +148,8 @@ def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
 
     h1 and e have a common factor that the panel leaves open, a wheel does not.
 
-    Parameters
-    ----------
-    seen
-        Contact samples by profile life.
+    Args:
+        seen: Contact samples by profile life.
     """
     return _best_factor(_misfits_by_factor(seen).sum(axis=0))
 
@@ -181,10 +157,8 @@ def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
 def gauge_factor_with_std(seen: Mapping[ProfileLife, ContactSamples]) -> tuple[float, float]:
     """Return ``gauge_factor`` and the std of its logarithm, by leaving out each wheelset; NaN of a single one.
 
-    Parameters
-    ----------
-    seen
-        Contact samples by profile life.
+    Args:
+        seen: Contact samples by profile life.
     """
     misfits = _misfits_by_factor(seen)
     whole = _best_factor(misfits.sum(axis=0))
@@ -214,12 +188,8 @@ def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[Profi
     It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
     what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
 
-    Parameters
-    ----------
-    seen
-        Contact samples by profile life.
-    shifts
-        What the gauge does to each wheelset.
+    Args:
+        seen: Contact samples by profile life.
     """
     return 1 if sum(_outwards(one, shifts[name]) for name, one in seen.items()) >= 0 else -1
 

@@ -116,14 +116,9 @@ def _knots(reach: float, count: int) -> FloatArray:
 def unfiltered_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
     """Return y - h(R) (m,) of a pass at all its grid points, m, before any filter.
 
-    Parameters
-    ----------
-    item
-        The pass.
-    curve
-        (unknowns,) coefficients of its wheelset.
-    panel
-        Its basis functions, and what is known beforehand.
+    Args:
+        curve: (unknowns,) coefficients of its wheelset.
+        panel: Its basis functions, and what is known beforehand.
     """
     shift = known_shift(item, panel)
     return np.asarray(item.displacement - shift - item.side * curve_displacement(item, curve, panel))
@@ -132,14 +127,9 @@ def unfiltered_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> F
 def pass_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
     """Return the high-passed y - h(R) (m,) of a pass at all its grid points, m.
 
-    Parameters
-    ----------
-    item
-        The pass.
-    curve
-        (unknowns,) coefficients of its wheelset.
-    panel
-        Its basis functions, and what is known beforehand.
+    Args:
+        curve: (unknowns,) coefficients of its wheelset.
+        panel: Its basis functions, and what is known beforehand.
     """
     return high_pass(unfiltered_residual(item, curve, panel), panel.grid.kernel)
 
@@ -147,12 +137,8 @@ def pass_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatAr
 def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
     """Return what is known beforehand of what the gauge does to y (m,), m.
 
-    Parameters
-    ----------
-    item
-        The pass.
-    panel
-        With what is known beforehand.
+    Args:
+        panel: With what is known beforehand.
     """
     shift = panel.known.gauge_shifts.get(item.life)
     if shift is None:
@@ -163,14 +149,8 @@ def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
 def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
     """Return ``curve`` (k,) times the functions that a pass's displacement is a sum of (m,), m, before the filter.
 
-    Parameters
-    ----------
-    item
-        The pass.
-    curve
-        (k,) coefficients of its wheelset.
-    panel
-        Its basis functions and gauge.
+    Args:
+        curve: (k,) coefficients of its wheelset.
     """
     p = panel.parameters
     R = np.clip(item.difference, -p.reach, p.reach)
@@ -185,12 +165,8 @@ def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> Fl
 def gauge_curves(curve: FloatArray, panel: Panel) -> tuple[FloatArray, FloatArray]:
     """Return h1 and h2 at the gauge knots (gauge_basis_count,), m, of the coefficients (unknowns,) of a wheelset.
 
-    Parameters
-    ----------
-    curve
-        (unknowns,) coefficients of a wheelset.
-    panel
-        With a gauge.
+    Args:
+        curve: (unknowns,) coefficients of a wheelset.
     """
     start, count = panel.parameters.basis_count, panel.parameters.gauge_basis_count
     return curve[start : start + count], curve[start + count : start + 2 * count]
@@ -199,12 +175,8 @@ def gauge_curves(curve: FloatArray, panel: Panel) -> tuple[FloatArray, FloatArra
 def gauge_at(points: IntArray, panel: Panel) -> FloatArray:
     """Return the gauge deviation (m,) at grid points, m; zero off the section.
 
-    Parameters
-    ----------
-    points
-        (m,) grid points.
-    panel
-        With a gauge.
+    Args:
+        points: (m,) grid points.
     """
     assert panel.gauge is not None
     on = panel.grid.contains(points)
@@ -224,12 +196,9 @@ def basis_functions(R: FloatArray, knots: FloatArray) -> FloatArray:
 def knot_shares(R: FloatArray, knots: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return the number of the knot below R (n,), and the share of the next knot in it (n,).
 
-    Parameters
-    ----------
-    R
-        (n,) m; beyond the knots shares are below 0 or above 1.
-    knots
-        (k,) m, increasing.
+    Args:
+        R: (n,) m; beyond the knots shares are below 0 or above 1.
+        knots: (k,) m, increasing.
     """
     cell = np.clip(np.searchsorted(knots, R) - 1, 0, len(knots) - 2)
     return cell, (R - knots[cell]) / (knots[cell + 1] - knots[cell])

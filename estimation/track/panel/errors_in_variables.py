@@ -32,15 +32,7 @@ class SlopeCorrection:
 
 
 def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrection:
-    """Return by how much the curves of a panel are too flat.
-
-    Parameters
-    ----------
-    state
-        The sums that were solved, prior alignment included.
-    solution
-        Of these sums.
-    """
+    """Return by how much the curves of a panel are too flat."""
     known = state.passes > 0.0
     passes, y = state.passes[known], state.displacement[known]
     curves = solution.curves[0]
@@ -59,14 +51,8 @@ def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrect
 def corrected(state: PanelState, solution: PanelSolution, factor: float) -> PanelSolution:
     """Return a solution with its curves multiplied by ``factor``, and the alignment that follows from them.
 
-    Parameters
-    ----------
-    state
-        The sums that were solved, prior alignment included.
-    solution
-        Of these sums.
-    factor
-        Of all curves.
+    Args:
+        factor: Of all curves.
     """
     passes = np.where(state.passes > 0.0, state.passes, 1.0)
     added = (factor - 1.0) * curves_of_sum(state, _without_stiffness(solution.curves[0])) / passes
@@ -80,10 +66,8 @@ def corrected(state: PanelState, solution: PanelSolution, factor: float) -> Pane
 def common_slope(solution: PanelSolution, other: PanelSolution) -> float:
     """Return the factor by which the curves of ``solution`` come nearest to those of another.
 
-    Parameters
-    ----------
-    solution, other
-        Of the same wheelsets, perhaps in another order; the second without a gauge.
+    Args:
+        solution, other: Of the same wheelsets, perhaps in another order; the second without a gauge.
     """
     count = len(solution.knots)
     along, own = 0.0, 0.0

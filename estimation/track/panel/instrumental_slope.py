@@ -47,14 +47,8 @@ def with_instrument(
 ) -> SlopeCorrection:
     """Return the correction of the curves' slope, with what the instrument shows of it; as it was where that is weak.
 
-    Parameters
-    ----------
-    slope
-        From the share that the curves explain.
-    passes
-        As placed.
-    solution, panel
-        As solved, without a gauge that varies.
+    Args:
+        solution, panel: As solved, without a gauge that varies.
     """
     if not slope.explained > 0.0:
         return slope  # the curves explain nothing, and nothing is known of their slope

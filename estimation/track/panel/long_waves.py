@@ -34,14 +34,8 @@ def long_wave_alignment(
 ) -> LongWaveAlignment:
     """Return the alignment from ``passes`` with the curves of ``solution``.
 
-    Parameters
-    ----------
-    passes
-        On the grid of the panel.
-    solution, panel
-        As solved.
-    cutoff_wavelength
-        Of the alignment that is returned, m.
+    Args:
+        cutoff_wavelength: Of the alignment that is returned, m.
     """
     weights = local_cubic_kernel(cutoff_wavelength, panel.grid.step)
     total, square, count, curves = np.zeros((4, panel.grid.points))

@@ -58,25 +58,15 @@ def measured_curve(
 ) -> MeasuredCurve:
     """Return the curve of the measured profiles of a wheelset on a track.
 
-    Parameters
-    ----------
-    name
-        For reports.
-    left, right
-        Wheels, in the axes of ``estimation.contact.profiles``.
-    std
-        Of the displacement that follows, m.
-    rail, inclination, gauge
-        Name of the rail's profile; tangent; nominal gauge, m.
-    at_rails
-        Whether passes have their displacement at rail level, as EN 15302, or that of the axle, which rolls.
+    Args:
+        left, right: Wheels, in the axes of ``estimation.contact.profiles``.
+        std: Of the displacement that follows, m.
+        rail, inclination, gauge: Name of the rail's profile; tangent; nominal gauge, m.
+        at_rails: Whether passes have their displacement at rail level, as EN 15302, or that of the axle, which rolls.
 
-    Raises
-    ------
-    ContactError
-        The profiles do not meet the rails.
-    ProfileError
-        No such rail.
+    Raises:
+        ContactError: The profiles do not meet the rails.
+        ProfileError: No such rail.
     """
     rails = rail_profile(rail)
     wheelset = WheelsetOnTrack(left, right, rails, rails, inclination, gauge)

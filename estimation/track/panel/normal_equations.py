@@ -71,12 +71,8 @@ def init(panel: Panel) -> PanelState:
 def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
     """Return the state with ``passes`` added; the cost is that of the passes, and one copy of the sums.
 
-    Parameters
-    ----------
-    state
-        Sums so far.
-    passes
-        On the grid of the state's panel.
+    Args:
+        passes: On the grid of the state's panel.
     """
     lives = tuple(dict.fromkeys((*state.lives, *(item.life for item in passes))))
     new = len(lives) - len(state.lives)
@@ -134,12 +130,8 @@ def _by_block(rows: PassRows, panel: Panel) -> Iterator[tuple[int, npt.NDArray[n
 def groups_of(at: IntArray, panel: Panel) -> IntArray:
     """Return the group (m,) of each grid point: blocks along the section, assigned in turn.
 
-    Parameters
-    ----------
-    at
-        (m,) grid points.
-    panel
-        Length of a block, and number of groups.
+    Args:
+        at: (m,) grid points.
     """
     return np.asarray(_block_of(at, panel) % panel.parameters.groups)
 

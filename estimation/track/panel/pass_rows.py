@@ -35,12 +35,8 @@ def pass_rows(item: GriddedPass, panel: Panel) -> PassRows:
 
     Design matrix and R change their sign where the wheelset's left wheel runs on the section's right rail.
 
-    Parameters
-    ----------
-    item
-        The pass.
-    panel
-        Its basis functions, and what is known beforehand.
+    Args:
+        panel: Its basis functions, and what is known beforehand.
     """
     used = as_slice(np.flatnonzero(item.inside))
     displacement = item.displacement - known_shift(item, panel)
@@ -74,16 +70,11 @@ def _design(item: GriddedPass, panel: Panel) -> Singles:
 def add_filtered_hats(rows: Singles, cell: IntArray, share: Singles, factor: Singles, weights: Singles) -> None:
     """Add piecewise linear functions, times a factor and less their local fit, to rows.
 
-    Parameters
-    ----------
-    rows
-        (k, m) that are added to.
-    cell, share
-        (m,) number of the function below each sample, and the share of the next one.
-    factor
-        (m,) of both.
-    weights
-        (2 r + 1,) of the local fit, symmetric.
+    Args:
+        rows: (k, m) that are added to.
+        cell, share: (m,) number of the function below each sample, and the share of the next one.
+        factor: (m,) of both.
+        weights: (2 r + 1,) of the local fit, symmetric.
     """
     m, reach = len(cell), len(weights) // 2
     for i in range(m):

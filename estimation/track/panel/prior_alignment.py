@@ -35,14 +35,9 @@ class PriorAlignment:
 def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength: float) -> PriorAlignment:
     """Return the prior alignment on the grid of the panel.
 
-    Parameters
-    ----------
-    evidence
-        Alignment of the section, from a survey or an earlier version, on its own grid.
-    grid
-        Grid of the section.
-    cutoff_wavelength
-        Of the panel's high-pass, m; an alignment filtered at this wavelength is not filtered again.
+    Args:
+        evidence: Alignment of the section, from a survey or an earlier version, on its own grid.
+        cutoff_wavelength: Of the panel's high-pass, m; an alignment filtered at this wavelength is not filtered again.
     """
     s = grid.s
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
@@ -68,16 +63,8 @@ def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength
 def add_prior(state: PanelState, known: PriorAlignment, noise: float, most_weight: float) -> PanelState:
     """Return the sums with the evidence added, as heavy as its variance makes it against a pass's ``noise`` (m).
 
-    Parameters
-    ----------
-    state
-        Sums over the passes.
-    known
-        The prior alignment on the grid.
-    noise
-        Std of y - d - h(R) of a pass, m.
-    most_weight
-        Of the prior alignment, in passes.
+    Args:
+        noise: Std of y - d - h(R) of a pass, m.
     """
     with np.errstate(divide="ignore"):
         weight = np.minimum((noise / known.std) ** 2, most_weight)
@@ -101,14 +88,8 @@ def fleet_step(state: PanelState, solution: PanelSolution, known: PriorAlignment
     Journeys move towards the alignment of all, most of which they have made themselves: as a whole they would come
     nearer by the share of the evidence in it, round by round, while stiffness ratios make up for what is left.
 
-    Parameters
-    ----------
-    state
-        Sums over the passes without the evidence.
-    solution
-        Of the passes with the evidence.
-    known
-        The evidence on the grid.
+    Args:
+        state: Sums over the passes without the evidence.
     """
     weight = solution.passes - state.passes
     observed = (weight > 0) & (state.passes > 0) & np.isfinite(solution.alignment)

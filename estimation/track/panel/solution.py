@@ -64,12 +64,8 @@ class PanelSolution:
 def result(state: PanelState, *, std: bool = True) -> PanelSolution:
     """Return alignment and curves as the passes so far determine them; quicker without std.
 
-    Parameters
-    ----------
-    state
-        Sums over the passes.
-    std
-        Whether to compute standard deviations.
+    Args:
+        std: Whether to compute standard deviations.
     """
     p = state.panel.parameters
     n = state.panel.grid.points
@@ -144,12 +140,8 @@ def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArra
 def curves_of_sum(state: PanelState, curves: FloatArray) -> FloatArray:
     """Return the sum over passes (n,), m, of what curves (w, c) make of displacement.
 
-    Parameters
-    ----------
-    state
-        Sums over the passes.
-    curves
-        (w, c) coefficients of the wheelsets.
+    Args:
+        curves: (w, c) coefficients of the wheelsets.
     """
     return np.asarray(_by_curves(curves[None], state)[0])
 
@@ -157,12 +149,8 @@ def curves_of_sum(state: PanelState, curves: FloatArray) -> FloatArray:
 def prior_of_curves(gram: FloatArray, panel: Panel) -> FloatArray:
     """Return the normal matrix (c, c) of what is known of one wheelset's columns, for sums (w, c, c) of all.
 
-    Parameters
-    ----------
-    gram
-        (w, c, c) sums of products of the basis functions.
-    panel
-        Its basis functions.
+    Args:
+        gram: (w, c, c) sums of products of the basis functions.
     """
     size = float(np.einsum("wkk->wk", gram)[:, : panel.parameters.basis_count].mean())
     return _prior(size if size > 0.0 else 1.0, panel)
@@ -273,12 +261,8 @@ def _residual_rms(state: PanelState, curve: FloatArray, whole: _Equations) -> fl
 def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
     """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off.
 
-    Parameters
-    ----------
-    state
-        Sums over the passes, without a prior alignment.
-    solution
-        As solved.
+    Args:
+        state: Sums over the passes, without a prior alignment.
     """
     c = solution.curves[0].reshape(len(state.lives), -1)
     d = np.nan_to_num(solution.alignment)
@@ -297,13 +281,7 @@ def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
 
 
 def between_pass_std_ratio(state: PanelState) -> float:
-    """Return the std of R between the passes of a place over the std of R.
-
-    Parameters
-    ----------
-    state
-        Sums over the passes.
-    """
+    """Return the std of R between the passes of a place over the std of R."""
     several = state.passes > 1
     count = state.passes[several]
     sums, squares = state.difference[0, several], state.difference[1, several]
@@ -315,12 +293,8 @@ def between_pass_std_ratio(state: PanelState) -> float:
 def too_few_passes(least: int, most: int) -> Reason:
     """Return that no place has enough passes.
 
-    Parameters
-    ----------
-    least
-        How many a place needs.
-    most
-        How many there are where there are most.
+    Args:
+        most: How many there are where there are most.
     """
     return Reason(ReasonCode.TOO_FEW_PASSES, f"no place with {least} passes: {most} at most, {least - most} to go")
 

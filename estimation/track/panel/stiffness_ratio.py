@@ -33,13 +33,7 @@ class Ratio:
 
 
 def ratio_values(ratios: Mapping[str, Ratio]) -> dict[str, float]:
-    """Return the value of each vehicle's ratio.
-
-    Parameters
-    ----------
-    ratios
-        By vehicle.
-    """
+    """Return the value of each vehicle's ratio."""
     return {vehicle: one.value for vehicle, one in ratios.items()}
 
 
@@ -56,17 +50,10 @@ def refine_ratios(
     are worth against what is known beforehand. Where measured profiles had to determine the curves, the ratios are as
     assumed.
 
-    Parameters
-    ----------
-    ratios
-        By vehicle, as the passes were adjusted.
-    passes
-        On the grid of the panel.
-    solution, panel
-        As solved.
-    explained
-        Share r2 of the differences of y between the passes of a place that the curves explain. What they leave is error
-        of R; as far as R is its stiffness term it makes the ratio too small, in every block of data alike.
+    Args:
+        explained: Share r2 of the differences of y between the passes of a place that the curves explain. What they
+            leave is error of R; as far as R is its stiffness term it makes the ratio too small, in every block of data
+            alike.
     """
     if solution.report.curves_fixed:
         return {item.source.vehicle: Ratio() for item in passes if item.source.stiffness_term is not None}
@@ -108,16 +95,8 @@ def with_ratio_std(
 ) -> dict[str, Ratio]:
     """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``.
 
-    Parameters
-    ----------
-    ratios
-        By vehicle.
-    passes
-        On the grid of the panel.
-    solution, panel
-        As solved, with standard deviations.
-    explained
-        As :func:`refine_ratios` takes it.
+    Args:
+        solution, panel: As solved, with standard deviations.
     """
     found = refine_ratios(ratios, passes, solution, panel, explained)
     return {
@@ -132,12 +111,8 @@ def error_of_difference(ratios: Mapping[str, Ratio], passes: Sequence[GriddedPas
     In a stiff bogie nearly all of R is its stiffness term, a small difference of two yaws, whose errors follow the
     motion as curves do: there the passes determine neither the ratio nor the curves.
 
-    Parameters
-    ----------
-    ratios
-        By vehicle, with their standard deviations.
-    passes
-        On the grid of the panel.
+    Args:
+        ratios: By vehicle, with their standard deviations.
     """
     shares = _stiffness_shares([item for item in passes if item.source.vehicle in ratios])
     return max((float(np.sqrt(share)) * ratios[vehicle].std for vehicle, share in shares.items()), default=0.0)

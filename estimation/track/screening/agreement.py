@@ -61,12 +61,8 @@ NOTHING = Agreement(0.0, 0.0, 0.0, 0.0, 0.0)
 def filter_pass(item: Pass, cutoff_wavelength: float, step: float) -> FilteredPass | None:
     """Return the high-passed signals of a pass; None where it is shorter than the filter reaches.
 
-    Parameters
-    ----------
-    item
-        The pass.
-    cutoff_wavelength, step
-        Of the filter and of the grid, m.
+    Args:
+        cutoff_wavelength, step: Of the filter and of the grid, m.
     """
     weights = local_cubic_kernel(cutoff_wavelength, step)
     reach = len(weights) // 2
@@ -82,14 +78,8 @@ def alignment_segment(
 ) -> FilteredPass | None:
     """Return the longest known stretch of an alignment between two grid points, high-passed unless it is already.
 
-    Parameters
-    ----------
-    track
-        The alignment.
-    first, last
-        Grid points.
-    cutoff_wavelength, step
-        Of the filter and of the grid, m.
+    Args:
+        cutoff_wavelength, step: Of the filter and of the grid, m.
     """
     grid = np.arange(first, last + 1) * step
     known = np.isfinite(track.alignment)
@@ -121,16 +111,10 @@ def agreement(first: FilteredPass, second: FilteredPass, largest_offset: float, 
     Where they share much, odometers of other scale drift apart by more than a wavelength; a few pieces of it are then
     compared, each by itself, and the one that agrees neither most nor least is returned.
 
-    Parameters
-    ----------
-    first
-        A pass.
-    second
-        A pass or an alignment, on the same grid spacing.
-    largest_offset
-        By how much their positions may disagree, m, both ways.
-    least_length
-        Of what they share, m.
+    Args:
+        second: A pass or an alignment, on the same grid spacing.
+        largest_offset: By how much their positions may disagree, m, both ways.
+        least_length: Of what they share, m.
     """
     step = first.step
     start, stop = max(first.first, second.first), min(first.last, second.last) + 1

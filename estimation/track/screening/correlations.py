@@ -12,12 +12,8 @@ from estimation.values.arrays import FloatArray
 def cross_products(first: FloatArray, second: FloatArray, reach: int) -> FloatArray:
     """Return the sums (2 reach + 1, p, q) over i of first(i) second(i + lag), for lags from -reach to reach.
 
-    Parameters
-    ----------
-    first, second
-        (p, n) and (q, n) in any unit.
-    reach
-        Largest lag, below n.
+    Args:
+        first, second: (p, n) and (q, n) in any unit.
     """
     p, n = first.shape
     q = second.shape[0]
@@ -37,12 +33,8 @@ def cross_products(first: FloatArray, second: FloatArray, reach: int) -> FloatAr
 def own_products(signals: FloatArray, reach: int) -> FloatArray:
     """Return the sums (m, reach + 1) over i of signal(i) signal(i + lag), for lags from 0 to reach.
 
-    Parameters
-    ----------
-    signals
-        (m, n) in any unit.
-    reach
-        Largest lag, below n.
+    Args:
+        signals: (m, n) in any unit.
     """
     m, n = signals.shape
     found = np.zeros((m, reach + 1))

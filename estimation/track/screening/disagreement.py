@@ -8,19 +8,7 @@ from estimation.values.reasons import Reason, ReasonCode
 
 
 def disagreement(found: Agreement, usual: float, p: ScreeningParameters, other: str) -> Reason | None:
-    """Return why two signals do not agree; None where they do.
-
-    Parameters
-    ----------
-    found
-        What they have in common.
-    usual
-        Factor of their displacements where both are right.
-    p
-        Limits.
-    other
-        What the second one is, for the sentence.
-    """
+    """Return why two signals do not agree; None where they do."""
     if found.log10_chance > p.log10_chance:
         return Reason(
             ReasonCode.OTHER_SECTION,

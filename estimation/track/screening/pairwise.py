@@ -39,14 +39,10 @@ def compare_pairs(
 ) -> list[Comparison]:
     """Return the comparisons of every pass with up to ``p.peers`` that overlap it most, of as many other journeys.
 
-    Parameters
-    ----------
-    filtered
-        Passes by index.
-    journey_of
-        (n,) number of each pass's journey; those of one journey share their errors and are not compared.
-    p
-        Limits, and how many peers; the cost is linear in the number of passes.
+    Args:
+        filtered: Passes by index.
+        journey_of: (n,) number of each pass's journey; those of one journey share their errors and are not compared.
+        p: Limits, and how many peers; the cost is linear in the number of passes.
     """
     pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers)}
     comparisons = (_compare(i, j, filtered, p) for i, j in sorted(pairs))
@@ -91,14 +87,9 @@ def minority(
 ) -> dict[int, Reason]:
     """Return the passes that are contradicted by at least as many journeys as stand with them, with the reason.
 
-    Parameters
-    ----------
-    comparisons
-        Of the passes.
-    journey_of
-        (n,) number of each pass's journey.
-    confirmed
-        Passes that a known alignment agrees with: they are not refused, and whom they contradict is.
+    Args:
+        journey_of: (n,) number of each pass's journey.
+        confirmed: Passes that a known alignment agrees with: they are not refused, and whom they contradict is.
     """
     camp = _camps(comparisons, len(journey_of))
     members: dict[int, set[int]] = {}

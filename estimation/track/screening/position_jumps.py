@@ -34,16 +34,10 @@ class Link:
 def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, tolerance: float) -> Mapping[int, float]:
     """Return by pass how far it is from the rest of its journey, m, where its position jumped.
 
-    Parameters
-    ----------
-    links
-        Agreements of passes of different journeys.
-    journey_of
-        (n,) number of each pass's journey.
-    middle
-        (n,) m along the section.
-    tolerance
-        m by which neighbours in a journey may differ, besides the scale of an odometer.
+    Args:
+        journey_of: (n,) number of each pass's journey.
+        middle: (n,) m along the section.
+        tolerance: m by which neighbours in a journey may differ, besides the scale of an odometer.
     """
     if not links:
         return {}

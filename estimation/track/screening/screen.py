@@ -63,14 +63,9 @@ def screen(
 ) -> Screened:
     """Return which of the passes of a section may be used.
 
-    Parameters
-    ----------
-    passes
-        Of one section, at the positions that were measured.
-    known
-        What is known of its alignment.
-    parameters
-        What it takes.
+    Args:
+        passes: Of one section, at the positions that were measured.
+        known: What is known of its alignment.
     """
     p = parameters or ScreeningParameters()
     signals = [filter_pass(item, p.cutoff_wavelength, p.step) for item in passes]

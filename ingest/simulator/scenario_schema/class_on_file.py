@@ -32,15 +32,11 @@ class ClassOnFileTable(InputTable):
     def plan(self, folder: Path) -> ClassOnFile:
         """Return what is on file.
 
-        Parameters
-        ----------
-        folder
-            Folder of the scenario file: a relative file name starts here.
+        Args:
+            folder: Folder of the scenario file: a relative file name starts here.
 
-        Raises
-        ------
-        ScenarioError
-            The file is no class file.
+        Raises:
+            ScenarioError: The file is no class file.
         """
         path = shipped_path(self.shipped) if self.shipped is not None else folder / str(self.file)
         radius = None if self.nominal_radius_mm is None else MM * self.nominal_radius_mm

@@ -48,10 +48,8 @@ class PairTable(RailFiles):
     def plan(self, folder: Path) -> ProfilePair:
         """Return the pair in SI units.
 
-        Parameters
-        ----------
-        folder
-            Folder of the scenario file: relative file names start here.
+        Args:
+            folder: Folder of the scenario file: relative file names start here.
         """
         return ProfilePair(
             name=self.name,
@@ -95,15 +93,11 @@ class WearTable(InputTable):
     def check(self, deepest_mm: float) -> None:
         """Refuse limits that leave no room for the mean.
 
-        Parameters
-        ----------
-        deepest_mm
-            Of the pair: the upper limit where the table has none.
+        Args:
+            deepest_mm: Of the pair: the upper limit where the table has none.
 
-        Raises
-        ------
-        PydanticCustomError
-            With the location inside this table.
+        Raises:
+            PydanticCustomError: With the location inside this table.
         """
         highest = deepest_mm if self.highest_mm is None else self.highest_mm
         if highest < self.lowest_mm:
@@ -174,10 +168,8 @@ class DrawnFleetTable(InputTable):
     def plan(self, folder: Path) -> DrawnFleet:
         """Return the fleet in SI units.
 
-        Parameters
-        ----------
-        folder
-            Folder of the scenario file: relative file names start here.
+        Args:
+            folder: Folder of the scenario file: relative file names start here.
         """
         return DrawnFleet(
             pairs=tuple(pair.plan(folder) for pair in self.pairs),

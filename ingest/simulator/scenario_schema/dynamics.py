@@ -26,12 +26,8 @@ def _arrangement(text: str) -> str:
 def impossible_bogies(offsets: Sequence[float], wheelbase: float) -> str | None:
     """Return why axles at ``offsets`` are not in bogies of ``wheelbase``, both m; None where they are.
 
-    Parameters
-    ----------
-    offsets
-        Of the axles, front to rear.
-    wheelbase
-        Of every bogie.
+    Args:
+        wheelbase: Of every bogie.
     """
     if len(offsets) % AXLES_OF_A_BOGIE:
         return f"{len(offsets)} wheelsets, bogies have two each"

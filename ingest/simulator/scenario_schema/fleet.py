@@ -97,12 +97,9 @@ class WheelsetTable(InputTable):
     def plan(self, folder: Path, radius: float) -> WheelsetPlan:
         """Return the wheelset in SI units; where wear is not located, as measured on such wheels.
 
-        Parameters
-        ----------
-        folder
-            Folder of the scenario file: relative file names start here.
-        radius
-            Nominal rolling radius where the table has none, m.
+        Args:
+            folder: Folder of the scenario file: relative file names start here.
+            radius: Nominal rolling radius where the table has none, m.
         """
         family = WearFamily.S1002_ON_60E1 if "1002" in self.wheel_profile else WearFamily.P8_ON_56E1
         course = wear_course(family, 0.0)
@@ -167,13 +164,7 @@ class VehicleTable(InputTable):
         return self
 
     def offsets(self, bogie: BogieParameters | None) -> tuple[float, ...]:
-        """Return the distances of the axles behind the position reference, m.
-
-        Parameters
-        ----------
-        bogie
-            Of the vehicles, where they have bogies.
-        """
+        """Return the distances of the axles behind the position reference, m."""
         if self.axle_offsets_m is None:
             return usual_offsets(len(self.wheelsets), bogie)
         return tuple(self.axle_offsets_m)
@@ -181,14 +172,9 @@ class VehicleTable(InputTable):
     def plan(self, folder: Path, radius: float, bogie: BogieParameters | None) -> VehiclePlan:
         """Return the vehicle in SI units.
 
-        Parameters
-        ----------
-        folder
-            Folder of the scenario file: relative file names start here.
-        radius
-            Nominal rolling radius of wheelsets that have none of their own, m.
-        bogie
-            Of the vehicles, where they have bogies.
+        Args:
+            folder: Folder of the scenario file: relative file names start here.
+            radius: Nominal rolling radius of wheelsets that have none of their own, m.
         """
         return VehiclePlan(
             code=self.code,

@@ -54,10 +54,8 @@ class IsolatedTable(InputTable):
     def impossible(self, interval: float, length: float) -> Iterator[tuple[str, str]]:
         """Yield keys and reasons: what the grid of the section cannot carry, places that are not on the section.
 
-        Parameters
-        ----------
-        interval, length
-            Of the grid and of the section, m.
+        Args:
+            interval, length: Of the grid and of the section, m.
         """
         if self.length_m < FEWEST_INTERVALS * interval:
             yield "length_m", f"{self.length_m:g} m is shorter than {FEWEST_INTERVALS} intervals of {interval:g} m"
@@ -65,13 +63,7 @@ class IsolatedTable(InputTable):
             yield "at_m", f"{self.at_m[-1]:g} m; the section has {length:g} m"
 
     def plan(self, kind: IsolatedKind) -> Isolated:
-        """Return the irregularities in SI units.
-
-        Parameters
-        ----------
-        kind
-            What they are.
-        """
+        """Return the irregularities in SI units."""
         return Isolated(
             kind=kind,
             length=self.length_m,

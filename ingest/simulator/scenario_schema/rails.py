@@ -37,13 +37,7 @@ class RailWearTable(InputTable):
     growth_mm_per_100_mgt: NotNegative = 0.0
 
     def deepest_mm(self, traffic_mgt: float) -> float:
-        """Return the depth of the deeper band after some traffic, mm.
-
-        Parameters
-        ----------
-        traffic_mgt
-            Million gross tonnes since the first campaign.
-        """
+        """Return the depth of the deeper band after some traffic, mm."""
         deeper = max(side for side in (self.depth_mm, self.depth_left_mm, self.depth_right_mm) if side is not None)
         return deeper + self.growth_mm_per_100_mgt * traffic_mgt / MGT_OF_GROWTH
 
@@ -96,10 +90,8 @@ class RailFiles(InputTable):
     def files(self, folder: Path) -> SideFiles:
         """Return the files of left and right rail.
 
-        Parameters
-        ----------
-        folder
-            Folder of the scenario file: relative names start here.
+        Args:
+            folder: Folder of the scenario file: relative names start here.
         """
         left, right = (self.rail_file or side for side in (self.rail_left_file, self.rail_right_file))
         return None if left is None else folder / left, None if right is None else folder / right
@@ -114,10 +106,8 @@ class RailFiles(InputTable):
     def inclination_of_files(self, built_1_in: float) -> float:
         """Return the inclination that rails from files are given, as a tangent.
 
-        Parameters
-        ----------
-        built_1_in
-            Inclination of the section, 1 in so many: where the table says nothing else.
+        Args:
+            built_1_in: Inclination of the section, 1 in so many: where the table says nothing else.
         """
         run = built_1_in if self.rail_file_inclination_1_in is None else self.rail_file_inclination_1_in
         return 0.0 if run == 0.0 else 1.0 / run

@@ -78,10 +78,8 @@ class SessionsTable(InputTable):
     def plan(self, longest_s: float) -> Sessions:
         """Return the campaigns in SI units, times in ns of the vehicle clock.
 
-        Parameters
-        ----------
-        longest_s
-            How long a run over the whole section takes at most, s.
+        Args:
+            longest_s: How long a run over the whole section takes at most, s.
         """
         return Sessions(
             start_ns=round(self.start.timestamp()) * 1_000_000_000,

@@ -38,10 +38,8 @@ class SurveyTable(InputTable):
     def plan(self, folder: Path) -> SurveyPlan:
         """Return the survey in SI units.
 
-        Parameters
-        ----------
-        folder
-            Folder of the scenario file: a relative ``file`` starts here.
+        Args:
+            folder: Folder of the scenario file: a relative ``file`` starts here.
         """
         alignment_std, gauge_std = self.stated_alignment_std_mm, self.stated_gauge_std_mm
         return SurveyPlan(

@@ -162,10 +162,8 @@ class SectionTable(RailFiles):
     def plan(self, folder: Path) -> SectionPlan:
         """Return the section in SI units.
 
-        Parameters
-        ----------
-        folder
-            Folder of the scenario file: a relative ``file`` starts here.
+        Args:
+            folder: Folder of the scenario file: a relative ``file`` starts here.
         """
         return SectionPlan(
             code=self.code,
