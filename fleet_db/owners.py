@@ -17,8 +17,8 @@ from sqlalchemy import Connection, Engine, delete, insert, select, text
 from estimation.errors import ClaimLostError
 from estimation.values.runs import JobTrigger
 from fleet_db.locks import locked_file
-from fleet_db.models import JobOwnerRow
 from fleet_db.rows import table_of
+from fleet_db.tables import JobOwnerRow
 
 OWNERS = table_of(JobOwnerRow)
 LOCKS = 0x7472_6F77  # "trow": those of owners among the advisory locks of a database

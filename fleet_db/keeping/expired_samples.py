@@ -10,8 +10,8 @@ from sqlalchemy import Connection, Row, and_, bindparam, exists, or_, select, up
 from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import WindowState
-from fleet_db.models import TrackEpochRow, TrackEpochWindowRow, WindowBinTableRow, WindowRow
 from fleet_db.rows import table_of
+from fleet_db.tables import TrackEpochRow, TrackEpochWindowRow, WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 EPOCHS, MEMBERS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow)

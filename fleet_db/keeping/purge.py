@@ -17,7 +17,11 @@ from fleet_db.keeping.orphans import LEAST_AGE_S, orphaned_recordings, orphaned_
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.keeping.thinned_estimates import KEYS as ESTIMATES
 from fleet_db.keeping.thinned_estimates import forget_estimates, replaced_within_a_day
-from fleet_db.models import (
+from fleet_db.raw import RawStore
+from fleet_db.raw_files import unlink_old
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+from fleet_db.tables import (
     AuditRow,
     GeometryRow,
     IdempotencyRow,
@@ -27,10 +31,6 @@ from fleet_db.models import (
     TrendRow,
     WebhookDeliveryRow,
 )
-from fleet_db.raw import RawStore
-from fleet_db.raw_files import unlink_old
-from fleet_db.rows import table_of
-from fleet_db.storage import SqlStorage
 from fleet_db.telemetry import WindowFiles
 from fleet_db.webhook_records import DeliveryState
 

@@ -11,8 +11,8 @@ from sqlalchemy import ColumnElement, Connection, Row, insert, or_, select, upda
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from fleet_db import owners
-from fleet_db.models import JobRunRow
 from fleet_db.rows import table_of
+from fleet_db.tables import JobRunRow
 
 RUNS = table_of(JobRunRow)
 GONE = "the process ended during the run"

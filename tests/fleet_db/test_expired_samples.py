@@ -21,8 +21,8 @@ from fleet_db.keeping.kept_files import kept_files
 from fleet_db.keeping.orphans import orphaned_samples
 from fleet_db.keeping.purge import Purged, purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.models import WindowBinTableRow
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import WindowBinTableRow
 
 NOTHING: dict[str, Any] = dict.fromkeys((kind.value for kind in Kept), None)
 AFTER = make.START + 2 * DAY_NS
