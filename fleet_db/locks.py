@@ -6,18 +6,21 @@ On PostgreSQL they are advisory locks: ordered commits, and what is one transact
 from __future__ import annotations
 
 import fcntl
+import logging
 import os
+import threading
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from estimation.errors import AlreadyRunningError, BusyError
+from estimation.errors import AlreadyRunningError, BusyError, StorageError
 
 POLL_S = 0.002
 NAME_LENGTH = 60  # PostgreSQL keeps 63 bytes of an application name
@@ -160,3 +163,84 @@ def _locked(handle: int, kind: int = fcntl.LOCK_EX) -> bool:
     except BlockingIOError:
         return False
     return True
+
+
+PROLONGED_A_LEASE = 4
+"""How often a lease is prolonged during its length."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lease:
+    """The lease under which a process stores results."""
+
+    number: int
+    holder: str
+    length_s: float
+
+
+_log = logging.getLogger(__name__)
+
+
+@contextmanager
+def prolonged(prolong: Callable[[], bool], length_s: float) -> Iterator[None]:
+    """Prolong a lease until the block ends.
+
+    Args:
+        prolong: Prolongs it, in a transaction of its own; returns whether it was still there.
+        length_s: Of the lease, s.
+    """
+    over = threading.Event()
+    thread = threading.Thread(target=_prolong, args=(prolong, length_s, over), name="lease", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+def _prolong(prolong: Callable[[], bool], length_s: float, over: threading.Event) -> None:
+    while not over.wait(length_s / PROLONGED_A_LEASE):
+        try:
+            if not prolong():
+                return  # what is committed next finds that out
+        except StorageError as error:
+            _log.warning("a lease could not be prolonged: %s", error)
+
+
+@dataclass(frozen=True, slots=True)
+class UnendedLease:
+    """A lease that nobody works under any more.
+
+    Attributes:
+        number: Of the lease.
+        stage: Of the work.
+        begun_ns: When work on each key was begun under it, ns by the clock of the claims.
+    """
+
+    number: int
+    stage: str
+    begun_ns: Mapping[str, int]
+
+
+@dataclass(slots=True)
+class UnendedLeases:
+    """Those of one process; its threads may add and end them."""
+
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _left: list[UnendedLease] = field(default_factory=list)
+
+    def add(self, lease: UnendedLease) -> None:
+        """Keep a lease that could not be ended."""
+        with self._lock:
+            self._left.append(lease)
+
+    def left(self) -> Sequence[UnendedLease]:
+        """Return those that are to be ended."""
+        with self._lock:
+            return tuple(self._left)
+
+    def ended(self, leases: Sequence[UnendedLease]) -> None:
+        """Forget those that have been ended."""
+        with self._lock:
+            self._left = [one for one in self._left if one not in leases]

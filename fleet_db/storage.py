@@ -15,8 +15,17 @@ from estimation.values.claims import Claimed
 from estimation.values.runs import JobTrigger
 from fleet_db import owners
 from fleet_db.changes import Changes
-from fleet_db.leases import Lease, prolonged
-from fleet_db.locks import file_scheduler_lock, lock_scheduler, postgresql_session, serialise_vehicle, single_writer
+from fleet_db.locks import (
+    Lease,
+    UnendedLease,
+    UnendedLeases,
+    file_scheduler_lock,
+    lock_scheduler,
+    postgresql_session,
+    prolonged,
+    serialise_vehicle,
+    single_writer,
+)
 from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
 from fleet_db.stores.adhesion import AdhesionStore
 from fleet_db.stores.alerts import AlertStore
@@ -58,7 +67,6 @@ from fleet_db.stores.work_claims import WorkClaimStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
 from fleet_db.telemetry import WindowFiles
-from fleet_db.unended import UnendedLease, UnendedLeases
 from fleet_db.visibility import VISIBLE
 
 SNAPSHOT = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}

@@ -89,7 +89,7 @@ def test_a_late_body_is_a_problem_and_ends_the_connection(tmp_path: Path) -> Non
 
 
 def test_a_client_that_does_not_read_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("api.connections.SEND_TIMEOUT_S", 0.3)
+    monkeypatch.setattr("api.http_server.SEND_TIMEOUT_S", 0.3)
     with service(tmp_path) as address:
         with socket.socket() as connection:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
