@@ -74,9 +74,9 @@ OWN_FILES = ("bench/house.py", "tests/bench/test_house.py")
 INFRASTRUCTURE = re.compile(
     r"""(
       api/(cli|commands/.*|terminal/.*|factory|settings|rules_file|logs|metrics|services|job_runner|app|openapi/.*)\.py
-    | api/(problems|times|contract|cursors|parameters|middleware|faults|redaction)\.py
-    | api/(connections|http_limits|http_server|head_requests|allowed_methods)\.py
-    | fleet_db/(changes|locks|migrate|reachability|revisions|session|storage|rows|packing|fields|atomic_files)\.py
+    | api/(problems|times|contract|cursors|parameters|middleware)\.py
+    | api/(http_server|head_requests|allowed_methods)\.py
+    | fleet_db/(changes|locks|migrate|session|storage|rows|fields|atomic_files)\.py
     | fleet_db/stores/jobs\.py
     | ingest/input_file\.py
     | estimation/(errors|settings|jobs/job|jobs/settings|jobs/scheduler|jobs/catalogue|rules/loading)\.py
