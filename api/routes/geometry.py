@@ -231,4 +231,4 @@ def list_creep_forces(
         unit.registry.wheelset(serial)
         found = unit.adhesion.of_wheelset(serial, after, limit + 1)
     rows = [one for one in found if measured_to is None or one.start_ns < measured_to]
-    return answer_page(request, filters, limit, rows, lambda one: one.start_ns, adhesion.window_creep)
+    return answer_page(request, filters, limit, rows, lambda one: one.start_ns, adhesion.WindowCreep.made)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Annotated
 
 from estimation.values.reasons import ReasonCode
+from estimation.values.served import Served
 
 SECOND_NS = 1_000_000_000
 FIRST_DELAY_S = 60.0
@@ -55,15 +57,15 @@ class Quarantined:
     """
 
     kind: SubjectKind
-    key: str
-    stage: str
-    code: ReasonCode
+    key: Annotated[str, Served("Digest, serial or code; of a window `serial@start in ns`.", example="WS-0001")]
+    stage: Annotated[str, Served("The job, or `ingest` for recordings.", example="refresh_geometry")]
+    code: Annotated[ReasonCode, Served("", "reason_code")]
     error: str
     inputs: str
-    first_ns: int
-    last_ns: int
+    first_ns: Annotated[int, Served("", "first_failed_at")]
+    last_ns: Annotated[int, Served("", "last_failed_at")]
     due_ns: int
-    attempts: int
+    attempts: Annotated[int, Served("Failures in a row.")]
     state: QuarantineState = QuarantineState.HELD
 
     def waits(self, inputs: str, now_ns: int) -> bool:

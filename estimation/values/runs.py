@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
+
+from estimation.values.served import Served
 
 
 class JobTrigger(StrEnum):
@@ -28,8 +31,8 @@ class JobOutcome(StrEnum):
 class JobRun:
     """One run of one job; ``finished_ns`` None until its end is recorded. ``counts`` are what it did."""
 
-    run_id: int
-    job: str
+    run_id: Annotated[int, Served("", "id", example=42)]
+    job: Annotated[str, Served(example="estimate_windows")]
     trigger: JobTrigger
     started_ns: int
     finished_ns: int | None
