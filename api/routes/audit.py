@@ -53,4 +53,4 @@ def list_audit_entries(
     chosen = AuditFilter(owner, key_prefix, status, method, recorded_from, recorded_to)
     with services.storage.read() as unit:
         rows = unit.audit.page(chosen, before, limit + 1)
-    return answer_page(request, filters, limit, rows, lambda entry: entry.entry_id, access.audit_record)
+    return answer_page(request, filters, limit, rows, lambda entry: entry.entry_id, access.AuditRecord.made)

@@ -44,7 +44,7 @@ def list_mountings(
         unit.registry.wheelset(serial)
         found = sorted(unit.registry.mountings(serial), key=key)
     rows = [record for record in found if after is None or record.from_ns > after]
-    return answer_page(request, filters, limit, rows[: limit + 1], key, registry.mounting)
+    return answer_page(request, filters, limit, rows[: limit + 1], key, registry.MountingPeriod.made)
 
 
 @router.post(
@@ -85,7 +85,7 @@ def mount_wheelset(
         if any(one.from_ns == body.mounted_from for one in unit.registry.mountings(serial)):
             raise _conflict(serial, "is mounted from this time on file")
         change.enter(unit, decision, RegistryContents(mountings=(mounted,)), source)
-        return registry.mounting(mounted)
+        return registry.MountingPeriod.made(mounted)
 
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
 
@@ -115,7 +115,7 @@ def dismount_wheelset(
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.MountingPeriod:
         ended = _ended(unit, serial, body.dismounted_at)
         change.enter(unit, decision, RegistryContents(mountings=(ended,)), BodySource({"to": "dismounted_at"}))
-        return registry.mounting(ended)
+        return registry.MountingPeriod.made(ended)
 
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
 
@@ -165,7 +165,7 @@ def exchange_wheelset(
             body.reversed,
         )
         change.enter(unit, decision, RegistryContents(mountings=(ended, fitted)), source)
-        return ExchangeRecord(removed=registry.mounting(ended), fitted=registry.mounting(fitted))
+        return ExchangeRecord(removed=registry.MountingPeriod.made(ended), fitted=registry.MountingPeriod.made(fitted))
 
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
 

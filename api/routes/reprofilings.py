@@ -38,7 +38,7 @@ def list_reprofilings(
     with services.storage.read() as unit:
         found = sorted(unit.registry.wheelset(serial).reprofilings, key=key)
     rows = [record for record in found if after is None or record.at_ns > after]
-    return answer_page(request, filters, limit, rows[: limit + 1], key, registry.reprofiling)
+    return answer_page(request, filters, limit, rows[: limit + 1], key, registry.ReprofilingRecord.made)
 
 
 @router.post(
@@ -70,6 +70,6 @@ def add_reprofiling(
             reason = "a reprofiling of this wheelset was recorded at the same time; void it to enter another"
             raise ConflictError(reason, kind="wheelset", key=serial)
         change.enter(unit, decision, RegistryContents(reprofilings=(record,)), BodySource({"at": "reprofiled_at"}))
-        return registry.reprofiling(record)
+        return registry.ReprofilingRecord.made(record)
 
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)

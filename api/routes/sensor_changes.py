@@ -41,7 +41,7 @@ def list_sensor_changes(
         unit.registry.vehicle(code)
         found = unit.sensor_changes.list(code)
     rows = [record for record in found if after is None or record.at_ns > after]
-    return answer_page(request, filters, limit, rows[: limit + 1], key, registry_changes.sensor_change)
+    return answer_page(request, filters, limit, rows[: limit + 1], key, registry_changes.SensorChangeRecord.made)
 
 
 @router.post(
@@ -72,6 +72,6 @@ def add_sensor_change(
             reason = f"work on the sensors of vehicle {code!r} was recorded at the same time; give another time"
             raise ConflictError(reason, kind="vehicle", key=code)
         change.enter(unit, decision, RegistryContents(sensor_changes=(record,)), BodySource({"at": "worked_at"}))
-        return registry_changes.sensor_change(record)
+        return registry_changes.SensorChangeRecord.made(record)
 
     return change.change(lambda unit: registry.vehicle(unit.registry.vehicle(code)), apply)

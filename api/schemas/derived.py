@@ -1,7 +1,8 @@
 """Models derived from frozen values: the class of a value says how its fields are served, see ``Served``.
 
 ``class Row(Derived, of=Value)`` has a field for each of ``Value``, under the name and in the unit that its metadata
-say, and ``Row.made(value)`` fills them in. Fields that the body of ``Row`` declares itself are its own.
+say, and ``Row.made(value)`` fills them in. Fields that the body of ``Row`` describes
+itself are its own; a bare annotation there tells type checkers of a derived one.
 """
 
 from __future__ import annotations
@@ -86,6 +87,8 @@ def served_type(field: FieldOf) -> tuple[Any, Convert]:
         if field.key.endswith("_ns"):
             return list[Timestamp], times_to_rfc3339
         return list[float | None], partial(finite_list, scale=scale)
+    if origin is frozenset:
+        return list[parts[0]], sorted  # type: ignore[valid-type]  # as the value declares it
     if origin is tuple:
         kind, convert = served_type(field_of("", parts[0]))
         return list[kind], lambda items: [convert(item) for item in items]  # type: ignore[valid-type]  # a type all the same
@@ -147,7 +150,7 @@ class Derived(Representation):
             return
         own, derived, makers = inspect.get_annotations(cls), {}, dict(cls.makers)
         for field in _served_fields(of, without, also):
-            if field.name in own:
+            if field.name in own and hasattr(cls, field.name):
                 continue
             kind, convert = (str, text_of) if field.hint is Reason else served_type(field)
             is_nullable = field.nullable or not field.served.finite or field.hint is Reason
@@ -160,7 +163,12 @@ class Derived(Representation):
         places, named = columns.split(), derived | own
         cls.__annotations__ = {name: named[name] for name in sorted(named, key=places.index)} if places else named
         cls.makers = makers
-        MODELS[of] = cls
+        MODELS.setdefault(of, cls)
+
+    @classmethod
+    def parts(cls, value: Any) -> dict[str, Any]:  # noqa: ANN401 - of the value's class
+        """Return the fields that a value fills in."""
+        return {name: make(value) for name, make in cls.makers.items()}
 
     @classmethod
     def made(cls, value: Any, **own: Any) -> Self:  # noqa: ANN401 - of the value's class; fields of the model
