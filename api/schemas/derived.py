@@ -160,6 +160,8 @@ class Derived(Representation):
             if field.hint is Reason:
                 derived[f"{field.name}_code"] = ReasonCode | None
                 makers[f"{field.name}_code"] = partial(_made, field.key, code_of)
+                if field.name != "reason":
+                    setattr(cls, f"{field.name}_code", Field(description="Its code."))
         places, named = columns.split(), derived | own
         cls.__annotations__ = {name: named[name] for name in sorted(named, key=places.index)} if places else named
         cls.makers = makers
