@@ -209,7 +209,7 @@ def _estimate(found: Comparison, record: GeometryRecord) -> EstimateOfDate:
         measured_to=to_rfc3339(record.to_ns),
         recorded_at=to_rfc3339(record.recorded_ns),
         n_windows=record.geometry.windows,
-        bins=bin_table(record),
+        bins=bin_table(record.geometry),
     )
 
 

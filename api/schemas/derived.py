@@ -15,6 +15,7 @@ from functools import cache, partial
 from typing import Annotated, Any, ClassVar, Self, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
+import pydantic
 from pydantic import Field
 
 from api.schemas.common import Representation, Uncertain, finite, finite_list, uncertain
@@ -93,7 +94,8 @@ def served_type(field: FieldOf) -> tuple[Any, Convert]:
         kind, convert = served_type(field_of("", parts[0]))
         return list[kind], lambda items: [convert(item) for item in items]  # type: ignore[valid-type]  # a type all the same
     if origin is not None and issubclass(origin, Mapping):
-        return dict[parts[0], parts[1]], dict  # type: ignore[valid-type]  # as the value declares it
+        of = parts[1] if isinstance(parts[1], type) else pydantic.JsonValue
+        return dict[parts[0], of], dict  # type: ignore[valid-type]  # as the value declares it
     return _single(hint, field)
 
 

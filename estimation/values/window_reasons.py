@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 from estimation.values.reasons import Reason
+from estimation.values.served import Served
 from estimation.values.windows import WindowState
 
 
@@ -21,9 +23,9 @@ class WindowsOfReason:
     """
 
     state: WindowState
-    reason: Reason | None
-    windows: int
-    newest_ns: int
+    reason: Annotated[Reason | None, Served("Why they wait, are refused or give no number, as of the newest of them.")]
+    windows: Annotated[int, Served("How many.")]
+    newest_ns: Annotated[int, Served("End of the newest of them, on the vehicle's clock.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +42,11 @@ class WithoutEstimate:
 
     reason: Reason
     what_to_do: str
-    windows: tuple[WindowsOfReason, ...]
-    from_ns: int | None
-    last_ns: int | None
+    windows: Annotated[
+        tuple[WindowsOfReason, ...], Served("The windows that are counted, the most frequent reason first.", "reasons")
+    ]
+    from_ns: Annotated[int | None, Served("Begin of the oldest that is counted; null without windows.", "counted_from")]
+    last_ns: Annotated[int | None, Served("End of its newest window, whatever became of it.", "last_data_at")]
 
     def count(self, state: WindowState) -> int:
         """Return how many of the counted windows have a state."""
