@@ -26,15 +26,7 @@ from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
 
 def run_jobs_once(name: str | None, settings: Settings) -> bool:
-    """Run every job, or one, print what the runs did, and return whether all succeeded.
-
-    Args:
-        name: Of the one job; None for all.
-
-    Raises:
-        ParameterError: There is no job of that name.
-        StorageError: The database cannot be used.
-    """
+    """Run every job, or one, print what the runs did, and return whether all succeeded."""
     logs.configure(settings)
     start_tracing()
     jobs = _chosen(settings, name)

@@ -24,12 +24,7 @@ LISTED = 50
 def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) -> None:
     """Write a backup and print what it holds.
 
-    Args:
-        windows, recordings: Whether with the samples of windows, and with recordings; None: with those of a folder.
-
     Raises:
-        ConflictError: Another backup, restore or purge is running.
-        StorageError: Database, data folder or backup folder cannot be used.
         typer.Exit: Code 1: files that the database refers to are missing or damaged; they are listed.
     """
     settings, plan = load_settings(), BackupPlan(windows, recordings)
@@ -48,13 +43,7 @@ def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) 
 def restore_and_report(folder: Path, name: str | None) -> None:
     """Restore a backup and print what is there now.
 
-    Args:
-        name: Of the backup; None for the newest.
-
     Raises:
-        InputError: There is no such backup, or it is damaged.
-        ConflictError: The database has content.
-        StorageError: Database or data folder cannot be used.
         typer.Exit: Code 1: files are missing; they are listed.
     """
     settings = load_settings()
@@ -73,8 +62,6 @@ def check_and_report() -> None:
     """Compare everything that is stored and print what does not belong together.
 
     Raises:
-        MigrationError: The database is at another migration.
-        StorageError: Database or data folder cannot be used.
         typer.Exit: Code 1: something is damaged or lost.
     """
     settings = load_settings()
@@ -92,13 +79,7 @@ def check_and_report() -> None:
 
 
 def purge_and_report() -> None:
-    """Delete what has been kept long enough and print how much of each kind.
-
-    Raises:
-        InputError: The retention file is wrong.
-        ConflictError: A backup, restore or other purge is running.
-        StorageError: Database or data folder cannot be used.
-    """
+    """Delete what has been kept long enough and print how much of each kind."""
     settings = load_settings()
     with closing(open_store(settings)) as storage:
         done = purge(storage, raw_store(settings), retention_of(settings), SystemClock().now_ns(), lambda: None)

@@ -57,15 +57,7 @@ def receive_and_report(
 ) -> None:
     """Receive live buses until SIGTERM or SIGINT, and print a summary.
 
-    Args:
-        registry: File of fleets, vehicles, wheelsets and sections to load first.
-        catalogues: Mapping files of buses of one's own; by default those of the settings.
-        health: Where to serve health and metrics; None for nowhere.
-
     Raises:
-        InputError: The bus, the registry, a mapping file or the health port cannot be used.
-        ConflictError: Another process receives one of the vehicles.
-        MigrationError: The database is at another migration.
         typer.Exit: Code 1: a recording was rejected.
     """
     settings = load_settings()

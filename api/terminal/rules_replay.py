@@ -31,17 +31,7 @@ _SHOWN = tuple(change for change in Change if change is not Change.SAME)
 
 
 def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> None:
-    """Replay the rules in force and those of a file, and print how their alerts differ.
-
-    Args:
-        from_, to: Dates or times; ``to`` None is now.
-        file: Rules to try; None replays the rules in force alone.
-        fleet: Only its wheelsets; None is all.
-
-    Raises:
-        InputError: A time or the file is wrong.
-        NotFoundError: There is no such fleet.
-    """
+    """Replay the rules in force and those of a file, and print how their alerts differ."""
     settings, console = load_settings(), Console()
     span = (_moment(from_, "--from"), SystemClock().now_ns() if to is None else _moment(to, "--to"))
     if span[0] >= span[1]:

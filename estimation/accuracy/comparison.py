@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, coni
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.served import Served
 
 _NO_ESTIMATE = Reason(ReasonCode.NO_GEOMETRY, "there is no estimate")
 
@@ -24,11 +26,21 @@ class ConicityPair:
     """The equivalent conicity at one amplitude, measured and estimated."""
 
     amplitude: float  # m
-    measured: Estimate
-    estimated: Estimate
+    measured: Annotated[Estimate, Served("From the measured profiles; `n_windows` is 0.", "measured_1")]
+    estimated: Annotated[
+        Estimate, Served("Of the estimate; at 3 mm it may be extrapolated, see its reason.", "estimated_1")
+    ]
 
     @property
-    def covered(self) -> bool | None:
+    def covered(
+        self,
+    ) -> Annotated[
+        bool | None,
+        Served(
+            "Whether the estimate's 95 % interval, widened by the error of the measurement, covers it; "
+            "null where either is unknown."
+        ),
+    ]:
         """Whether the interval of the estimate covers the measurement; None where either is unknown."""
         return covers(self.estimated, self.measured)
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Annotated
 
 from scipy.special import betaincinv
 
 from estimation.values.intervals import NORMAL_95
 from estimation.values.quantities import Estimate
+from estimation.values.served import Served
 
 _TAIL = 0.025  # on either side of a 95 % interval
 
@@ -36,8 +38,8 @@ def covers(estimated: Estimate, measured: Estimate) -> bool | None:
 class CoverageCount:
     """How many intervals were compared with a measurement, and how many covered it."""
 
-    compared: int = 0
-    covered: int = 0
+    compared: Annotated[int, Served("Intervals that were compared with a measurement.")] = 0
+    covered: Annotated[int, Served("Of these, the ones that cover it.")] = 0
 
     @staticmethod
     def of(outcomes: Iterable[bool | None]) -> CoverageCount:
@@ -46,7 +48,9 @@ class CoverageCount:
         return CoverageCount(len(known), sum(known))
 
     @property
-    def fraction(self) -> float | None:
+    def fraction(
+        self,
+    ) -> Annotated[float | None, Served("Share that is covered; null where nothing was compared.", "fraction_1")]:
         """Share that is covered; None where nothing was compared."""
         return self.covered / self.compared if self.compared else None
 

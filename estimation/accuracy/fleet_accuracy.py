@@ -6,11 +6,13 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 from estimation.accuracy.comparison import Comparison
 from estimation.accuracy.coverage import CoverageCount
 from estimation.accuracy.wheel_contact import AMPLITUDES
 from estimation.values.reasons import ReasonCode
+from estimation.values.served import Served
 
 
 class Outcome(StrEnum):
@@ -42,8 +44,10 @@ class PlacedComparison:
 class CoveragePair:
     """A count of all comparisons, and of those whose estimate was made without a measurement of the same wheels."""
 
-    all: CoverageCount
-    independent: CoverageCount
+    all: Annotated[CoverageCount, Served("Of all comparisons.", "everything")]
+    independent: Annotated[
+        CoverageCount, Served("Of those whose estimate was made without a measurement of the same profiles.")
+    ]
 
 
 @dataclass(frozen=True, slots=True)
