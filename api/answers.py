@@ -5,8 +5,11 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from http import HTTPMethod, HTTPStatus
+from threading import Lock
 from typing import Annotated, TypeVar
 from urllib.parse import quote, urlencode
 
@@ -223,3 +226,67 @@ def require_match(header: str | None, current: BaseModel) -> None:
     tag = entity_tag(payload_of(current))
     if header.strip() != "*" and tag not in _listed(header):
         raise ProblemError(412, "precondition-failed", "the resource has changed; read it again", headers={"ETag": tag})
+
+
+CACHED_BYTES = 64 << 20
+"""Size of the representations that one process keeps, in bytes."""
+
+
+@dataclass(slots=True)
+class RepresentationCache:
+    """The least recently used representation is displaced first; safe for threads.
+
+    Attributes:
+        limit_bytes: Size of all representations together.
+    """
+
+    limit_bytes: int = CACHED_BYTES
+    _held: OrderedDict[Hashable, bytes] = field(default_factory=OrderedDict)
+    _bytes: int = 0
+    _lock: Lock = field(default_factory=Lock)
+
+    def get_or_make(self, key: Hashable, make: Callable[[], bytes]) -> bytes:
+        """Return what is kept under a key, or make it and keep it.
+
+        Args:
+            key: With the version of all that the representation shows.
+        """
+        with self._lock:
+            known = self._held.get(key)
+            if known is not None:
+                self._held.move_to_end(key)
+                return known
+        made = make()
+        with self._lock:
+            self._keep(key, made)
+        return made
+
+    def get_or_make_all(
+        self, keys: Mapping[int, Hashable], make: Callable[[Sequence[int]], Mapping[int, bytes]]
+    ) -> Mapping[int, bytes]:
+        """Return what is kept of several under one name each, and make and keep what is missing, all at once.
+
+        Args:
+            keys: By number; each with the version of all that its representation shows.
+        """
+        with self._lock:
+            found = {number: self._held[key] for number, key in keys.items() if key in self._held}
+            for number in found:
+                self._held.move_to_end(keys[number])
+        missing = [number for number in keys if number not in found]
+        if missing:
+            made = make(missing)
+            with self._lock:
+                for number, representation in made.items():
+                    self._keep(keys[number], representation)
+            found |= made
+        return found
+
+    def _keep(self, key: Hashable, made: bytes) -> None:
+        if key in self._held or len(made) > self.limit_bytes:
+            return
+        self._held[key] = made
+        self._bytes += len(made)
+        while self._bytes > self.limit_bytes:
+            _, displaced = self._held.popitem(last=False)
+            self._bytes -= len(displaced)

@@ -24,11 +24,10 @@ from api.feed.ending import ending
 from api.feed.places import WaitingPlaces
 from api.feed.watch import FeedWatch
 from api.head_requests import HeadMiddleware
-from api.http_limits import HttpLimits
+from api.http_server import HttpLimits
 from api.metrics import RequestMeasures, StoredMeasures
 from api.middleware import RequestContextMiddleware
-from api.openapi.document import document
-from api.openapi.security import scopes_of
+from api.openapi.document import document, scopes_of
 from api.page import routes as page
 from api.reference_measures import ReferenceMeasures
 from api.routes import (

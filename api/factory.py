@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import time
@@ -11,18 +12,15 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
-from api.known_sections import known_sections
 from api.raw_stores import open_raw_store
-from api.retention_file import load_retention
 from api.rules_file import load_rules
-from api.settings import PREFIX, Settings
-from api.starting import once_the_database_answers
+from api.settings import PREFIX, Settings, known_sections, load_retention
 from api.topic import publisher
 from api.tracing import traced
 from estimation.alerts.rules.book import RuleBook
-from estimation.errors import ParameterError
+from estimation.errors import MigrationError, ParameterError, StorageError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
@@ -32,15 +30,15 @@ from estimation.rails.parameters import RailsParameters
 from estimation.storage import Clock
 from fleet_db.keeping.purge_job import purge_job
 from fleet_db.keeping.retention import Retention
+from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
-from fleet_db.revisions import check_head
-from fleet_db.session import database_engine
-from fleet_db.silent_server import ServerLimits
+from fleet_db.session import ServerLimits, database_engine
 from fleet_db.storage import SqlStorage
 from ingest.assemble_windows import assemble_windows
 from ingest.catalogue import default_catalogue
 from ingest.intake.backlog import BacklogLimits, BacklogWatch
 from ingest.intake.store import ChunkStorage
+from ingest.live.backoff import Backoff
 from ingest.own_bus.choice import bus_choice
 from ingest.own_bus.loading import load_own_bus
 from ingest.receipts import Announce, to_nobody
@@ -55,6 +53,45 @@ if TYPE_CHECKING:
     from api.services import Services
     from api.uploads.taking import Uploads
     from ingest.topic.publishing import Publisher
+
+
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
+"""Between attempts to reach it; each is twice the one before."""
+
+Service = TypeVar("Service")
+
+_log = logging.getLogger(__name__)
+
+
+def once_the_database_answers(make: Callable[[], Service], settings: Settings, stopping: Event) -> Service | None:
+    """Return what needs the database as soon as a server answers; None when a stop is asked for before.
+
+    Args:
+        settings: Of the deployment. A file of SQLite that cannot be opened is not waited for: nobody brings it back.
+        stopping: Set by whoever ends the service.
+
+    Raises:
+        MigrationError: The database is at another migration.
+        StorageError: The file of SQLite cannot be used.
+    """
+    delays, waited = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S), False
+    while not stopping.is_set():
+        try:
+            made = make()
+        except MigrationError:
+            raise
+        except StorageError as error:
+            if not settings.on_server:
+                raise
+            if not waited:
+                _log.warning("the start waits for the database: %s", error)
+            waited = True
+        else:
+            if waited:
+                _log.info("the database answers, the start goes on")
+            return made
+        stopping.wait(delays.failed())
+    return None
 
 
 MEGABYTE = 1_000_000
@@ -226,8 +263,8 @@ def _job_receiver(settings: Settings, context: JobContext) -> Receiver:
 def open_services(settings: Settings) -> Services:
     """Return what the routes work with; refuses where :func:`open_store` or :func:`job_context` do."""
     # the receiver and the scheduler are built in this module too and do not wait for the web framework
+    from api.answers import RepresentationCache  # noqa: PLC0415 - the same
     from api.job_runner import JobRunner  # noqa: PLC0415 - the same
-    from api.representation_cache import RepresentationCache  # noqa: PLC0415 - the same
     from api.services import Services  # noqa: PLC0415 - the same
     from api.writer_slots import PATIENCE_S, WriterSlots  # noqa: PLC0415 - the same
 
@@ -273,7 +310,7 @@ def create_app(settings: Settings) -> FastAPI:
     """Return the REST application of this deployment; refuses where :func:`open_services` does."""
     from api.access.plan import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
-    from api.http_limits import limits_of  # noqa: PLC0415 - the same
+    from api.http_server import limits_of  # noqa: PLC0415 - the same
     from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same
 
     access, sender = plan_of(settings), sender_of(settings)
@@ -299,9 +336,12 @@ def serve(settings: Settings, stopping: Event) -> None:
     """
     from api.access.plan import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
-    from api.http_limits import limits_of  # noqa: PLC0415 - the same
-    from api.http_server import check_address, http_server  # noqa: PLC0415 - the same
-    from api.kept_objects import keep_what_is_loaded  # noqa: PLC0415 - the same
+    from api.http_server import (  # noqa: PLC0415 - the same
+        check_address,
+        http_server,
+        keep_what_is_loaded,
+        limits_of,
+    )
     from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same
 
     access, sender = plan_of(settings), sender_of(settings)

@@ -1,27 +1,183 @@
 """Logs of the services: one line an event with its facts, as JSON or as text; our own and the libraries' alike.
 
 An error is written without local variables, bounded, and once: what follows of the same fault is counted
-(:mod:`api.faults`). No line holds a password (:mod:`api.redaction`).
+(:mod:`api.logs`). No line holds a password (:mod:`api.logs`).
 """
 
 from __future__ import annotations
 
+import json
 import logging
+import re
 import sys
 import time
-from collections.abc import Iterator
+import traceback
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
 from logging.handlers import QueueHandler, QueueListener
 from queue import Full, Queue
+from types import TracebackType
 from typing import Any
+from urllib.parse import quote, quote_plus, unquote
 
 import structlog
 from structlog.typing import EventDict, Processor
 
-from api.faults import Fault, FaultLedger, fault_of, short_trace
-from api.redaction import Redactor
 from api.settings import Settings
 from api.tracing import with_trace
+
+SUMMARY_S = 60.0
+"""A fault that goes on is summed up this often, in seconds."""
+FULL_AGAIN_S = 3600.0
+"""After this long its trace is written again, in seconds."""
+FAULTS = 500
+"""Faults that are remembered; beyond, the one not seen for longest is forgotten."""
+FRAMES, CAUSES, MESSAGE_CHARACTERS, TRACE_CHARACTERS = 12, 4, 500, 8000
+"""Bounds of one trace: innermost calls of an error, errors behind it, characters of a message and of the whole."""
+
+Fault = tuple[str, ...]
+
+
+def fault_of(error: BaseException) -> Fault:
+    """Return what identifies a fault: the types of the error and of its cause, and where it was raised."""
+    place, trace = "", error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    if trace is not None:
+        place = f"{trace.tb_frame.f_code.co_filename}:{trace.tb_lineno}"
+    cause = error.__cause__
+    return (type(error).__qualname__, "" if cause is None else type(cause).__qualname__, place)
+
+
+def short_trace(error: BaseException, clean: Callable[[str], str] = str) -> str:
+    """Return a trace without local variables, bounded in depth and characters, the error itself first.
+
+    Args:
+        clean: Takes out of a message what must not be written, before the message is cut.
+    """
+    parts, one, seen = [], error, set[int]()
+    for _ in range(CAUSES):
+        seen.add(id(one))
+        parts += [f"{_heading(one, clean)}\n", *_calls(one.__traceback__)]
+        behind = one.__cause__ or (None if one.__suppress_context__ else one.__context__)
+        if behind is None or id(behind) in seen:
+            break
+        parts.append("from ")
+        one = behind
+    return "".join(parts)[:TRACE_CHARACTERS].rstrip()
+
+
+def _heading(error: BaseException, clean: Callable[[str], str]) -> str:
+    heading = f"{type(error).__module__}.{type(error).__qualname__}: {error}"
+    inside = "".join(f"\n  {type(one).__qualname__}: {one}" for one in getattr(error, "exceptions", ())[:CAUSES])
+    return clean(heading)[:MESSAGE_CHARACTERS] + clean(inside)[:MESSAGE_CHARACTERS]
+
+
+def _calls(trace: TracebackType | None) -> list[str]:
+    return traceback.extract_tb(trace, limit=-FRAMES).format()
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What is known of one fault."""
+
+    full_at_s: float
+    written_at_s: float
+    repeats: int = 0
+
+
+@dataclass(slots=True)
+class FaultLedger:
+    """Decides which errors are written in full; for one thread at a time."""
+
+    _seen: OrderedDict[Fault, _Seen] = field(default_factory=OrderedDict)
+
+    def admits(self, fault: Fault, now_s: float) -> bool:
+        """Return whether this occurrence is to be written in full; otherwise it is counted.
+
+        Args:
+            now_s: Of a clock that never goes back.
+        """
+        known = self._seen.get(fault)
+        if known is not None and now_s - known.full_at_s < FULL_AGAIN_S:
+            known.repeats += 1
+            self._seen.move_to_end(fault)
+            return False
+        self._seen[fault] = _Seen(now_s, now_s)
+        if len(self._seen) > FAULTS:
+            self._seen.popitem(last=False)
+        return True
+
+    def due(self, now_s: float) -> Iterator[tuple[Fault, int, float]]:
+        """Yield the faults to be summed up now: which, how often it came back, within how many seconds."""
+        for fault, known in self._seen.items():
+            since_s = now_s - known.written_at_s
+            if known.repeats and since_s >= SUMMARY_S:
+                yield fault, known.repeats, since_s
+                known.repeats, known.written_at_s = 0, now_s
+
+    def rest(self, now_s: float) -> Iterator[tuple[Fault, int, float]]:
+        """Yield every fault that came back since it was last written; for the end of a process."""
+        for fault, known in self._seen.items():
+            if known.repeats:
+                yield fault, known.repeats, now_s - known.written_at_s
+                known.repeats = 0
+
+
+HIDDEN = "***"
+_IN_URL = re.compile(r"(?P<before>[a-zA-Z][a-zA-Z0-9+.-]*://[^\s:/@]*:)[^\s@]+(?=@)")
+_NAMED = re.compile(r"(?P<before>\bpassword['\"]?\s*[=:]\s*)(?:'[^']*'|\\?\"[^\"]*\"|[^\s,;&)}]+)", re.IGNORECASE)
+_WEBHOOK_SECRET = re.compile(r"\bwhsec_[A-Za-z0-9+/=_-]{4,}")
+_SHORTEST = 4
+"""Characters of a password from which on it is looked for as such; a shorter one would blot out common words."""
+
+
+def password_in(url: str) -> str | None:
+    """Return the password of a URL as it is written there; None without one."""
+    authority = url.partition("://")[2]
+    user, separator, _ = authority.rpartition("@")
+    _, colon, password = user.partition(":")
+    return password if separator and colon and password else None
+
+
+@dataclass(frozen=True)
+class Redactor:
+    """Replaces passwords in a text.
+
+    Attributes:
+        secrets: Passwords of this deployment; each is found as it is, decoded, percent-encoded and escaped in JSON.
+    """
+
+    secrets: tuple[str, ...] = ()
+
+    @classmethod
+    def of_urls(cls, urls: Iterable[str | None]) -> Redactor:
+        """Return the redactor of the passwords in these URLs."""
+        return cls(tuple(found for url in urls if url for found in [password_in(url)] if found))
+
+    @cached_property
+    def _forms(self) -> tuple[str, ...]:
+        forms: set[str] = set()
+        for secret in self.secrets:
+            for one in {secret, unquote(secret)}:
+                forms |= {one, quote(one, safe=""), quote_plus(one), json.dumps(one)[1:-1], repr(one)[1:-1]}
+        return tuple(sorted((form for form in forms if len(form) >= _SHORTEST), key=len, reverse=True))
+
+    def __call__(self, text: str) -> str:
+        """Return ``text`` without passwords."""
+        for form in self._forms:
+            text = text.replace(form, HIDDEN)
+        if "://" in text:
+            text = _IN_URL.sub(rf"\g<before>{HIDDEN}", text)
+        if "password" in text.lower():
+            text = _NAMED.sub(rf"\g<before>{HIDDEN}", text)
+        if "whsec_" in text:
+            text = _WEBHOOK_SECRET.sub(f"whsec_{HIDDEN}", text)
+        return text
+
 
 CHATTY = ("apscheduler", "alembic.runtime", "uvicorn.access", "httpx", "httpcore")
 """What they log at info is in our own records, and may name URLs of receivers, which carry their secrets."""

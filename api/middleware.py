@@ -16,7 +16,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.access.guard import Access
-from api.http_limits import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits
+from api.http_server import MAX_BODY_BYTES, MAX_HEAD_BYTES, REQUESTS, HttpLimits
 from api.metrics import RequestMeasures
 from api.problems import ProblemError, from_error, problem_response
 from api.uploads.path import is_upload

@@ -10,8 +10,8 @@ from fastapi import Depends, Request
 
 from api.access.caller import CallerDep
 from api.accuracy.contact_cache import ContactCache
+from api.answers import RepresentationCache
 from api.job_runner import JobRunner
-from api.representation_cache import RepresentationCache
 from api.uploads.taking import Uploads
 from api.writer_slots import WriterSlots
 from estimation.errors import NotFoundError

@@ -3,17 +3,67 @@
 from __future__ import annotations
 
 import os
+from datetime import UTC, date, datetime, time
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 from urllib.parse import quote, urlsplit
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from api.known_sections import known_sections
-from api.store_urls import names_endpoint, names_store
 from estimation.errors import ParameterError
 from estimation.rails.parameters import RailsParameters
+from fleet_db.keeping.retention import Kept, Retention
+from ingest.input_file import InputTable, read_toml
+
+
+def names_store(url: str) -> bool:
+    """Return whether a URL is ``file:///absolute/path`` or ``s3://bucket/prefix``."""
+    parts = urlsplit(url)
+    if parts.query or parts.fragment or "@" in parts.netloc:
+        return False
+    if parts.scheme == "file":
+        return not parts.netloc and len(parts.path) > 1
+    return parts.scheme == "s3" and bool(parts.netloc)
+
+
+def names_endpoint(url: str) -> bool:
+    """Return whether a URL is ``https://host:port`` or ``http://host:port``.
+
+    Args:
+        url: Of an S3-compatible store.
+    """
+    parts = urlsplit(url)
+    plain = "@" not in parts.netloc and not parts.path.strip("/") and not parts.query and not parts.fragment
+    return parts.scheme in {"http", "https"} and bool(parts.hostname) and plain
+
+
+SECOND_NS = 1_000_000_000
+
+
+def known_sections(text: str) -> list[tuple[str, int]]:
+    """Return codes of sections, each with the begin of its day, ns UTC.
+
+    Args:
+        text: ``S1@2026-03-01,S2@2026-05-17``; a section may come several times.
+
+    Raises:
+        ValueError: An entry has no code, or no day.
+    """
+    found = []
+    for entry in filter(None, (one.strip() for one in text.split(","))):
+        code, at, day = entry.rpartition("@")
+        if not at or not code:
+            raise ValueError(
+                "must be codes of sections, each with the day for which its rails are known: S1@2026-03-01"
+            )
+        try:
+            begin = datetime.combine(date.fromisoformat(day), time(), UTC)
+        except ValueError:
+            raise ValueError(f"section {code} must have a day such as 2026-03-01 behind its @") from None
+        found.append((code, int(begin.timestamp()) * SECOND_NS))
+    return found
+
 
 PREFIX = "TREADWATCH_"
 MOST_WORKERS = 256
@@ -279,3 +329,47 @@ def load_settings(**overrides: object) -> Settings:
         first = error.errors(include_input=False, include_url=False)[0]
         name = "_".join(str(part) for part in first["loc"])
         raise ParameterError(first["msg"], field=f"{PREFIX}{name.upper()}") from None
+
+
+FOR_EVER = "for ever"
+Days = Annotated[float, Field(gt=0.0, le=36_500.0)] | Literal["for ever"] | None
+
+
+class DaysTable(InputTable):
+    """Days by kind."""
+
+    job_runs: Days = None
+    failed_job_runs: Days = None
+    idempotency_keys: Days = None
+    superseded_estimates: Days = None
+    every_estimate: Days = None
+    track_reports: Days = None
+    recordings: Days = None
+    audit: Days = None
+    webhook_deliveries: Days = None
+    orphaned_files: Days = None
+    window_samples: Days = None
+    window_bin_tables: Days = None
+
+
+class RetentionTable(InputTable):
+    """The whole file."""
+
+    days: DaysTable
+
+
+def load_retention(path: Path) -> Retention:
+    """Return the retention of a TOML file.
+
+    Raises:
+        InputError: The file cannot be read or is no TOML; an unknown key; a value that is no number of days. Names the
+            file, the line and the field.
+    """
+    file = read_toml(path)
+    given = file.parse(RetentionTable).days
+    chosen = {kind.value: getattr(given, kind.value) for kind in Kept}
+    changed = {name: None if days == FOR_EVER else days for name, days in chosen.items() if days is not None}
+    try:
+        return Retention(**changed)
+    except ParameterError as error:
+        raise file.error(error.reason, ("days", str(error.field))) from error

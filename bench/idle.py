@@ -28,7 +28,9 @@ from estimation.errors import TreadwatchError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.values.runs import JobTrigger
 from fleet_db.migrate import upgrade
-from fleet_db.models import (
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+from fleet_db.tables import (
     AlertRow,
     GearDamperRow,
     RailCellRow,
@@ -39,8 +41,6 @@ from fleet_db.models import (
     WindowAdhesionRow,
     WindowRow,
 )
-from fleet_db.rows import table_of
-from fleet_db.storage import SqlStorage
 from tests.postgres_server import SAFE, PostgresServer, stoppable_server
 
 ROUNDS = 5

@@ -27,7 +27,9 @@ from estimation.values.runs import JobTrigger
 from estimation.values.track import AlignmentSource
 from estimation.values.track_epochs import FoldState, TrackEpoch
 from fleet_db.changes import CHANGES
-from fleet_db.models import (
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.tables import (
     ChunkRow,
     GeometryRow,
     MountingRow,
@@ -41,8 +43,6 @@ from fleet_db.models import (
     WindowPositionRow,
     WindowRow,
 )
-from fleet_db.rows import table_of
-from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 DAYS = 38
 FLEETS, AXLES = 10, 4

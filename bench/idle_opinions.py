@@ -15,7 +15,9 @@ from estimation.jobs import refresh_rails, refresh_signatures
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.section_looks import NO_SECTION
 from estimation.values.registry import Mounting
-from fleet_db.models import (
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage
+from fleet_db.tables import (
     GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
@@ -26,8 +28,6 @@ from fleet_db.models import (
     WindowAdhesionRow,
     WindowDamperRow,
 )
-from fleet_db.rows import table_of
-from fleet_db.storage import SqlStorage
 
 KEPT_BYTES = 500
 DAY_NS = 86_400_000_000_000

@@ -36,10 +36,10 @@ from estimation.errors import TreadwatchError
 from estimation.jobs import estimate_windows, refresh_alignment
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.values.runs import JobOutcome, JobTrigger
-from fleet_db.models import ChunkRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import ChunkRow
 from tests.postgres_server import SAFE, stoppable_server
 
 TITLE = "Chunks to bin tables, without a pause"

@@ -16,9 +16,9 @@ from api.settings import Settings
 from bench.report import BenchRow
 from bench.wheelset_year import SERIAL, WheelsetYear, recorded
 from fleet_db.migrate import upgrade
-from fleet_db.models import TrendRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import TrendRow
 from tests.postgres_server import SAFE, stoppable_server
 
 VERSIONS, AT_ONCE, ROUNDS, READS = 70_000, 5_000, 11, 40

@@ -18,9 +18,9 @@ from estimation.values.runs import JobTrigger
 from estimation.values.track_epochs import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import Window, WindowPosition, WindowRecord, WindowState
 from fleet_db.keeping.retention import DAY_NS
-from fleet_db.models import ChunkRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.tables import ChunkRow
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
 from ingest.registry_file import load_registry

@@ -10,8 +10,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, select, update
 
-from fleet_db.models import SectionChangeRow, TrackEpochWindowRow, WheelsetChangeRow, WindowRow
 from fleet_db.rows import insert_new, table_of
+from fleet_db.tables import SectionChangeRow, TrackEpochWindowRow, WheelsetChangeRow, WindowRow
 
 CHANGES, OF_SECTIONS = table_of(WheelsetChangeRow), table_of(SectionChangeRow)
 MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)

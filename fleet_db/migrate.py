@@ -2,12 +2,85 @@
 
 from __future__ import annotations
 
+import re
+from functools import cache
+from pathlib import Path
+
 from alembic import command
 from alembic.config import Config
+from sqlalchemy import Connection, Engine, inspect, text
 
+from estimation.errors import MigrationError
 from fleet_db.locks import Subject, serialise
-from fleet_db.revisions import SCRIPTS, check_upgradable, head
 from fleet_db.session import IMMEDIATE, database_engine, sqlite_file, translate_errors
+
+SCRIPTS = Path(__file__).parent / "migrations"
+TABLE = "alembic_version"
+BEFORE_FIRST_RELEASE = re.compile(r"\d{4}")
+FROM_BEFORE = (
+    "it is from before the first release, and no upgrade leads from there: name a new database, enter the registry and "
+    "ingest the recordings again"
+)
+FROM_LATER = "this version does not know it: run the later one it is of"
+
+
+def check_head(engine: Engine) -> None:
+    """Refuse a database that is not at the head of this version's migrations.
+
+    Raises:
+        MigrationError: It is elsewhere, or has never been migrated; the message gives the command to run.
+        StorageError: It cannot be reached.
+    """
+    file = sqlite_file(engine)
+    if file is not None and not file.exists():
+        raise MigrationError(None, head())
+    with translate_errors(), engine.connect() as connection:
+        found = revision_of(connection)
+    if found != head():
+        raise refusal(found)
+
+
+def check_upgradable(connection: Connection) -> None:
+    """Refuse a database that no upgrade of this version leads from.
+
+    Raises:
+        MigrationError: It is from before the first release, or of a later version.
+    """
+    found = revision_of(connection)
+    if found is not None and found not in known_revisions():
+        raise refusal(found)
+
+
+def refusal(found: str | None) -> MigrationError:
+    """Return the refusal of a database that is not at the head, with what to do about it."""
+    if found is None or found in known_revisions():
+        return MigrationError(found, head())
+    return MigrationError(found, head(), FROM_BEFORE if BEFORE_FIRST_RELEASE.fullmatch(found) else FROM_LATER)
+
+
+def revision_of(connection: Connection) -> str | None:
+    """Return the migration that a database is at; None where it has never been migrated.
+
+    A database of another origin may be at several; they are returned as one text, which no version knows.
+    """
+    if not inspect(connection).has_table(TABLE):
+        return None
+    found = connection.execute(text(f"SELECT version_num FROM {TABLE}")).scalars()  # noqa: S608 - a constant
+    return ", ".join(sorted(map(str, found))) or None
+
+
+def head() -> str:
+    """Return the migration that this version needs."""
+    return known_revisions()[-1]
+
+
+@cache
+def known_revisions() -> tuple[str, ...]:
+    """Return the migrations of this version, the first one first: the numbers with which their files begin.
+
+    They are r0001 and so on: 0001 and so on are of databases from before the first release.
+    """
+    return tuple(sorted(path.name.partition("_")[0] for path in (SCRIPTS / "versions").glob("r[0-9]*_*.py")))
 
 
 def upgrade(url: str) -> str:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from estimation.values.adhesion import FrictionSums, SectionAdhesion, WindowAdhesion
-from fleet_db.fields import fields_of, value_of
-from fleet_db.packing import pack, unpack
+from fleet_db.fields import fields_of, pack, unpack, value_of
 
 VERSION = 1
 WINDOW, SECTION = "window_adhesion", "section_adhesion"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.values.dampers import DamperSums, GearDamper, WindowDamper
-from fleet_db.fields import fields_of, value_of
-from fleet_db.packing import pack, unpack
+from fleet_db.fields import fields_of, pack, unpack, value_of
 
 VERSION = 1
 WINDOW, GEAR = "window_damper", "gear_damper"

@@ -8,8 +8,7 @@ import numpy as np
 
 from estimation.values.json_value import JsonValue
 from estimation.values.signatures import AxlePosition, Place, Signature, SignatureRecord
-from fleet_db.fields import fields_of, value_of
-from fleet_db.packing import pack, unpack
+from fleet_db.fields import fields_of, pack, unpack, value_of
 
 VERSION = 1
 SIGNATURES, ANSWER = "wear_signatures", "signature_answer"

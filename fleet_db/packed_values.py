@@ -20,8 +20,7 @@ from estimation.values.json_value import JsonValue
 from estimation.values.rolling_sums import RollingSums
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, TrackLayout
 from estimation.values.trend import WearTrend
-from fleet_db.fields import fields_of, to_json, value_of
-from fleet_db.packing import Array, pack, unpack
+from fleet_db.fields import Array, fields_of, pack, to_json, unpack, value_of
 
 VERSION = 1
 ALIGNMENTS = 4  # that are kept unpacked, some megabytes each

@@ -5,15 +5,16 @@ from __future__ import annotations
 import hashlib
 import os
 import time
+import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from fleet_db.atomic_files import sync_directory, write_atomically
-from fleet_db.incoming import IncomingFile
-from fleet_db.passing import passing_faults
+from estimation.errors import PassingFaultError
+from fleet_db.atomic_files import passing_faults, sync_directory, write_atomically
 from fleet_db.raw import (
     MARK_NAME,
+    IncomingFile,
     LostRecordingError,
     RawItem,
     RawStore,
@@ -23,6 +24,7 @@ from fleet_db.raw import (
     missing,
     recording_name,
 )
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 
 class FileRawStore(RawStore):
@@ -196,3 +198,44 @@ def total_of(directory: Path, enough: int) -> RawTotal:
 def _digest_of(path: Path) -> str:
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+LOOKED_FOR = 10
+"""So many of the oldest and of the newest receipts are looked for in a store without the mark."""
+
+
+def check_raw_store(storage: SqlStorage, raw: RawStore, now_ns: int) -> str:
+    """Return the mark of the store of raw recordings; mark it at its first use.
+
+    Raises:
+        PassingFaultError: The store is not that of this database: not mounted, or another one; or it cannot be read or
+            written.
+    """
+    found = raw.read_mark()
+    with storage.read() as unit:
+        known = unit.raw_marks.get()
+        if found is not None and found == known:
+            return found
+        if not _belongs(unit, raw):
+            raise not_mounted(raw)
+    with storage.write() as unit:
+        mark = found or unit.raw_marks.get() or uuid.uuid4().hex
+        if unit.raw_marks.get() != mark:
+            unit.raw_marks.set(mark, now_ns)
+    if found is None:
+        raw.write_mark(mark)
+    return mark
+
+
+def not_mounted(raw: RawStore) -> PassingFaultError:
+    """Return the refusal of a store that is not that of the database."""
+    reason = (
+        "holds no recording of this database and not its mark: is it mounted? Is it the right one?"
+        " Nothing is written there until it is the store of the recordings again"
+    )
+    return PassingFaultError(reason, file=raw.url)
+
+
+def _belongs(unit: SqlUnitOfWork, raw: RawStore) -> bool:
+    some = unit.chunks.ends(LOOKED_FOR)
+    return not some or any(raw.holds(record.digest, record.suffix) for record in some)

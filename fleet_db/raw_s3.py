@@ -10,10 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from estimation.errors import PassingFaultError
-from fleet_db.incoming import PREFIX, IncomingFile
-from fleet_db.passing import passing_faults
+from fleet_db.atomic_files import passing_faults
 from fleet_db.raw import (
     MARK_NAME,
+    PREFIX,
+    IncomingFile,
     LostRecordingError,
     RawItem,
     RawStore,

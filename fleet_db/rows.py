@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update,
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.models import Base
+from fleet_db.tables import Base
 
 
 def table_of(row: type[Base]) -> Table:

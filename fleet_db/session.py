@@ -7,13 +7,16 @@ write begins IMMEDIATE, so that two writers wait for each other instead of faili
 from __future__ import annotations
 
 import json
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, TypeVar, cast
 
+import psycopg
 import sqlalchemy
 from sqlalchemy import URL, Connection, Dialect, Engine, event
 from sqlalchemy.exc import (
@@ -27,9 +30,169 @@ from sqlalchemy.exc import (
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from estimation.errors import ConflictError, ParameterError, StorageError
-from fleet_db.reachability import guard_connecting
-from fleet_db.silent_server import ServerLimits, WatchedConnection
 from fleet_db.visibility import narrow_statements
+
+Returned = TypeVar("Returned")
+Waiting = Generator[Any, Any, Returned]
+"""Of the driver: yields what it waits for on the socket, is sent what came, nothing at each of its intervals."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServerLimits:
+    """How long a database server may take.
+
+    Attributes:
+        connect_s: To accept a connection; the driver takes at least 2 s.
+        silence_s: To say anything about a statement, before it is asked whether it is there.
+        statement_s: For one statement; None without a limit.
+    """
+
+    connect_s: int = 5
+    silence_s: float = 10.0
+    statement_s: float | None = None
+
+    def options(self) -> dict[str, int]:
+        """Return the driver's options: also for a peer whose kernel has gone without a word."""
+        return {
+            "connect_timeout": self.connect_s,
+            "keepalives_idle": max(1, round(self.silence_s)),
+            "keepalives_interval": max(1, round(self.silence_s / 2)),
+            "keepalives_count": 3,
+            "tcp_user_timeout": round(2000 * self.silence_s),  # ms
+        }
+
+
+class WatchedConnection(psycopg.Connection[Any]):
+    """A connection that ends with an error where the server is silent, and does not answer at another one either."""
+
+    answered_s = float("-inf")
+    """When the server answered it last, on the monotonic clock, in seconds."""
+    _limits: ServerLimits | None = None
+    _again: Callable[[], psycopg.Connection[Any]]
+
+    @classmethod
+    def open(cls, limits: ServerLimits, *positional: Any, **named: Any) -> Self:  # noqa: ANN401 - the driver's own
+        """Return a connection within these limits.
+
+        Args:
+            positional, named: Of ``psycopg.connect``.
+
+        Raises:
+            psycopg.OperationalError: Nothing answered in time, or it refused.
+        """
+        connection = cls.connect(*positional, **named)
+        connection.watch(limits, lambda: psycopg.connect(*positional, **named))
+        return connection
+
+    def watch(self, limits: ServerLimits, connect_again: Callable[[], psycopg.Connection[Any]]) -> None:
+        """Look at the silence of the server from now on."""
+        self._limits, self._again = limits, connect_again
+
+    def wait(self, gen: Waiting[Returned], *positional: Any, **named: Any) -> Returned:  # noqa: ANN401 - the driver's own
+        """Wait as the driver does, and look at the silence meanwhile.
+
+        Raises:
+            psycopg.OperationalError: The server was silent for too long and is not there, or the statement took too
+                long.
+        """
+        watched = gen if self._limits is None else self._watch(gen, self._limits)
+        return super().wait(watched, *positional, **named)
+
+    def _watch(self, gen: Waiting[Returned], limits: ServerLimits) -> Waiting[Returned]:
+        began_s = said_s = time.monotonic()
+        # the server ends a statement that is late by itself, and has this long to say so
+        late_s = None if limits.statement_s is None else limits.statement_s + limits.silence_s
+        try:
+            wanted = next(gen)
+            while True:
+                came = yield wanted
+                now_s = time.monotonic()
+                if came:
+                    said_s = now_s
+                elif late_s is not None and now_s - began_s >= late_s:
+                    self._give_up(f"no end of a statement after {now_s - began_s:.0f} s")
+                elif now_s - said_s >= limits.silence_s:
+                    self._ask_whether_there(now_s - said_s)
+                    said_s = time.monotonic()
+                wanted = gen.send(came)
+        except StopIteration as end:
+            self.answered_s = time.monotonic()
+            return cast("Returned", end.value)
+
+    def _ask_whether_there(self, silent_s: float) -> None:
+        try:
+            self._again().close()
+        except psycopg.Error:  # without its cause: it may repeat the password
+            self._give_up(f"no answer for {silent_s:.0f} s, and none to a new connection")
+
+    def _give_up(self, why: str) -> None:
+        self.pgconn.finish()
+        raise psycopg.OperationalError(f"the server is silent: {why}") from None
+
+
+RETRY_S = 1.0
+"""After a failure nobody tries to connect for this long, in seconds."""
+
+
+@dataclass(slots=True)
+class Reachability:
+    """Whether the last attempt to connect failed, when, and with which message."""
+
+    clock: Callable[[], float] = time.monotonic
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _failure: tuple[float, str] | None = None
+    _trying: bool = False
+
+    def refusal(self) -> str | None:
+        """Return why not to try now; None to the caller that may, who then reports what came of it."""
+        with self._lock:
+            if self._failure is None:
+                return None
+            failed_at_s, message = self._failure
+            if self._trying or self.clock() - failed_at_s < RETRY_S:
+                return message
+            self._trying = True
+            return None
+
+    def succeeded(self) -> None:
+        """Let everyone try from now on."""
+        with self._lock:
+            self._failure, self._trying = None, False
+
+    def failed(self, message: str) -> None:
+        """Let nobody try for a while."""
+        with self._lock:
+            self._failure, self._trying = (self.clock(), message), False
+
+
+def guard_connecting(engine: Engine, open_connection: Callable[..., Any]) -> None:
+    """Let the attempts of this engine to connect go through one :class:`Reachability`.
+
+    The message of an attempt that failed is passed on without the password.
+    """
+    reachability = Reachability()
+
+    def connect(dialect: Dialect, _entry: ConnectionPoolEntry, positional: list[Any], named: dict[str, Any]) -> Any:  # noqa: ANN401 - the driver's own type
+        failure = dialect.loaded_dbapi.OperationalError
+        refusal = reachability.refusal()
+        if refusal is not None:
+            raise failure(refusal)
+        try:
+            connection = open_connection(*positional, **named)
+        except dialect.loaded_dbapi.Error as error:
+            message = str(error)
+            if named.get("password"):
+                message = message.replace(str(named["password"]), "***")
+            reachability.failed(message)
+            raise failure(message) from None
+        except BaseException:
+            reachability.failed("the attempt to connect was broken off")
+            raise
+        reachability.succeeded()
+        return connection
+
+    event.listen(engine, "do_connect", connect)
+
 
 BUSY_TIMEOUT_MS = 30_000
 BEGIN_OPTION = "sqlite_begin"

@@ -13,10 +13,19 @@ from sqlalchemy import Connection, Engine
 from estimation.errors import StorageError
 from estimation.values.claims import Claimed
 from estimation.values.runs import JobTrigger
-from fleet_db import owners
+from fleet_db import locks
 from fleet_db.changes import Changes
-from fleet_db.leases import Lease, prolonged
-from fleet_db.locks import file_scheduler_lock, lock_scheduler, postgresql_session, serialise_vehicle, single_writer
+from fleet_db.locks import (
+    Lease,
+    UnendedLease,
+    UnendedLeases,
+    file_scheduler_lock,
+    lock_scheduler,
+    postgresql_session,
+    prolonged,
+    serialise_vehicle,
+    single_writer,
+)
 from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
 from fleet_db.stores.adhesion import AdhesionStore
 from fleet_db.stores.alerts import AlertStore
@@ -58,7 +67,6 @@ from fleet_db.stores.work_claims import WorkClaimStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
 from fleet_db.telemetry import WindowFiles
-from fleet_db.unended import UnendedLease, UnendedLeases
 from fleet_db.visibility import VISIBLE
 
 SNAPSHOT = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
@@ -262,7 +270,7 @@ class SqlStorage:
                 yield storage
             finally:
                 with suppress(StorageError), self.write() as unit:  # out of reach: whoever looks next removes it
-                    owners.remove(unit.connection, token)
+                    locks.remove(unit.connection, token)
 
     @contextmanager
     def leased(
@@ -321,8 +329,8 @@ class SqlStorage:
         only = file_scheduler_lock(file.with_name(f"{file.name}.scheduler-lock"), holder)
         with only if kind is JobTrigger.SCHEDULE else nullcontext(), ExitStack() as held:
             with self.write() as unit:
-                token = owners.add(unit.connection, kind, holder, now_ns)
-                held.enter_context(owners.file_owner_lock(owners.lock_file(self.engine, token)))
+                token = locks.add(unit.connection, kind, holder, now_ns)
+                held.enter_context(locks.file_owner_lock(locks.lock_file(self.engine, token)))
             yield token
 
     @contextmanager
@@ -331,8 +339,8 @@ class SqlStorage:
             if kind is JobTrigger.SCHEDULE:
                 lock_scheduler(session)
             with self.write() as unit:
-                token = owners.add(unit.connection, kind, holder, now_ns)
-                owners.lock_owner(session, token)
+                token = locks.add(unit.connection, kind, holder, now_ns)
+                locks.lock_owner(session, token)
             yield token
 
     @property
@@ -373,7 +381,7 @@ class OwnedStorage(SqlStorage):
         with SqlStorage.write(self) as unit:
             yield unit
             unit.finish()
-            owners.check_claim(unit.connection, self.token, self.holder)
+            locks.check_claim(unit.connection, self.token, self.holder)
 
     @property
     def owner_token(self) -> int:
@@ -384,7 +392,7 @@ class OwnedStorage(SqlStorage):
         """Return whether the claim holds and the connection with its lock is alive."""
         try:
             with self.read() as unit:
-                return self.token in owners.living(unit.connection, [self.token]) and owners.has_claim(
+                return self.token in locks.living(unit.connection, [self.token]) and locks.has_claim(
                     unit.connection, self.token
                 )
         except StorageError:

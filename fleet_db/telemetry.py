@@ -24,10 +24,8 @@ from estimation.errors import DamagedError, StorageError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.json_value import JsonValue
 from estimation.values.windows import ACCELERATIONS, NO_BLOWS, NOT_HUNTING, Hunting, TurnBlows, Window, WindowQuality
-from fleet_db.atomic_files import write_atomically
-from fleet_db.fields import from_json, to_json
-from fleet_db.packing import Array, pack, unpack
-from fleet_db.passing import passing_fault, passing_faults
+from fleet_db.atomic_files import passing_fault, passing_faults, write_atomically
+from fleet_db.fields import Array, from_json, pack, to_json, unpack
 
 KIND = "window"
 VERSION = 1

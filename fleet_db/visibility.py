@@ -27,8 +27,8 @@ from sqlalchemy import (
 from sqlalchemy.sql import Executable, visitors
 from sqlalchemy.sql.selectable import Alias, Join
 
-from fleet_db.models import AlertRow, ChunkRow, VehicleRow, WebhookFleetRow, WheelsetRow
 from fleet_db.rows import table_of
+from fleet_db.tables import AlertRow, ChunkRow, VehicleRow, WebhookFleetRow, WheelsetRow
 
 Fleets = frozenset[str]
 Columns = Any  # the columns of a table or of an alias of it

@@ -20,7 +20,7 @@ from estimation.errors import ConflictError, LogFileError, NotFoundError, Treadw
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.raw import RawStore
-from fleet_db.raw_mark import check_raw_store
+from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler

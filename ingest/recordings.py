@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from estimation.errors import LogFileError, PassingFaultError, StorageError
-from fleet_db.passing import passing_faults
+from fleet_db.atomic_files import passing_faults
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork

@@ -28,11 +28,10 @@ from psycopg import sql
 from raw_stores import Behind, in_bucket, in_files
 from s3_server import S3Server, running_s3_server
 
-from fleet_db.migrate import upgrade
-from fleet_db.models import Base
-from fleet_db.revisions import head
+from fleet_db.migrate import head, upgrade
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import Base
 
 GIVEN = "TREADWATCH_TEST_POSTGRES_URL"
 

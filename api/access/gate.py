@@ -6,20 +6,119 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from http import HTTPMethod
+from typing import Literal, Protocol
+from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.types import Scope
 
 from api.access.caller import ANYONE, Caller, name_caller
-from api.access.hosts import Hosts
-from api.access.key_ring import KeyRing
+from api.access.key_ring import KeyRing, prefix_of
 from api.access.oidc import Tokens
-from api.access.open_paths import Opened, door_of
 from api.access.rates import Rate
-from api.access.tokens import prefix_of
 from api.problems import ProblemError
 from estimation.errors import TreadwatchError
+
+Door = Literal["key", "open", "off"]
+HEALTH = frozenset({"/healthz", "/readyz"})
+PAGE = frozenset({"/", "/favicon.ico"})
+"""The page itself holds nothing of a fleet: it asks for a key and reads with it."""
+PAGE_FILES = "/assets/"
+DOCUMENTS = frozenset({"/openapi.json", "/docs"})
+DOCUMENT_FILES = "/docs/"
+METRICS = "/metrics"
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """What a deployment sets of its doors: ``key`` needs a key, ``open`` needs none, ``off`` is shut."""
+
+    metrics: Door = "key"
+    docs: Door = "key"
+
+
+@dataclass(frozen=True, slots=True)
+class _Passage:
+    """How a path is passed; ``of_all_fleets`` asks for a reading key that is bound to none."""
+
+    open: bool = False
+    shut: bool = False
+    of_all_fleets: bool = False
+
+    def check(self, caller: Caller) -> None:
+        """Refuse a caller who may not pass.
+
+        Raises:
+            ProblemError: 403.
+        """
+        if self.of_all_fleets and ("read" not in caller.scopes or caller.fleets is not None):
+            raise ProblemError(403, "forbidden", "this needs a key of all fleets with the scope 'read'")
+
+
+def door_of(opened: Opened, scope: Scope) -> _Passage:
+    """Return how the path of a request is passed; with a key where nothing else is said."""
+    path: str = scope["path"]
+    if path in HEALTH or path in PAGE or path.startswith(PAGE_FILES):
+        return _Passage(open=True)  # also where the method is not allowed, which is then the answer
+    if scope["method"] not in READING:
+        return _Passage()
+    if path == METRICS:
+        return _Passage(open=opened.metrics == "open", shut=opened.metrics == "off", of_all_fleets=True)
+    if path in DOCUMENTS or path.startswith(DOCUMENT_FILES):
+        return _Passage(open=opened.docs == "open", shut=opened.docs == "off")
+    return _Passage()
+
+
+LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+READING = frozenset({HTTPMethod.GET, HTTPMethod.HEAD, HTTPMethod.OPTIONS})
+
+
+@dataclass(frozen=True, slots=True)
+class Hosts:
+    """The names and origins that are let through.
+
+    Args:
+        names: Names of hosts, in lower case, beside those of loopback and the address that the connection came in at.
+        origins: Origins of pages, such as ``https://maintenance.example``, beside our own.
+    """
+
+    names: frozenset[str] = frozenset()
+    origins: frozenset[str] = frozenset()
+
+    def check(self, scope: Scope) -> None:
+        """Refuse a request under another name, or a change that a page of another origin asks for.
+
+        Raises:
+            ProblemError: 421 or 403.
+        """
+        headers = Headers(scope=scope)
+        host = headers.get("host")
+        if host is not None and not self._ours(host, scope):
+            detail = "the service is not reached under this name; name it in TREADWATCH_HOSTS"
+            raise ProblemError(421, "unknown-host", detail)
+        origin = headers.get("origin")
+        if origin is None or scope["method"] in READING or origin in self.origins:
+            return
+        if host is None or urlsplit(origin).netloc.lower() != host.lower():
+            detail = "pages of another origin may not change anything here; name it in TREADWATCH_ORIGINS"
+            raise ProblemError(403, "foreign-origin", detail)
+
+    def _ours(self, host: str, scope: Scope) -> bool:
+        name = host_name(host)
+        here = scope.get("server")
+        return name in LOOPBACK_NAMES or name in self.names or (here is not None and name == str(here[0]).lower())
+
+
+def host_name(host: str) -> str | None:
+    """Return the name in a ``Host`` header, in lower case and without its port; None where it is none."""
+    try:
+        parts = urlsplit(f"//{host}")
+        _ = parts.port
+    except ValueError:
+        return None
+    return parts.hostname.rstrip(".") if parts.hostname and parts.netloc == host and "@" not in host else None
+
 
 _CHALLENGE = {"WWW-Authenticate": 'Bearer realm="treadwatch"'}
 _REFUSED = {"WWW-Authenticate": 'Bearer realm="treadwatch", error="invalid_token"'}

@@ -12,9 +12,9 @@ from starlette.middleware.cors import CORSMiddleware
 from api.access.book import AccessBook
 from api.access.gate import Gate
 from api.access.plan import AccessPlan
+from api.access.rates import StreamPlaces
 from api.access.recording import Recorder, recorder_of
 from api.access.security_headers import security_headers
-from api.access.streams import StreamPlaces
 from fleet_db.storage import SqlStorage
 
 SHOWN = ["ETag", "Idempotency-Replayed", "Link", "Location", "Retry-After", "X-Request-Id"]

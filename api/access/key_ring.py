@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import hmac
+import re
+import secrets
 import time
 from collections import OrderedDict
 from collections.abc import Callable
@@ -12,9 +15,46 @@ from dataclasses import dataclass, field
 import anyio.to_thread
 from anyio import CapacityLimiter
 
-from api.access.tokens import digest_of, prefix_of
+from api.access.caller import EVERYTHING
+from estimation.errors import NotFoundError, ParameterError
 from fleet_db.access_records import ApiKey
-from fleet_db.storage import SqlStorage
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
+
+_ALPHABET = "abcdefghijklmnopqrstuvwxyz234567"
+_PREFIX_LENGTH = 8
+_SECRET_BYTES = 32
+_FORM = re.compile(r"tw_(?P<prefix>[a-z2-7]{8})_[A-Za-z0-9_-]{43}", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class NewToken:
+    """A key that was just made; ``text`` is shown once and never stored."""
+
+    prefix: str
+    text: str
+
+    @property
+    def digest(self) -> str:
+        """What is stored of it."""
+        return digest_of(self.text)
+
+
+def new_token() -> NewToken:
+    """Return a key that nobody has."""
+    prefix = "".join(secrets.choice(_ALPHABET) for _ in range(_PREFIX_LENGTH))
+    return NewToken(prefix, f"tw_{prefix}_{secrets.token_urlsafe(_SECRET_BYTES)}")
+
+
+def prefix_of(token: str) -> str | None:
+    """Return the prefix of a key; None where it has not the form of one."""
+    found = _FORM.fullmatch(token)
+    return None if found is None else found["prefix"]
+
+
+def digest_of(token: str) -> str:
+    """Return the SHA-256 of a key, hexadecimal; a slow hash would protect nothing more of 256 random bits."""
+    return hashlib.sha256(token.encode()).hexdigest()
+
 
 AGAIN_S = 2.5
 """After so long a key is read again, beside the request that asks."""
@@ -101,3 +141,46 @@ class KeyRing:
         if len(self._known) > KEYS:
             self._known.popitem(last=False)
         return key
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A key that is to be made.
+
+    Args:
+        fleets: Codes of the fleets that it sees; None for all.
+        expires_ns: When it expires, ns UTC; None for never.
+    """
+
+    owner: str
+    scopes: frozenset[str]
+    fleets: frozenset[str] | None
+    expires_ns: int | None
+
+
+def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple[ApiKey, NewToken]:
+    """Store a new key and return it with its secret.
+
+    Args:
+        now_ns: Our time, ns UTC.
+
+    Raises:
+        ParameterError: An unknown scope or none, no owner, or it has expired already; names the field.
+        NotFoundError: There is no such fleet.
+    """
+    if not wanted.owner.strip():
+        raise ParameterError("names nobody", field="owner")
+    if not wanted.scopes or wanted.scopes - EVERYTHING:
+        raise ParameterError(f"must be some of {', '.join(sorted(EVERYTHING))}", field="scopes")
+    if wanted.expires_ns is not None and wanted.expires_ns <= now_ns:
+        raise ParameterError("is not in the future", field="expires_at")
+    if wanted.fleets is not None:
+        known = {fleet.code for fleet in unit.registry.fleets()}
+        for code in sorted(wanted.fleets - known):
+            raise NotFoundError("fleet", code)
+    token = new_token()
+    while unit.api_keys.find(token.prefix) is not None:
+        token = new_token()
+    made = ApiKey(token.prefix, token.digest, wanted.owner, wanted.scopes, wanted.fleets, now_ns, by, wanted.expires_ns)
+    unit.api_keys.add(made)
+    return made, token

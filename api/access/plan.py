@@ -7,11 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from api.access.book import AccessBook
-from api.access.gate import Gate
-from api.access.hosts import Hosts
+from api.access.gate import Gate, Hosts, Opened
 from api.access.key_ring import KeyRing
 from api.access.oidc import Provider, Tokens
-from api.access.open_paths import Opened
 from api.access.rates import Rate
 from api.settings import PREFIX, Settings
 from estimation.errors import ParameterError

@@ -12,8 +12,7 @@ from starlette.types import Scope
 
 from api.access.book import AccessBook
 from api.access.caller import known_caller
-from api.access.gate import address_of
-from api.access.hosts import READING
+from api.access.gate import READING, address_of
 from api.access.rates import Rate
 from api.uploads.path import is_upload
 from fleet_db.access_records import AuditEntry

@@ -27,7 +27,7 @@ def check_database(
 ) -> None:
     """Check that the database answers and is at the migration that this version needs."""
     from api.settings import load_settings
-    from fleet_db.revisions import check_head, head
+    from fleet_db.migrate import check_head, head
     from fleet_db.session import database_engine
 
     engine = database_engine(load_settings().url)

@@ -13,9 +13,15 @@ def schedule(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -
     from functools import partial
 
     from api import logs
-    from api.factory import job_context, open_store, process_name, scheduled_jobs, upkeep_jobs
+    from api.factory import (
+        job_context,
+        once_the_database_answers,
+        open_store,
+        process_name,
+        scheduled_jobs,
+        upkeep_jobs,
+    )
     from api.settings import load_settings
-    from api.starting import once_the_database_answers
     from api.tracing import start_tracing
     from api.workers.choice import executor_of
     from estimation.jobs.scheduler import serve_jobs

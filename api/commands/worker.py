@@ -11,9 +11,8 @@ def worker(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> 
     from functools import partial
 
     from api import logs
-    from api.factory import open_store
+    from api.factory import once_the_database_answers, open_store
     from api.settings import load_settings
-    from api.starting import once_the_database_answers
     from api.workers.dask_worker import serve_dask
     from estimation.errors import ParameterError
     from estimation.jobs.stop_signals import stop_on_signals

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from api.answers import payload_of
+from api.answers import RepresentationCache, payload_of
 from api.feed import cursors
 from api.feed.filters import FeedFilter
 from api.feed.pages import Place, newest_place
-from api.representation_cache import RepresentationCache
 from api.schemas import alerts
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.feed_branches import FeedBranch

@@ -11,7 +11,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from api.access.caller import Caller
-from api.access.streams import StreamPlaces
+from api.access.rates import StreamPlaces
 from api.problems import ProblemError
 
 TRY_AGAIN = {"Retry-After": "10"}

@@ -16,7 +16,7 @@ from starlette.types import Message, Receive, Scope, Send
 from api.feed.filters import FeedFilter
 from api.feed.pages import FeedPage, Place, read_page
 from api.feed.watch import Channel, FeedWatch, as_sent
-from api.http_limits import SEND_TIMEOUT_S
+from api.http_server import SEND_TIMEOUT_S
 from estimation.errors import TreadwatchError
 from fleet_db.storage import SqlStorage
 

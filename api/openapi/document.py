@@ -2,24 +2,160 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from http import HTTPStatus
+from types import ModuleType
 from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute, iter_route_contexts
 from pydantic.json_schema import models_json_schema
 
-from api.access.scopes import Scope
+from api.access.gate import HEALTH
+from api.access.scopes import Scope, scope_of
+from api.contract import CSV
+from api.csv_tables import columns_of, item_of
 from api.openapi import headers
-from api.openapi.problem_examples import describe_problems
-from api.openapi.security import describe_access
-from api.openapi.tables import describe_tables
 from api.openapi.words import describe_properties
-from api.problems import Problem
+from api.problems import PROBLEM_MEDIA_TYPE, TYPES, Problem
 from api.schemas.common import Uncertain
 from estimation.values.alerts import CloseReason
 from estimation.values.reasons import ReasonCode
 from estimation.values.worklist import Urgency
+
+
+def describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
+    """Add the table of every list to its success."""
+    for context in iter_route_contexts(app.routes):
+        route = context.original_route
+        item = item_of(route.response_model) if isinstance(route, APIRoute) and route.include_in_schema else None
+        if item is None or not isinstance(route, APIRoute):
+            continue
+        columns = [column.name for column in columns_of(item)]
+        listed = ", ".join(f"`{name}`" for name in columns)
+        schema = {
+            "type": "string",
+            "description": f"A table (RFC 4180) with the columns {listed}. Cells that start like a formula have an "
+            "apostrophe in front.",
+        }
+        for method in route.methods or ():
+            content = document["paths"][route.path_format][method.lower()]["responses"]["200"]["content"]
+            content[CSV] = {"schema": schema, "example": ",".join(columns) + "\r\n"}
+
+
+KEY = "key"
+SCHEME = {
+    "type": "http",
+    "scheme": "bearer",
+    "description": "A key of this service (`treadwatch keys create`), or a token of the identity provider.",
+}
+
+
+def scopes_of(modules: Iterable[ModuleType]) -> dict[str, Scope]:
+    """Return the scope of every operation by its name.
+
+    Raises:
+        LookupError: One has none.
+    """
+    found = {}
+    for module in modules:
+        for route in module.router.routes:
+            if isinstance(route, APIRoute):
+                scope = scope_of(route)
+                if scope is None:
+                    raise LookupError(f"{route.name} declares no scope")
+                found[route.name] = scope
+    return found
+
+
+def describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
+    """Add the key to the document, and the scope to every operation; `/healthz` and `/readyz` need none.
+
+    Args:
+        scopes: Each under the name of its operation; `read` where nothing is said, as of `/metrics`.
+    """
+    document["components"]["securitySchemes"] = {KEY: SCHEME}
+    for path, operations in document["paths"].items():
+        for operation in operations.values():
+            scope = scopes.get(operation["operationId"], Scope.READ)
+            operation["security"] = [] if path in HEALTH else [{KEY: [scope.value]}]
+
+
+DETAILS: Mapping[str, str] = {
+    "not-found": "no wheelset 'WS-9999'",
+    "invalid-request": "query #/limit: Input should be less than or equal to 1000",
+    "invalid-cursor": "this cursor belongs to another list or another filter; start again without it",
+    "cursor-of-another-database": "the cursor is of another database: read what is open now, then follow `next`",
+    "conflict": "alert 7 is closed",
+    "precondition-required": "send the ETag of the resource as If-Match",
+    "precondition-failed": "the resource has changed; read it again",
+    "idempotency-key-reused": "this Idempotency-Key was used for another request; use a new one",
+    "history-purged": "replaced results are kept from 2026-01-01T00:00:00Z on, see the retention",
+    "not-acceptable": "offered: application/json",
+    "unsupported-media-type": "send application/json",
+    "digest-mismatch": "the body has another sha256 than its path",
+    "content-too-large": "at most 1048576 bytes",
+    "headers-too-large": "request line and headers: at most 16384 bytes",
+    "request-timeout": "the body did not arrive within 30 s",
+    "unauthenticated": "send a valid key or token: Authorization: Bearer ...",
+    "forbidden": "this needs the scope 'act'",
+    "foreign-origin": "pages of https://elsewhere.example may not change anything here",
+    "unknown-host": "name the host in TREADWATCH_HOSTS",
+    "too-many-requests": "limit requests_per_s: at most 50 requests a second of a key; try again",
+    "overloaded": "100 requests are being answered; try again",
+    "not-ready": "the database does not answer",
+    "internal-error": "the failure has been logged",
+}
+_OF_STATUS: Mapping[str, str] = {
+    "400": "invalid-cursor",
+    "401": "unauthenticated",
+    "403": "forbidden",
+    "404": "not-found",
+    "406": "not-acceptable",
+    "408": "request-timeout",
+    "409": "conflict",
+    "410": "history-purged",
+    "412": "precondition-failed",
+    "413": "content-too-large",
+    "415": "unsupported-media-type",
+    "422": "invalid-request",
+    "428": "precondition-required",
+    "429": "too-many-requests",
+    "431": "headers-too-large",
+    "500": "internal-error",
+    "503": "not-ready",
+}
+_FEED = ("poll_alert_feed", "stream_alert_feed")
+_POINTED = [{"in": "query", "pointer": "#/limit", "detail": "Input should be less than or equal to 1000"}]
+
+
+def describe_problems(path: str, operation: dict[str, Any]) -> None:
+    """Give every problem of an operation an example.
+
+    Args:
+        path: Template of the operation's path.
+    """
+    for status, response in operation["responses"].items():
+        content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)
+        if content is not None:
+            content.setdefault("example", _example(path, status, operation["operationId"]))
+
+
+def _example(path: str, status: str, name: str) -> dict[str, Any]:
+    kind = "cursor-of-another-database" if name in _FEED and status == "409" else _OF_STATUS.get(status)
+    example: dict[str, Any] = {
+        "type": "about:blank" if kind is None else f"urn:treadwatch:problem:{kind}",
+        "title": HTTPStatus(int(status)).phrase if kind is None else TYPES[kind],
+        "status": int(status),
+        "instance": path.replace("{", "").replace("}", ""),
+    }
+    if kind is not None:
+        example["detail"] = DETAILS[kind]
+    if kind == "invalid-request":
+        example["errors"] = _POINTED
+    return example
+
 
 DESCRIPTION = """
 Fleet health monitoring of wheel-rail wear: contact geometry, equivalent conicity, trends and alerts per wheelset.

@@ -14,7 +14,7 @@ from api.contract import CSV, Accepted
 from api.known import require_known
 from api.parameters import FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
-from api.schemas import accuracy, comparison, wheel_contact
+from api.schemas import accuracy, wheel_contact
 from api.services import Services, ServicesDep
 from api.times import Moment, to_rfc3339
 from estimation.accuracy.fleet_accuracy import fleet_accuracy
@@ -53,7 +53,7 @@ def get_design_contact(
 
 @router.get(
     "/wheelsets/{serial}/measured-profiles/{measured_at}/comparison",
-    response_model=comparison.ProfileComparison,
+    response_model=accuracy.ProfileComparison,
     responses=described(404),
 )
 def get_profile_comparison(
@@ -66,7 +66,7 @@ def get_profile_comparison(
         found = _reader(services, unit).of_wheelset(wheelset, wanted)
     if not found:
         raise NotFoundError("measured profiles", f"{serial} at {to_rfc3339(measured_at)}")
-    return answer(request, comparison.profile_comparison(found[0]))
+    return answer(request, accuracy.profile_comparison(found[0]))
 
 
 @router.get("/accuracy", response_model=accuracy.Accuracy, responses={**described(404), **_TABLE})

@@ -23,7 +23,7 @@ from api.answers import (
 from api.known import require_known
 from api.parameters import FleetFilter, Number, WheelsetFilter
 from api.problems import described
-from api.schemas import alert_rows, alerts
+from api.schemas import alerts
 from api.schemas.common import Page
 from api.services import ServicesDep
 from estimation.values.alerts import AlertScope, Condition, Severity
@@ -39,13 +39,13 @@ MemberOf = Annotated[
 ]
 OfSeverity = Annotated[Severity | None, Query(description="Only of this severity.")]
 Sort = Annotated[
-    alert_rows.AlertSort,
+    alerts.AlertSort,
     Query(description="Oldest first (`id`), newest first (`-id`), or the worst first and of those the newest."),
 ]
 OpenOnly = Annotated[bool, Query(alias="open", description="Only alerts that are not closed.")]
 
 
-@router.get("", response_model=Page[alert_rows.AlertRow], responses=described(400, 404))
+@router.get("", response_model=Page[alerts.AlertRow], responses=described(400, 404))
 def list_alerts(
     request: Request,
     services: ServicesDep,
@@ -57,7 +57,7 @@ def list_alerts(
     scope: Scope = None,
     fleet_alert: MemberOf = None,
     open_only: OpenOnly = False,  # noqa: FBT002 - a query parameter
-    sort: Sort = alert_rows.AlertSort.OLDEST,
+    sort: Sort = alerts.AlertSort.OLDEST,
     cursor: Cursor = None,
     limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
@@ -71,7 +71,7 @@ def list_alerts(
         "scope": scope,
         "fleet_alert": fleet_alert,
         "open": open_only,
-        "sort": None if sort is alert_rows.AlertSort.OLDEST else sort,
+        "sort": None if sort is alerts.AlertSort.OLDEST else sort,
     }
     after = cursors.decode(operation(request), filters, cursor)
     choice = AlertChoice(fleet, wheelset, kind, condition, severity, scope, fleet_alert, open_only=open_only)
@@ -82,9 +82,9 @@ def list_alerts(
             require_known(unit, fleet=fleet, wheelset=wheelset, fleet_alert=fleet_alert)
         places = {one.alert_id: (one.vehicle, one.axle) for one in found}
 
-        def made(numbers: Sequence[int]) -> Mapping[int, alert_rows.AlertRow]:
+        def made(numbers: Sequence[int]) -> Mapping[int, alerts.AlertRow]:
             records = unit.alerts.some(numbers)
-            return {number: alert_rows.alert_row(record, now_ns, places[number]) for number, record in records.items()}
+            return {number: alerts.alert_row(record, now_ns, places[number]) for number, record in records.items()}
 
         def payloads(numbers: Sequence[int]) -> Mapping[int, bytes]:
             return {number: payload_of(row) for number, row in made(numbers).items()}
@@ -92,7 +92,7 @@ def list_alerts(
         keys = {one.alert_id: _key(one, now_ns) for one in found[:limit]}
         rows = made(list(keys)) if wants_table(request) else {}
         texts = {} if rows else services.cache.get_or_make_all(keys, payloads)
-    by_severity = sort is alert_rows.AlertSort.WORST
+    by_severity = sort is alerts.AlertSort.WORST
     return answer_payloads(
         request,
         filters,
@@ -111,12 +111,12 @@ def _key(one: AlertOutline, now_ns: int) -> Hashable:
 
 
 def _found(
-    store: AlertStore, choice: AlertChoice, sort: alert_rows.AlertSort, after: object, limit: int
+    store: AlertStore, choice: AlertChoice, sort: alerts.AlertSort, after: object, limit: int
 ) -> Sequence[AlertOutline]:
     """Return the alerts behind a place; the worst first, each severity is a list of its own, newest first."""
-    if sort is not alert_rows.AlertSort.WORST:
+    if sort is not alerts.AlertSort.WORST:
         number = cursors.number_of(after)
-        return store.outlines(choice, number, limit, newest_first=sort is alert_rows.AlertSort.NEWEST)
+        return store.outlines(choice, number, limit, newest_first=sort is alerts.AlertSort.NEWEST)
     worst, number = _place(after)
     found: list[AlertOutline] = []
     for one in reversed(list(Severity)[: list(Severity).index(worst) + 1]):

@@ -14,7 +14,7 @@ from api.answers import IfNoneMatch, answer
 from api.middleware import turn_of
 from api.parameters import CODE
 from api.problems import ProblemError, described
-from api.schemas import chunks
+from api.schemas import recordings
 from api.services import Services, ServicesDep
 from estimation.errors import ConflictError, NotFoundError
 from ingest.intake.chunk import Chunk
@@ -44,9 +44,9 @@ FileName = Annotated[
 @router.put(
     "/{sha256}",
     status_code=HTTPStatus.CREATED,
-    response_model=chunks.Chunk,
+    response_model=recordings.Chunk,
     responses={
-        200: {"model": chunks.Chunk, "description": "It is stored already."},
+        200: {"model": recordings.Chunk, "description": "It is stored already."},
         **described(404, 408, 409, 413, 415),
     },
     openapi_extra={"requestBody": BODY},
@@ -77,17 +77,17 @@ async def put_chunk(
             raise _conflict(error, caller) from error
     created = HTTPStatus.OK if stored.known else HTTPStatus.CREATED
     headers = {} if stored.known else {"Location": f"/v1/chunks/{sha256}"}
-    return answer(request, chunks.chunk(stored.record), status=created, headers=headers)
+    return answer(request, recordings.chunk(stored.record), status=created, headers=headers)
 
 
-@router.get("/{sha256}", response_model=chunks.Chunk, responses=described(404))
+@router.get("/{sha256}", response_model=recordings.Chunk, responses=described(404))
 def get_chunk(request: Request, services: ServicesDep, sha256: Sha256, _held: IfNoneMatch = None) -> Response:
     """Return the receipt of a chunk, and where it stands."""
     with services.storage.read() as unit:
         record = unit.chunks.get(sha256)
     if record is None:
         raise NotFoundError("chunk", sha256)
-    return answer(request, chunks.chunk(record))
+    return answer(request, recordings.chunk(record))
 
 
 def _suffix(given: str) -> str:

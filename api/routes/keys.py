@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Path, Request, Response
 
 from api import cursors
 from api.access.caller import NOBODY_NAMED, CallerDep
-from api.access.making import Wanted, make_key
+from api.access.key_ring import Wanted, make_key
 from api.access.scopes import Scope, requires
 from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
 from api.problems import described

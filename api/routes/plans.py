@@ -10,7 +10,7 @@ from api.answers import answer
 from api.known import require_known
 from api.parameters import FleetFilter, VehicleFilter
 from api.problems import described
-from api.schemas import plans
+from api.schemas import worklist
 from api.services import ServicesDep
 from api.times import to_rfc3339
 from estimation.plans.reprofiling import turning_plan
@@ -42,7 +42,7 @@ Difference = Annotated[
 ]
 
 
-@router.get("/reprofiling", response_model=plans.TurningPlan, responses=described(404))
+@router.get("/reprofiling", response_model=worklist.TurningPlan, responses=described(404))
 def plan_reprofiling(
     request: Request,
     services: ServicesDep,
@@ -65,7 +65,7 @@ def plan_reprofiling(
     given = (cut_mm, minimum_radius_mm, axle_difference_mm, bogie_difference_mm, vehicle_difference_mm)
     limits = DiameterLimits(*(None if value is None else value * _MM for value in given))
     rows = {row.wheelset.serial: row for row in map(from_document, documents)}
-    candidates = [plans.candidate(row, nominal_radii=nominal_radii) for row in rows.values()]
+    candidates = [worklist.candidate(row, nominal_radii=nominal_radii) for row in rows.values()]
     now_ns = services.clock.now_ns()
     lines = turning_plan(
         [one for one in candidates if one is not None],
@@ -74,12 +74,12 @@ def plan_reprofiling(
         round(horizon_days * DAY_NS),
         round(together_days * DAY_NS),
     )
-    body = plans.TurningPlan(
+    body = worklist.TurningPlan(
         made_at=to_rfc3339(now_ns),
         horizon_days=horizon_days,
         together_days=together_days,
-        limits=plans.turning_limits(limits),
-        items=[plans.turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
-        links=plans.plan_links(fleet, vehicle),
+        limits=worklist.turning_limits(limits),
+        items=[worklist.turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
+        links=worklist.plan_links(fleet, vehicle),
     )
     return answer(request, body)

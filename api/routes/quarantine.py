@@ -11,7 +11,7 @@ from api.answers import DEFAULT_LIMIT, Cursor, Limit, answer_page, operation
 from api.known import require_known
 from api.parameters import CODE
 from api.problems import described
-from api.schemas import quarantine
+from api.schemas import recordings
 from api.schemas.common import Page
 from api.services import ServicesDep
 from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
@@ -28,7 +28,7 @@ OfVehicle = Annotated[
 PARTS = 3
 
 
-@router.get("", response_model=Page[quarantine.QuarantinedItem], responses=described(400, 404))
+@router.get("", response_model=Page[recordings.QuarantinedItem], responses=described(400, 404))
 def list_quarantine(
     request: Request,
     services: ServicesDep,
@@ -48,7 +48,7 @@ def list_quarantine(
         )
         if not rows:
             require_known(unit, vehicle=vehicle)
-    return answer_page(request, filters, limit, rows, _key, quarantine.quarantined)
+    return answer_page(request, filters, limit, rows, _key, recordings.quarantined)
 
 
 def _key(item: Quarantined) -> str:

@@ -26,7 +26,7 @@ from api.idempotency import idempotent_post
 from api.parameters import CODE
 from api.problems import ProblemError, ProblemItem, described
 from api.registry_changes import UNNAMED
-from api.schemas import registry, registry_events, tracks, vehicle_classes
+from api.schemas import registry, registry_changes, tracks, vehicle_classes
 from api.schemas.common import Page
 from api.schemas.registry_changes import RecordDecision as Body
 from api.services import Services, ServicesDep, writer_slot
@@ -45,7 +45,7 @@ KindFilter = Annotated[RecordKind | None, Query(description="Only records of thi
 KeyFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this serial or code.")]
 
 
-@router.get("/history", response_model=Page[registry_events.RegistryDecision], responses=described(400))
+@router.get("/history", response_model=Page[registry_changes.RegistryDecision], responses=described(400))
 def list_registry_history(
     request: Request,
     services: ServicesDep,
@@ -59,11 +59,11 @@ def list_registry_history(
     after = cursors.decode_number(operation(request), filters, cursor)
     with services.storage.read() as unit:
         rows = unit.registry_history.list(of, after, limit + 1, kind)
-    return answer_page(request, filters, limit, rows, lambda event: event.id, registry_events.decision)
+    return answer_page(request, filters, limit, rows, lambda event: event.id, registry_changes.decision)
 
 
 @router.post(
-    "/void", status_code=201, dependencies=_ADMIN, response_model=registry_events.RegistryDecision, responses=_REFUSALS
+    "/void", status_code=201, dependencies=_ADMIN, response_model=registry_changes.RegistryDecision, responses=_REFUSALS
 )
 def void_record(
     request: Request,
@@ -84,7 +84,7 @@ def void_record(
     "/restore",
     status_code=201,
     dependencies=_ADMIN,
-    response_model=registry_events.RegistryDecision,
+    response_model=registry_changes.RegistryDecision,
     responses=_REFUSALS,
 )
 def restore_record(
@@ -132,7 +132,7 @@ def _decide(
             refuse_contradicted(unit, key, now_ns)
         event = unit.registry_history.latest(key, action)
         assert event is not None
-        done = registry_events.decision(event)
+        done = registry_changes.decision(event)
         post.remember(unit, HTTPStatus.CREATED, done, now_ns)
     return answer(request, done, status=HTTPStatus.CREATED)
 
@@ -160,4 +160,4 @@ def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
     voided = unit.registry_history.latest(key, RecordAction.VOIDED)
     if voided is None:
         raise NotFoundError(key.kind.value, key.subject)
-    return registry_events.decision(voided)  # there is no other representation of it: send If-Match: *
+    return registry_changes.decision(voided)  # there is no other representation of it: send If-Match: *

@@ -11,7 +11,7 @@ from api.answers import DEFAULT_LIMIT, Cursor, IdempotencyKey, IfMatch, Limit, a
 from api.parameters import Code
 from api.problems import described
 from api.registry_changes import BodySource, RegistryRequest
-from api.schemas import registry, registry_events
+from api.schemas import registry, registry_changes
 from api.schemas.common import Page
 from api.schemas.registry_changes import NewSensorChange
 from api.services import ServicesDep, writer_slot
@@ -25,7 +25,7 @@ router = APIRouter(prefix="/v1/vehicles", tags=["vehicles"])
 
 
 @router.get(
-    "/{code}/sensor-changes", response_model=Page[registry_events.SensorChangeRecord], responses=described(400, 404)
+    "/{code}/sensor-changes", response_model=Page[registry_changes.SensorChangeRecord], responses=described(400, 404)
 )
 def list_sensor_changes(
     request: Request, services: ServicesDep, code: Code, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
@@ -41,14 +41,14 @@ def list_sensor_changes(
         unit.registry.vehicle(code)
         found = unit.sensor_changes.list(code)
     rows = [record for record in found if after is None or record.at_ns > after]
-    return answer_page(request, filters, limit, rows[: limit + 1], key, registry_events.sensor_change)
+    return answer_page(request, filters, limit, rows[: limit + 1], key, registry_changes.sensor_change)
 
 
 @router.post(
     "/{code}/sensor-changes",
     status_code=201,
     dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)],
-    response_model=registry_events.SensorChangeRecord,
+    response_model=registry_changes.SensorChangeRecord,
     responses=described(404, 409, 412, 413, 415, 428),
 )
 def add_sensor_change(
@@ -67,11 +67,11 @@ def add_sensor_change(
     change = RegistryRequest(request, services, caller, body, if_match, idempotency_key)
     record = SensorChange(code, body.axle, body.worked_at, SensorWork(body.work), body.removed, body.fitted, body.note)
 
-    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry_events.SensorChangeRecord:
+    def apply(unit: SqlUnitOfWork, decision: Decision) -> registry_changes.SensorChangeRecord:
         if unit.sensor_changes.stored(code, record.at_ns) is not None:
             reason = f"work on the sensors of vehicle {code!r} was recorded at the same time; give another time"
             raise ConflictError(reason, kind="vehicle", key=code)
         change.enter(unit, decision, RegistryContents(sensor_changes=(record,)), BodySource({"at": "worked_at"}))
-        return registry_events.sensor_change(record)
+        return registry_changes.sensor_change(record)
 
     return change.change(lambda unit: registry.vehicle(unit.registry.vehicle(code)), apply)

@@ -2,19 +2,69 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from typing import Any
 
 from pydantic import Field
 
 from api.schemas.common import Links, Representation, Request
-from api.schemas.quarantine import without_folders
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
+from estimation.values.quarantine import TRIED_AGAIN, Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction
 from fleet_db.receipts import RecordingChange as Change
+
+_FOLDERS = re.compile(r"(?<![\w:/.])/(?:[^\s/:'\"]+/)+")
+_RESOURCES = {
+    SubjectKind.WHEELSET: "wheelsets",
+    SubjectKind.SECTION: "track-sections",
+    SubjectKind.VEHICLE: "vehicles",
+    SubjectKind.FLEET: "fleets",
+}
+
+
+class QuarantinedItem(Representation):
+    """One thing at which one stage of the work failed, and when it is tried again; kept when it succeeds later."""
+
+    kind: SubjectKind
+    key: str = Field(description="Digest, serial or code; of a window `serial@start in ns`.", examples=["WS-0001"])
+    stage: str = Field(description="The job, or `ingest` for recordings.", examples=["refresh_geometry"])
+    state: QuarantineState
+    reason_code: ReasonCode
+    reason: str = Field(description="First line of the error.")
+    attempts: int = Field(description="Failures in a row.")
+    first_failed_at: Timestamp
+    last_failed_at: Timestamp
+    next_attempt_at: Timestamp | None = Field(description="Null once it has succeeded.")
+    links: Links
+
+
+def without_folders(message: str) -> str:
+    """Return a message without the folders of the machine."""
+    return _FOLDERS.sub("", message)
+
+
+def quarantined(item: Quarantined) -> QuarantinedItem:
+    """Return the representation of what is kept of a failure; its message without the folders of the machine."""
+    resource = _RESOURCES.get(item.kind)
+    return QuarantinedItem(
+        kind=item.kind,
+        key=item.key,
+        stage=item.stage,
+        state=item.state,
+        reason_code=item.code,
+        reason=without_folders(item.error),
+        attempts=item.attempts,
+        first_failed_at=to_rfc3339(item.first_ns),
+        last_failed_at=to_rfc3339(item.last_ns),
+        next_attempt_at=to_rfc3339(item.due_ns) if item.state is QuarantineState.HELD else None,
+        links={} if resource is None else {item.kind.value: f"/v1/{resource}/{segment(item.key)}"},
+    )
+
 
 UNUSED = ("unknown_identifiers", "wrong_lengths", "extended_frames", "remote_frames", "error_frames")
 """Counts of a receipt that are frames which carry no value of the bus of the vehicle; each frame is in one at most."""
@@ -178,3 +228,63 @@ def _change(change: Change) -> RecordingChange:
         state_before=change.state_before,
         state_after=change.state_after,
     )
+
+
+class ChunkProgress(StrEnum):
+    """Where a chunk stands."""
+
+    RECEIVED = "received"  # stored; not decoded yet
+    ASSEMBLED = "assembled"  # its windows are made
+    QUARANTINED = "quarantined"  # it could not be decoded
+    SET_ASIDE = "set_aside"
+    DELETED = "deleted"
+
+
+class Chunk(Representation):
+    """The receipt of a chunk: its bytes are on the disk, and it will be decoded without being sent again."""
+
+    sha256: str = Field(description="Of its bytes: its identity.", examples=["ab" * 32])
+    vehicle: str = Field(description="Code of the vehicle that it came for; it need not be registered.")
+    format: str = Field(description="Of its bytes.", examples=["blf"])
+    file_name: str | None = Field(description="Under which it came.")
+    size_bytes: int = Field(description="Of its bytes as they came.")
+    received_at: Timestamp = Field(description="When its receipt was committed, by our clock.")
+    sender: str | None = Field(description="Who sent it; null where access is open, or it came another way.")
+    state: ChunkProgress = Field(
+        description="`received`: stored, not decoded yet. `assembled`: its windows are made. `quarantined`: it could"
+        " not be decoded, see the reason; the bytes are kept. `set_aside`, `deleted`: by hand."
+    )
+    reason: str | None = Field(description="Why it is in this state; null where there is nothing to say.")
+    reason_code: ReasonCode | None = Field(description="Why it is in this state; null where there is nothing to say.")
+    links: Links
+
+
+def chunk(record: ChunkRecord) -> Chunk:
+    """Return the representation of a receipt."""
+    return Chunk(
+        sha256=record.digest,
+        vehicle=record.vehicle,
+        format=record.suffix.removeprefix("."),
+        file_name=record.file_name,
+        size_bytes=record.size_bytes,
+        received_at=to_rfc3339(record.received_ns),
+        sender=record.sender,
+        state=progress(record),
+        reason=None if record.reason is None else without_folders(record.reason.text),
+        reason_code=None if record.reason is None else record.reason.code,
+        links={
+            "self": f"/v1/chunks/{record.digest}",
+            "recording": f"/v1/recordings/{record.digest}",
+            "vehicle": f"/v1/vehicles/{segment(record.vehicle)}",
+        },
+    )
+
+
+def progress(record: ChunkRecord) -> ChunkProgress:
+    """Return where a chunk stands."""
+    if record.state is ChunkState.DECODED:
+        return ChunkProgress.ASSEMBLED
+    if record.state in {ChunkState.SET_ASIDE, ChunkState.DELETED}:
+        return ChunkProgress(record.state.value)
+    failed = record.reason is not None and record.reason.code in TRIED_AGAIN
+    return ChunkProgress.QUARANTINED if failed or record.state is ChunkState.REJECTED else ChunkProgress.RECEIVED

@@ -10,9 +10,8 @@ from functools import partial
 import typer
 
 from api import logs
-from api.factory import SystemClock, open_store, process_name, raw_store, receiver
+from api.factory import SystemClock, once_the_database_answers, open_store, process_name, raw_store, receiver
 from api.settings import load_settings
-from api.starting import once_the_database_answers
 from api.terminal.keeping import counted
 from api.tracing import start_tracing
 from estimation.errors import StoppedError, StorageError

@@ -10,9 +10,17 @@ from dataclasses import replace
 from functools import partial
 
 from api import logs
-from api.factory import RECEIPT_PATIENCE_S, SystemClock, backlog_watch, open_store, process_name, raw_store, receiver
+from api.factory import (
+    RECEIPT_PATIENCE_S,
+    SystemClock,
+    backlog_watch,
+    once_the_database_answers,
+    open_store,
+    process_name,
+    raw_store,
+    receiver,
+)
 from api.settings import PREFIX, Settings, load_settings
-from api.starting import once_the_database_answers
 from api.terminal.consumer_health import serving_consumer_health
 from api.terminal.health_server import HealthAddress
 from api.topic import topic_of, with_named_setting

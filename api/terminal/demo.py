@@ -13,7 +13,7 @@ from rich.console import Console
 
 from api import logs
 from api.access.caller import EVERYTHING
-from api.access.making import Wanted
+from api.access.key_ring import Wanted
 from api.demo.own_rules import with_rules
 from api.demo.replay import Simulated, ending_now, replay
 from api.demo.second_opinions import second_opinions

@@ -9,9 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from api import logs
-from api.factory import RECEIPT_PATIENCE_S, SystemClock, backlog_watch, open_store, raw_store
+from api.factory import RECEIPT_PATIENCE_S, SystemClock, backlog_watch, once_the_database_answers, open_store, raw_store
 from api.settings import Settings, load_settings
-from api.starting import once_the_database_answers
 from api.terminal.ingest import vehicle_in_name
 from api.topic import publishing
 from estimation.errors import InputError, MigrationError, PassingFaultError, StorageError

@@ -8,7 +8,7 @@ from contextlib import closing
 
 import typer
 
-from api.access.making import Wanted, make_key
+from api.access.key_ring import Wanted, make_key
 from api.factory import open_store
 from api.settings import Settings, load_settings
 from api.terminal.user import user_here
@@ -52,7 +52,7 @@ def make_stored_key(settings: Settings, wanted: Wanted) -> tuple[ApiKey, str]:
     """Make a key in the database of a deployment; return it with its secret.
 
     Raises:
-        ParameterError, NotFoundError: As :func:`api.access.making.make_key`.
+        ParameterError, NotFoundError: As :func:`api.access.key_ring.make_key`.
     """
     with closing(open_store(settings)) as storage, storage.write() as unit:
         made, token = make_key(unit, wanted, user_here(), time.time_ns())

@@ -23,7 +23,7 @@ from api.terminal.live_health import serving_health
 from api.topic import publisher
 from api.tracing import start_tracing
 from estimation.jobs.stop_signals import stop_on_signals
-from fleet_db.revisions import check_head
+from fleet_db.migrate import check_head
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus
 from ingest.live.buses import ReceivedBus, receive_buses

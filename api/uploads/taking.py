@@ -17,8 +17,7 @@ from starlette.types import Receive
 from api.problems import ProblemError, ProblemItem
 from api.uploads.body import BodyLimits, UploadBody
 from estimation.errors import PassingFaultError, StorageError
-from fleet_db.incoming import IncomingFile
-from fleet_db.raw import RawStore
+from fleet_db.raw import IncomingFile, RawStore
 from ingest.intake.backlog import BacklogWatch, Limit
 from ingest.intake.chunk import Chunk
 from ingest.intake.group import ReceiptGroup

@@ -18,10 +18,10 @@ from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord, WearTrend
-from fleet_db.models import GeometryRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.geometries import geometry_columns
+from fleet_db.tables import GeometryRow
 
 DAY_NS = 86_400 * 10**9
 AXLES = 4

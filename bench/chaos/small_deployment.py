@@ -23,9 +23,9 @@ from estimation.values.runs import JobOutcome
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.orphans import orphaned_recordings
 from fleet_db.migrate import upgrade
-from fleet_db.models import Base
 from fleet_db.packed_values import pack_geometry
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import Base
 from ingest.frames import take
 from ingest.logs import write_blf
 from ingest.vehicle_class_file import shipped_class

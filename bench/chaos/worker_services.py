@@ -21,9 +21,9 @@ from bench.chaos.cuttable_link import CuttableLink
 from bench.chaos.small_deployment import until
 from bench.dask_cluster import DaskCluster, dask_cluster
 from bench.service_environment import environment_of
-from fleet_db.models import WorkClaimRow, WorkLeaseRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import WorkClaimRow, WorkLeaseRow
 
 PROCESSES, DASK_WORKERS = 4, 2
 LEASE_S = 2.0

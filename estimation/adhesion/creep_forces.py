@@ -16,12 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy.signal
 
 from estimation.adhesion import smoother_kernels as kernels
 from estimation.adhesion.gear_equations import AXLE
 from estimation.adhesion.gear_segments import ROLL, GearSegment, GearSegments, gear_segments
 from estimation.adhesion.stationary_filter import FilterParameters, StationaryFilter, stationary_filter
-from estimation.adhesion.vibration import without_vibration
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment
 from estimation.motion.parameters import SignalParameters
@@ -30,6 +30,33 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import VehicleClass
+
+BAND_HZ = 12.0
+"""End of the band that is kept."""
+VIBRATING = 0.25
+"""Rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make."""
+HALF_LENGTH_S = 0.12
+"""Of the low-pass, on each side."""
+
+
+def without_vibration(
+    accelerations: FloatArray, known: BoolArray, sample_interval_s: float, lateral: slice
+) -> tuple[FloatArray, bool]:
+    """Return accelerations of a running gear, low-passed where its axle boxes vibrate, and whether they do.
+
+    Args:
+        accelerations: (k, n) without means, 0 where not known; m/s2 and rad/s2.
+        known: (n,) samples that were measured.
+        sample_interval_s: Between samples, s.
+    """
+    rate = 1.0 / sample_interval_s
+    weights = scipy.signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)
+    smooth = scipy.signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
+    rest = (accelerations - smooth)[lateral][:, known]
+    if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= VIBRATING:
+        return accelerations, False
+    return np.where(known, smooth, 0.0), True
+
 
 MOST_INNOVATION = 10.0  # mean square of a channel's innovations over what the filter expects; see docs/adhesion.md
 

@@ -2,18 +2,154 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
+import numpy as np
+
 from estimation.errors import ParameterError
-from estimation.estimators.binned import BinnedGeometry
-from estimation.estimators.cubic import CubicFit
+from estimation.estimators.coverage import REACH
 from estimation.estimators.extended_kalman import ExtendedKalman
 from estimation.estimators.hidden_displacement import HiddenDisplacement
-from estimation.estimators.interface import Estimator
+from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
 from estimation.estimators.known_irregularity import KnownIrregularity
-from estimation.estimators.linear import LinearConicity
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.particle_filter import ParticleFilter
+from estimation.estimators.series import SeriesState, added, empty, solved
+from estimation.geometry.estimate import GeometryParameters, estimate_geometry
+from estimation.tables import bin_table
+from estimation.tables.bin_table import BinParameters
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import BinTable
+from estimation.values.motion import Motion
+
+MILLIMETRE = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class LinearConicity:
+    """Least squares of one straight line."""
+
+    name: str = "linear"
+    title: str = "linear effective conicity"
+
+    def init(self, parameters: EstimatorParameters) -> SeriesState:
+        """Return the empty sums."""
+        return empty(parameters, 2)
+
+    def update(self, state: SeriesState, motion: Motion, weight: float = 1.0) -> SeriesState:
+        """Return the state with ``motion`` added, ``weight`` times."""
+        return added(state, motion, _line, weight)
+
+    def result(self, state: SeriesState) -> CurveEstimate:
+        """Return the straight line, its conicity at every amplitude inside the data."""
+        return solved(state, _line, ridge=0.0)
+
+
+def _line(x: FloatArray) -> FloatArray:
+    return np.column_stack([np.ones(len(x)), x / MILLIMETRE])
+
+
+@dataclass(frozen=True, slots=True)
+class CubicFit:
+    """Least squares of a piecewise cubic with pieces of ``piece`` m."""
+
+    piece: float = 1e-3  # m
+    name: str = "cubic"
+    title: str = "piecewise cubic least squares"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.piece <= REACH:
+            raise ParameterError(f"{self.piece!r} m is outside 0 to {REACH} m", field="piece")
+
+    def init(self, parameters: EstimatorParameters) -> SeriesState:
+        """Return the empty sums."""
+        return empty(parameters, self._pieces + 3)
+
+    def update(self, state: SeriesState, motion: Motion, weight: float = 1.0) -> SeriesState:
+        """Return the state with ``motion`` added, ``weight`` times."""
+        return added(state, motion, self._basis, weight)
+
+    def result(self, state: SeriesState) -> CurveEstimate:
+        """Return the piecewise cubic where there are data."""
+        return solved(state, self._basis, ridge=1e-9)
+
+    @property
+    def _pieces(self) -> int:
+        return int(np.ceil(2 * REACH / self.piece))
+
+    @property
+    def _basis(self) -> partial[FloatArray]:
+        return partial(b_splines, first=-0.5 * self._pieces * self.piece, piece=self.piece, pieces=self._pieces)
+
+
+def b_splines(x: FloatArray, first: float, piece: float, pieces: int) -> FloatArray:
+    """Return the uniform cubic B-splines (n, pieces + 3) at ``x``.
+
+    Args:
+        x: (n,) m, where to evaluate them; beyond the pieces the outermost are continued.
+        first: Start of the first piece, m.
+        piece: Length of a piece, m.
+    """
+    position = (x - first) / piece
+    cell = np.clip(np.floor(position), 0, pieces - 1).astype(np.int64)
+    u = position - cell
+    weights = np.column_stack(
+        [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3],
+    )
+    values = np.zeros((len(x), pieces + 3))
+    np.put_along_axis(values, cell[:, None] + np.arange(4), weights / 6.0, axis=1)
+    return values
+
+
+@dataclass(frozen=True, slots=True)
+class BinnedState:
+    """A bin table and the parameters that it was made with."""
+
+    bins: BinParameters
+    geometry: GeometryParameters
+    table: BinTable
+
+
+@dataclass(frozen=True, slots=True)
+class BinnedGeometry:
+    """``estimation.tables.bin_table`` and ``estimation.geometry``, as the jobs use them."""
+
+    geometry: GeometryParameters = field(default_factory=GeometryParameters)
+    name: str = "bins"
+    title: str = "locally linear bins"
+
+    def init(self, parameters: EstimatorParameters) -> BinnedState:
+        """Return the empty bin table."""
+        settings = BinParameters(
+            source=parameters.source, band_limited=parameters.band_limited, vehicle=parameters.vehicle
+        )
+        shape = replace(self.geometry, uncertainty=parameters.uncertainty, curve=parameters.curve)
+        return BinnedState(settings, shape, bin_table.init(settings))
+
+    def update(self, state: BinnedState, motion: Motion, weight: float = 1.0) -> BinnedState:
+        """Return the state with the bin table of ``motion`` added, ``weight`` times."""
+        return replace(state, table=bin_table.merge(bin_table.tabulate(motion, state.bins), state.table, weight))
+
+    def result(self, state: BinnedState) -> CurveEstimate:
+        """Return the curve at the bin centres, and conicity, NP and zero crossing as the geometry publishes them."""
+        found = estimate_geometry(state.table, state.bins, state.geometry)
+        difference = found.rolling_radius_difference
+        return CurveEstimate(
+            displacement=found.bin_centres,
+            difference=difference.value,
+            difference_std=difference.std,
+            amplitude=found.amplitude,
+            conicity=found.conicity,
+            nonlinearity=found.nonlinearity,
+            zero_crossing=found.zero_crossing,
+            samples=state.table.samples,
+            stretches=state.table.windows,
+            status=found.status,
+            reason=found.reason,
+        )
+
 
 SHIPPED = "bins"
 """The estimator of the jobs as shipped: its sums over each window are what the bin tables store."""

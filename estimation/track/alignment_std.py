@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.track.gridded_pass import GriddedPass
 from estimation.track.iteration import IterationResult
-from estimation.track.panel.long_waves import LongWaveAlignment, long_wave_alignment
+from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
-from estimation.track.panel.solution import between_pass_std_ratio
+from estimation.track.panel.solution import PanelSolution, between_pass_std_ratio
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.results import SectionResults, findings
 from estimation.track.section_grid import SectionGrid
@@ -17,6 +20,48 @@ from estimation.track.section_parameters import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, TrackAlignment
+
+
+@dataclass(frozen=True, slots=True)
+class LongWaveAlignment:
+    """Mean of y - h(R) over the passes, high-passed at ``cutoff_wavelength`` only."""
+
+    cutoff_wavelength: float  # m
+    alignment: FloatArray  # (n,) m, zero where no pass
+    pass_std: float  # m, of one pass, from the spread of the passes
+    passes: FloatArray  # (n,) sum of their weights
+    curves: FloatArray  # (n,) m, mean of h(R) over the passes, zero where no pass
+
+
+def long_wave_alignment(
+    passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, cutoff_wavelength: float
+) -> LongWaveAlignment:
+    """Return the alignment from ``passes`` with the curves of ``solution``.
+
+    Args:
+        cutoff_wavelength: Of the alignment that is returned, m.
+    """
+    weights = local_cubic_kernel(cutoff_wavelength, panel.grid.step)
+    total, square, count, curves = np.zeros((4, panel.grid.points))
+    for item in passes:
+        curve = solution.curve_of(item.life)
+        if item.empty or curve is None:
+            continue
+        rest = unfiltered_residual(item, curve, panel)
+        pass_residual, y = high_pass(np.stack([rest, item.displacement]), weights)
+        inside = valid_support(item.certain, weights) & panel.grid.contains(item.points)
+        at = item.points[inside]
+        weight = panel.known.weight_of(item.life)
+        total[at] += weight * pass_residual[inside]
+        square[at] += weight * pass_residual[inside] ** 2
+        curves[at] += weight * (y - pass_residual)[inside]
+        count[at] += weight
+    shared = np.where(count > 0.0, count, 1.0)
+    mean = total / shared
+    several = count > 1
+    spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
+    return LongWaveAlignment(cutoff_wavelength, mean, float(np.sqrt(max(spread, 0.0))), count, curves / shared)
+
 
 SENSOR_RESIDUAL = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
 GAUGE_EFFECT = 0.1  # m by which a metre of gauge moves wheelsets of widely different wear apart

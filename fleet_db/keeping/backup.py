@@ -23,10 +23,9 @@ from fleet_db.keeping.kept_recordings import (
     write_digests,
 )
 from fleet_db.keeping.manifest import Manifest, backup_name, digests_file, sha256_of, write_manifest
-from fleet_db.migrate import upgrade
+from fleet_db.migrate import check_head, head, upgrade
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
-from fleet_db.revisions import check_head, head
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, translate_errors
 from fleet_db.storage import SqlStorage
 

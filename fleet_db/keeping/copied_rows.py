@@ -7,7 +7,7 @@ from typing import Any
 
 from sqlalchemy import Column, Connection, Integer, Table, bindparam, delete, func, insert, select, text, update
 
-from fleet_db.models import Base
+from fleet_db.tables import Base
 
 BATCH = 2000
 

@@ -13,7 +13,10 @@ from estimation.values.windows import WindowState
 from fleet_db.keeping.kept_files import KeptFile, kept_files
 from fleet_db.keeping.kept_recordings import KeptRecording, kept_recordings
 from fleet_db.keeping.orphans import orphaned_recordings, orphaned_samples
-from fleet_db.models import (
+from fleet_db.raw import RawStore
+from fleet_db.rows import table_of
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.tables import (
     AlertEventRow,
     AlertRow,
     TrackAlignmentRow,
@@ -21,9 +24,6 @@ from fleet_db.models import (
     WindowPositionRow,
     WindowRow,
 )
-from fleet_db.raw import RawStore
-from fleet_db.rows import table_of
-from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
 ALERTS, EVENTS, ALIGNMENTS = table_of(AlertRow), table_of(AlertEventRow), table_of(TrackAlignmentRow)

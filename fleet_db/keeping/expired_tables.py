@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from sqlalchemy import Connection, ScalarSelect, and_, delete, exists, func, or_, select, update
 
 from estimation.values.windows import WindowState
-from fleet_db.models import (
+from fleet_db.rows import table_of
+from fleet_db.tables import (
     RollUpRow,
     RollUpStateRow,
     TakenTableRow,
@@ -17,7 +18,6 @@ from fleet_db.models import (
     WindowPositionRow,
     WindowRow,
 )
-from fleet_db.rows import table_of
 
 WINDOWS, TABLES, ROLL_UPS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(RollUpRow)
 EPOCHS, MEMBERS, POSITIONS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowPositionRow)

@@ -13,8 +13,8 @@ from sqlalchemy import Connection, select
 
 from estimation.errors import DamagedError, StorageError
 from fleet_db.atomic_files import sync_directory
-from fleet_db.models import WindowRow
 from fleet_db.rows import table_of
+from fleet_db.tables import WindowRow
 from fleet_db.telemetry import WindowFiles, unpack_window, window_digest
 
 WINDOWS = table_of(WindowRow)

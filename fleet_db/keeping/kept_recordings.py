@@ -9,9 +9,9 @@ from pathlib import Path
 from sqlalchemy import Connection, select
 
 from fleet_db.atomic_files import write_atomically
-from fleet_db.models import ChunkRow
 from fleet_db.raw import LostRecordingError, RawStore, recording_name
 from fleet_db.rows import table_of
+from fleet_db.tables import ChunkRow
 
 CHUNKS = table_of(ChunkRow)
 RAW = "raw"

@@ -10,10 +10,10 @@ from sqlalchemy import select
 
 from estimation.errors import StorageError
 from fleet_db.keeping.kept_files import SAMPLES
-from fleet_db.models import ChunkRow, WindowRow
 from fleet_db.raw import RawItem, RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import ChunkRow, WindowRow
 
 CHUNKS, WINDOWS = table_of(ChunkRow), table_of(WindowRow)
 LEAST_AGE_S = 3600.0

@@ -21,15 +21,14 @@ from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.kept_files import KeptFile, copy_kept, kept_files
 from fleet_db.keeping.kept_recordings import RAW, KeptRecording, copy_recording, kept_recordings, not_listed
 from fleet_db.keeping.manifest import Manifest, read_manifest, sha256_of
-from fleet_db.migrate import upgrade
-from fleet_db.models import Base, WindowRow
+from fleet_db.migrate import check_upgradable, known_revisions, refusal, upgrade
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
-from fleet_db.revisions import check_upgradable, known_revisions, refusal
 from fleet_db.rows import table_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, sqlite_file, translate_errors
 from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.stale_spans import StaleSpanStore
+from fleet_db.tables import Base, WindowRow
 
 WINDOWS = table_of(WindowRow)
 Progress = Callable[[int, int], None]

@@ -10,7 +10,7 @@ from estimation.errors import PassingFaultError
 from estimation.failures import after_failure
 from estimation.values.quarantine import SubjectKind, resolved
 from fleet_db.raw import RawStore
-from fleet_db.raw_mark import check_raw_store
+from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.raw_scrubs import RawFile, RawScrub

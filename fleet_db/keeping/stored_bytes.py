@@ -12,11 +12,11 @@ from estimation.errors import StorageError
 from fleet_db.keeping.kept_files import SAMPLES
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.keeping.table_sizes import EXACT_BYTES, TableSize, database_size
-from fleet_db.models import ChunkRow, VehicleRow, WheelsetRow, WindowRow
 from fleet_db.raw import RawStore, RawTotal
 from fleet_db.raw_files import total_of
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import ChunkRow, VehicleRow, WheelsetRow, WindowRow
 
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
 WHEELSETS, VEHICLES = table_of(WheelsetRow), table_of(VehicleRow)

@@ -21,7 +21,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.exc import OperationalError
 
-from fleet_db.models.base import Base
+from fleet_db.tables.base import Base
 
 EXACT_BYTES = 256 << 20
 """An SQLite file up to this size is read page by page (dbstat); of a larger one rows are sampled."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from sqlalchemy import Column, Connection, Table, delete, func, select
 
 from fleet_db.keeping.retention import DAY_NS
-from fleet_db.models import GeometryRow, TrendRow
 from fleet_db.rows import table_of
+from fleet_db.tables import GeometryRow, TrendRow
 
 GEOMETRIES, TRENDS = table_of(GeometryRow), table_of(TrendRow)
 KEYS: dict[Table, tuple[str, ...]] = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 from alembic import context
 from sqlalchemy import Connection
 
-from fleet_db.models import Base
 from fleet_db.session import IMMEDIATE, database_engine
+from fleet_db.tables import Base
 
 
 def migrate(connection: Connection) -> None:

@@ -10,7 +10,6 @@ from sqlalchemy import Connection, Row, Select, and_, delete, func, or_, select
 
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.windows import WindowKey, WindowState
-from fleet_db.models import GeometryRow, SectionAdhesionRow, WindowAdhesionRow, WindowRow
 from fleet_db.packed_adhesion import (
     pack_section_adhesion,
     pack_window_adhesion,
@@ -18,6 +17,7 @@ from fleet_db.packed_adhesion import (
     unpack_window_adhesion,
 )
 from fleet_db.rows import table_of, upsert
+from fleet_db.tables import GeometryRow, SectionAdhesionRow, WindowAdhesionRow, WindowRow
 
 OF_WINDOWS, OF_SECTIONS = table_of(WindowAdhesionRow), table_of(SectionAdhesionRow)
 WINDOWS, GEOMETRIES = table_of(WindowRow), table_of(GeometryRow)

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 from sqlalchemy import Select, and_, or_, select
 
 from estimation.values.alerts import AlertScope, Condition, Severity
-from fleet_db.models import AlertEventRow, AlertRow, MountingRow
 from fleet_db.rows import table_of
+from fleet_db.tables import AlertEventRow, AlertRow, MountingRow
 
 ALERTS, EVENTS, MOUNTINGS = table_of(AlertRow), table_of(AlertEventRow), table_of(MountingRow)
 

@@ -10,8 +10,8 @@ from sqlalchemy import Connection, Row, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from fleet_db.access_records import ApiKey
-from fleet_db.models import ApiKeyRow
 from fleet_db.rows import table_of
+from fleet_db.tables import ApiKeyRow
 
 KEYS = table_of(ApiKeyRow)
 

@@ -10,12 +10,12 @@ from sqlalchemy import Connection, and_, delete, exists, func, select, tuple_, u
 from estimation.errors import DamagedError
 from estimation.values.windows import PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.changes import Changes
-from fleet_db.models import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.taken_tables import take_back
 from fleet_db.stores.window_marks import pass_over
 from fleet_db.stores.windows import to_window_record, window_values
+from fleet_db.tables import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.telemetry import WindowFiles
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)

@@ -8,8 +8,8 @@ from dataclasses import asdict, dataclass
 from sqlalchemy import Connection, insert, select
 
 from fleet_db.access_records import AuditEntry
-from fleet_db.models import AuditRow
 from fleet_db.rows import table_of
+from fleet_db.tables import AuditRow
 
 ENTRIES = table_of(AuditRow)
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, func, select
 
 from estimation.values.windows import WindowState
-from fleet_db.models import ChunkRow, WindowRow, WorklistEntryRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
+from fleet_db.tables import ChunkRow, WindowRow, WorklistEntryRow
 
 CHUNKS, WINDOWS, ENTRIES = table_of(ChunkRow), table_of(WindowRow), table_of(WorklistEntryRow)
 

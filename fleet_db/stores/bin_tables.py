@@ -15,12 +15,12 @@ from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTa
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord
 from fleet_db.changes import Changes
-from fleet_db.models import WindowBinTableRow, WindowRow
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
 from fleet_db.rows import insert_all_new, on_sections, replace, table_of
 from fleet_db.stores.taken_tables import take_back
 from fleet_db.stores.window_marks import keys_given
 from fleet_db.stores.windows import NOT_PASSED_OVER, to_window_record
+from fleet_db.tables import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)

@@ -25,10 +25,10 @@ from sqlalchemy import (
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import WindowState
-from fleet_db.models import ChunkRow, MountingRow, VehicleRow, WindowRow
-from fleet_db.models.chunks import CLOCKS, LENGTHS, UNDECODED, of_length
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
+from fleet_db.tables import ChunkRow, MountingRow, VehicleRow, WindowRow
+from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, of_length
 
 CHUNKS, VEHICLES = table_of(ChunkRow), table_of(VehicleRow)
 MOUNTINGS, WINDOWS = table_of(MountingRow), table_of(WindowRow)

@@ -26,7 +26,6 @@ from estimation.vehicle.class_on_file import (
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import MeasuredProfilesRow, ReprofilingRow, TrackSectionRow
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.measured_profiles import stored_measurement
@@ -39,6 +38,7 @@ from fleet_db.stores.sensor_changes import SensorChangeStore, sensor_change_of
 from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.vehicle_classes import find_class
+from fleet_db.tables import MeasuredProfilesRow, ReprofilingRow, TrackSectionRow
 
 REPROFILINGS, MEASURED, SECTIONS = table_of(ReprofilingRow), table_of(MeasuredProfilesRow), table_of(TrackSectionRow)
 _Values = dict[str, Any]

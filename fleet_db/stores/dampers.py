@@ -9,10 +9,10 @@ from sqlalchemy import Connection, and_, delete, select
 
 from estimation.values.dampers import GearDamper, WindowDamper
 from fleet_db.changes import Changes
-from fleet_db.models.dampers import GearDamperRow, WindowDamperRow
-from fleet_db.models.windows import WindowRow
 from fleet_db.packed_dampers import pack_gear_damper, pack_window_damper, unpack_gear_damper, unpack_window_damper
 from fleet_db.rows import table_of, upsert
+from fleet_db.tables.opinions import GearDamperRow, WindowDamperRow
+from fleet_db.tables.windows import WindowRow
 
 OF_WINDOWS, OF_GEARS, WINDOWS = table_of(WindowDamperRow), table_of(GearDamperRow), table_of(WindowRow)
 SAME = and_(

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from sqlalchemy import ColumnElement, Connection, Select, and_, exists, select
 
 from estimation.values.registry import Mounting
-from fleet_db.models import MeasuredProfilesRow, MountingRow, ReprofilingRow, StaleSpanRow, WindowRow
 from fleet_db.rows import table_of
 from fleet_db.stores.mountings import to_mounting
+from fleet_db.tables import MeasuredProfilesRow, MountingRow, ReprofilingRow, StaleSpanRow, WindowRow
 
 MOUNTINGS, REPROFILINGS, MEASURED = table_of(MountingRow), table_of(ReprofilingRow), table_of(MeasuredProfilesRow)
 WINDOWS, SPANS = table_of(WindowRow), table_of(StaleSpanRow)

@@ -14,12 +14,12 @@ from estimation.values.track import AlignmentSource, TrackAlignment
 from estimation.values.windows import PassedOver, WindowState
 from estimation.vehicle.class_on_file import ClassOnFile, same_motion
 from fleet_db.changes import Changes
-from fleet_db.models import TrackAlignmentRow, TrackVersionRow, WindowPositionRow, WindowRow
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import reason_columns, table_of
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.window_marks import pass_over
+from fleet_db.tables import TrackAlignmentRow, TrackVersionRow, WindowPositionRow, WindowRow
 
 WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
 ALIGNMENTS, VERSIONS = table_of(TrackAlignmentRow), table_of(TrackVersionRow)

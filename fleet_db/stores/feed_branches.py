@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, func, insert, select
 
 from estimation.errors import StorageError
-from fleet_db.models import AlertEventRow, FeedBranchRow
 from fleet_db.rows import table_of
+from fleet_db.tables import AlertEventRow, FeedBranchRow
 
 BRANCHES, EVENTS = table_of(FeedBranchRow), table_of(AlertEventRow)
 

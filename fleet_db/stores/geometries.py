@@ -31,12 +31,12 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import GeometryRow, WheelsetBinRow, WheelsetRow, WindowBinTableRow
 from fleet_db.packed_values import pack_geometry, unpack_geometry
 from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, stored_reason, table_of
 from fleet_db.session import to_json
 from fleet_db.stores.interval_conicities import COLUMNS, conicities_of, conicities_text
 from fleet_db.stores.newest_geometries import newest_of_baselines, newest_of_intervals
+from fleet_db.tables import GeometryRow, WheelsetBinRow, WheelsetRow, WindowBinTableRow
 
 BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}

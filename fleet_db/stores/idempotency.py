@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, select
 
 from estimation.errors import ConflictError
-from fleet_db.models import IdempotencyRow
 from fleet_db.rows import insert_new, table_of
+from fleet_db.tables import IdempotencyRow
 
 KEYS = table_of(IdempotencyRow)
 

@@ -12,8 +12,8 @@ from estimation.errors import DamagedError
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.interval_conicities import IntervalConicities, KnownConicity, known_conicities, why_no_conicity
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.models import GeometryRow
 from fleet_db.rows import nan_if_null, table_of
+from fleet_db.tables import GeometryRow
 
 NAMES = (
     *("baseline", "baseline_interval", "mileage_km", "from_ns", "to_ns", "windows"),

@@ -10,9 +10,9 @@ from sqlalchemy import ColumnElement, Connection, Row, insert, or_, select, upda
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
-from fleet_db import owners
-from fleet_db.models import JobRunRow
+from fleet_db import locks
 from fleet_db.rows import table_of
+from fleet_db.tables import JobRunRow
 
 RUNS = table_of(JobRunRow)
 GONE = "the process ended during the run"
@@ -64,7 +64,7 @@ class JobRunStore:
 
     def abandon_running(self, finished_ns: int) -> int:
         """Mark every run as abandoned whose process is gone; return how many. Forget those processes."""
-        alive = owners.remove_dead(self.connection)
+        alive = locks.remove_dead(self.connection)
         return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(alive)))
 
     def _abandon(self, finished_ns: int, which: ColumnElement[bool]) -> int:
@@ -95,7 +95,7 @@ class JobRunStore:
 
     def _runs(self, rows: Sequence[Row[Any]]) -> list[JobRun]:
         tokens = {row.owner for row in rows if row.owner is not None and row.outcome == JobOutcome.RUNNING.value}
-        return [_run(row, tokens - owners.living(self.connection, tokens)) for row in rows]
+        return [_run(row, tokens - locks.living(self.connection, tokens)) for row in rows]
 
 
 def _run(row: Row[Any], gone: Collection[int]) -> JobRun:

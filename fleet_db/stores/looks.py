@@ -9,8 +9,8 @@ from sqlalchemy import Connection, select
 
 from estimation.values.look import Look
 from fleet_db.changes import CHANGES, Changes
-from fleet_db.models import LookRow
 from fleet_db.rows import table_of, upsert
+from fleet_db.tables import LookRow
 
 LOOKS = table_of(LookRow)
 

@@ -9,9 +9,9 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, func, select
 
 from estimation.contact.profiles import MeasuredProfiles
-from fleet_db.models import MeasuredProfilesRow, WheelsetRow
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.rows import table_of, upsert
+from fleet_db.tables import MeasuredProfilesRow, WheelsetRow
 
 MEASURED, WHEELSETS = table_of(MeasuredProfilesRow), table_of(WheelsetRow)
 

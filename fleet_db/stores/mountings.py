@@ -11,8 +11,8 @@ from sqlalchemy import Connection, Row, and_, delete, or_, select
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.registry import Mounting
 from estimation.values.utc_text import utc_text
-from fleet_db.models import MountingRow
 from fleet_db.rows import table_of, upsert
+from fleet_db.tables import MountingRow
 
 MOUNTINGS = table_of(MountingRow)
 

@@ -10,8 +10,8 @@ from functools import cache
 
 from sqlalchemy import CTE, ColumnElement, ScalarSelect, Select, bindparam, func, literal, select
 
-from fleet_db.models import GeometryRow
 from fleet_db.rows import table_of
+from fleet_db.tables import GeometryRow
 
 GEOMETRIES = table_of(GeometryRow)
 VERSIONS = GEOMETRIES.alias("version")

@@ -9,10 +9,10 @@ from sqlalchemy import Connection, func, select, update
 
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import MileageReading, PassedOver, WindowMark, WindowState
-from fleet_db.models import ChunkRow, WindowRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import replace_all, table_of
 from fleet_db.stores.windows import WindowStore, implausible_reason
+from fleet_db.tables import ChunkRow, WindowRow
 
 WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
 READING = (WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m, WINDOWS.c.off_line_m)

@@ -10,8 +10,8 @@ from sqlalchemy import ColumnElement, Connection, Row, String, and_, cast, func,
 
 from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import ReasonCode
-from fleet_db.models import ChunkRow, QuarantineRow, WindowRow
 from fleet_db.rows import table_of, upsert
+from fleet_db.tables import ChunkRow, QuarantineRow, WindowRow
 
 ITEMS, CHUNKS, WINDOWS = table_of(QuarantineRow), table_of(ChunkRow), table_of(WindowRow)
 Place = tuple[str, str, str]

@@ -22,8 +22,8 @@ from estimation.values.rails import (
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.fields import fields_of, from_json, to_json, value_of
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import RailCellRow, SectionRailsRow, WheelsetRailsRow
 from fleet_db.rows import key_given, key_of, table_of, upsert
+from fleet_db.tables import RailCellRow, SectionRailsRow, WheelsetRailsRow
 
 CELLS = table_of(RailCellRow)
 OF_SECTIONS, OF_WHEELSETS = table_of(SectionRailsRow), table_of(WheelsetRailsRow)

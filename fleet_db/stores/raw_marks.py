@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, delete, insert, select
 
-from fleet_db.models import RawMarkRow
 from fleet_db.rows import table_of
+from fleet_db.tables import RawMarkRow
 
 MARKS = table_of(RawMarkRow)
 

@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass
 
 from sqlalchemy import Connection, func, insert, select, update
 
-from fleet_db.models import ChunkRow, RawScrubRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
+from fleet_db.tables import ChunkRow, RawScrubRow
 
 SCRUBS, CHUNKS = table_of(RawScrubRow), table_of(ChunkRow)
 

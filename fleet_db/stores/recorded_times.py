@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, func, select, update
 
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import ChunkRow, GeometryRow, TrendRow
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
+from fleet_db.tables import ChunkRow, GeometryRow, TrendRow
 
 CHUNKS = table_of(ChunkRow)
 RESULTS = (table_of(GeometryRow), table_of(TrendRow))

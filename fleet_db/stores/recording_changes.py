@@ -8,9 +8,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, insert, select
 
-from fleet_db.models import RecordingChangeRow
 from fleet_db.receipts import ChunkState, RecordingAction, RecordingChange
 from fleet_db.rows import table_of
+from fleet_db.tables import RecordingChangeRow
 
 CHANGES = table_of(RecordingChangeRow)
 

@@ -15,12 +15,6 @@ from estimation.vehicle.class_on_file import SHIPPED_VERSION, ClassOnFile, class
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import (
-    FleetRow,
-    VehicleRow,
-    WheelsetRow,
-    WindowRow,
-)
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of, upsert
@@ -47,6 +41,12 @@ from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryS
 from fleet_db.stores.reprofilings import REPROFILINGS, reprofilings_of, stored_reprofiling
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
+from fleet_db.tables import (
+    FleetRow,
+    VehicleRow,
+    WheelsetRow,
+    WindowRow,
+)
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
 WINDOWS = table_of(WindowRow)

@@ -9,9 +9,9 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, RowMapping, Subquery, and_, func, insert, null, select
 
 from estimation.values.json_value import JsonValue
-from fleet_db.models import RegistryEventRow
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import table_of
+from fleet_db.tables import RegistryEventRow
 
 EVENTS = table_of(RegistryEventRow)
 Record = Mapping[str, Any] | RowMapping

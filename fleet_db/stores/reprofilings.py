@@ -8,8 +8,8 @@ from typing import Any
 from sqlalchemy import Connection, select
 
 from estimation.values.registry import Reprofiling
-from fleet_db.models import ReprofilingRow
 from fleet_db.rows import table_of
+from fleet_db.tables import ReprofilingRow
 
 REPROFILINGS = table_of(ReprofilingRow)
 

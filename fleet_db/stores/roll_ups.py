@@ -16,7 +16,6 @@ from estimation.values.exact_table import ExactTable, RolledPart
 from estimation.values.geometry import BinTable
 from estimation.values.roll_up import Odometer, RollUp, RollUpKey, RollUpState, Side, TabledWindow, TakenTable
 from estimation.values.rolling_sums import RollingSums, WindowRollingSums
-from fleet_db.models import RollingSumsRow, RollUpRow, RollUpStateRow, TakenTableRow, WindowBinTableRow
 from fleet_db.packed_values import (
     pack_bin_table,
     pack_exact_table,
@@ -27,6 +26,7 @@ from fleet_db.packed_values import (
     unpack_rolling_sums,
 )
 from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
+from fleet_db.tables import RollingSumsRow, RollUpRow, RollUpStateRow, TakenTableRow, WindowBinTableRow
 
 ROLL_UPS, TAKEN, STATES = table_of(RollUpRow), table_of(TakenTableRow), table_of(RollUpStateRow)
 TABLES, ROLLING = table_of(WindowBinTableRow), table_of(RollingSumsRow)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, select
 
 from estimation.values.look import SectionLook
-from fleet_db.models import SectionChangeRow, SectionLookRow
 from fleet_db.rows import table_of, upsert
+from fleet_db.tables import SectionChangeRow, SectionLookRow
 
 LOOKS, CHANGES = table_of(SectionLookRow), table_of(SectionChangeRow)
 

@@ -8,10 +8,10 @@ from sqlalchemy import Connection, func, select, update
 
 from estimation.values.track import TrackSectionRecord
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import TrackSectionRow
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+from fleet_db.tables import TrackSectionRow
 
 SECTIONS = table_of(TrackSectionRow)
 

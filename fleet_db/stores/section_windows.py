@@ -6,9 +6,9 @@ from itertools import groupby
 
 from sqlalchemy import Connection, or_, select
 
-from fleet_db.models import WindowRow
 from fleet_db.rows import table_of
 from fleet_db.stores.stale_spans import StaleSpanStore
+from fleet_db.tables import WindowRow
 
 WINDOWS = table_of(WindowRow)
 APART_NS = 86_400_000_000_000

@@ -13,11 +13,11 @@ from estimation.values.registry import SensorChange, SensorWork
 from estimation.values.utc_text import utc_text
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import SensorChangeRow
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.rows import table_of, upsert
 from fleet_db.stores.mountings import mounting_at
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+from fleet_db.tables import SensorChangeRow
 
 CHANGES = table_of(SensorChangeRow)
 

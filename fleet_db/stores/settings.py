@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, select
 
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import ChunkRow, StoredSettingRow
 from fleet_db.rows import table_of, upsert
+from fleet_db.tables import ChunkRow, StoredSettingRow
 
 SETTINGS, CHUNKS = table_of(StoredSettingRow), table_of(ChunkRow)
 

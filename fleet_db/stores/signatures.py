@@ -12,9 +12,9 @@ from estimation.errors import DamagedError
 from estimation.values.reasons import ReasonCode
 from estimation.values.signatures import KnownSignatures, SignatureRecord, StoredSignatures, WindowSignatures
 from estimation.values.windows import WindowKey, WindowState
-from fleet_db.models import SignatureAnswerRow, WearSignatureRow, WindowRow
 from fleet_db.packed_signatures import pack_answer, pack_signatures, unpack_answer, unpack_signatures
 from fleet_db.rows import reason_columns, stored_reason, table_of, upsert
+from fleet_db.tables import SignatureAnswerRow, WearSignatureRow, WindowRow
 
 SIGNATURES, ANSWERS, WINDOWS = table_of(WearSignatureRow), table_of(SignatureAnswerRow), table_of(WindowRow)
 SAME = and_(SIGNATURES.c.wheelset == WINDOWS.c.wheelset, SIGNATURES.c.start_ns == WINDOWS.c.start_ns)

@@ -10,8 +10,8 @@ from sqlalchemy import Connection, Row, Select, delete, func, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from estimation.values.suspension import SuspensionFinding
-from fleet_db.models.suspension import SuspensionFindingRow
 from fleet_db.rows import table_of, upsert
+from fleet_db.tables.track import SuspensionFindingRow
 
 FINDINGS = table_of(SuspensionFindingRow)
 

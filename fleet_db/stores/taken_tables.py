@@ -6,8 +6,8 @@ from functools import cache
 
 from sqlalchemy import Connection, Insert, Update, and_, bindparam, insert, select, update
 
-from fleet_db.models import TakenTableRow, WindowBinTableRow
 from fleet_db.rows import table_of
+from fleet_db.tables import TakenTableRow, WindowBinTableRow
 
 TABLES, TAKEN = table_of(WindowBinTableRow), table_of(TakenTableRow)
 KEY = and_(TABLES.c.wheelset == bindparam("of_wheelset"), TABLES.c.start_ns == bindparam("of_start_ns"))

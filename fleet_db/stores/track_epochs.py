@@ -27,7 +27,10 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.changes import Changes
-from fleet_db.models import (
+from fleet_db.rows import insert_new, replace, table_of, upsert
+from fleet_db.stores.window_marks import BATCH, keys_given
+from fleet_db.stores.windows import to_window_record
+from fleet_db.tables import (
     TrackEpochRow,
     TrackEpochVehicleRow,
     TrackEpochWindowRow,
@@ -35,9 +38,6 @@ from fleet_db.models import (
     WindowPositionRow,
     WindowRow,
 )
-from fleet_db.rows import insert_new, replace, table_of, upsert
-from fleet_db.stores.window_marks import BATCH, keys_given
-from fleet_db.stores.windows import to_window_record
 
 EPOCHS, MEMBERS, WINDOWS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowRow)
 VEHICLES = table_of(TrackEpochVehicleRow)

@@ -24,7 +24,14 @@ from estimation.values.track import (
 from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import (
+from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
+from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+from fleet_db.stores.section_windows import make_stale
+from fleet_db.stores.track_epochs import EpochStore
+from fleet_db.stores.window_positions import positions_of
+from fleet_db.tables import (
     TrackAlignmentRow,
     TrackEpochRow,
     TrackLayoutRow,
@@ -34,13 +41,6 @@ from fleet_db.models import (
     WindowPositionRow,
     WindowRow,
 )
-from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
-from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
-from fleet_db.stores.section_windows import make_stale
-from fleet_db.stores.track_epochs import EpochStore
-from fleet_db.stores.window_positions import positions_of
 
 LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)

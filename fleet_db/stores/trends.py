@@ -11,9 +11,9 @@ from sqlalchemy import Connection, Select, bindparam, insert, select
 from estimation.values.trend import TrendRecord
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
-from fleet_db.models import GeometryRow, TrendRow
 from fleet_db.packed_values import pack_trend, unpack_trend
 from fleet_db.rows import table_of
+from fleet_db.tables import GeometryRow, TrendRow
 
 TRENDS, GEOMETRIES = table_of(TrendRow), table_of(GeometryRow)
 NEWEST_FIRST = (TRENDS.c.trend_id.desc(),)  # in the order of commit; clocks go back

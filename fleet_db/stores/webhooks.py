@@ -9,8 +9,8 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, delete, func, insert, select, update
 
 from estimation.errors import NotFoundError
-from fleet_db.models import AlertEventRow, WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
 from fleet_db.rows import table_of
+from fleet_db.tables import AlertEventRow, WebhookDeliveryRow, WebhookFleetRow, WebhookRow, WebhookSecretRow
 from fleet_db.webhook_records import (
     Delivery,
     DeliveryState,

@@ -8,8 +8,8 @@ from sqlalchemy import Connection, func, select
 
 from estimation.values.reasons import ReasonCode
 from estimation.values.windows import WindowState
-from fleet_db.models import WindowRow
 from fleet_db.rows import table_of
+from fleet_db.tables import WindowRow
 
 WINDOWS = table_of(WindowRow)
 DAY_NS = 86_400 * 10**9

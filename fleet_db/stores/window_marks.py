@@ -11,9 +11,9 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, 
 from estimation.errors import NotFoundError
 from estimation.values.windows import PassedOver, WindowKey, WindowMark, WindowState
 from fleet_db.changes import Changes
-from fleet_db.models import WindowBinTableRow, WindowRow
 from fleet_db.rows import reason_columns, replace_all, table_of
 from fleet_db.stores.taken_tables import take_back
+from fleet_db.tables import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 BATCH = 500  # keys in a statement

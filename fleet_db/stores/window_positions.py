@@ -9,9 +9,9 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, select
 
 from estimation.values.windows import WindowKey, WindowPosition
-from fleet_db.models import WindowPositionRow
 from fleet_db.rows import stored_reason, table_of
 from fleet_db.stores.window_marks import BATCH, keys_given
+from fleet_db.tables import WindowPositionRow
 
 POSITIONS = table_of(WindowPositionRow)
 

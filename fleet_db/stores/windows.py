@@ -39,8 +39,6 @@ from estimation.values.windows import (
     WindowState,
 )
 from fleet_db.changes import Changes
-from fleet_db.models import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
-from fleet_db.models.windows import PENDING
 from fleet_db.rows import (
     insert_new,
     key_given,
@@ -55,6 +53,8 @@ from fleet_db.rows import (
 )
 from fleet_db.stores.taken_tables import take_back
 from fleet_db.stores.window_marks import BATCH, keys_given, mark_all, pass_over, remove_tables
+from fleet_db.tables import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.tables.windows import PENDING
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)

@@ -29,10 +29,9 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.errors import LeaseLostError
 from estimation.values.claims import Claimed
-from fleet_db.models import WorkClaimRow, WorkLeaseRow
-from fleet_db.owners import living
+from fleet_db.locks import UnendedLease, living
 from fleet_db.rows import table_of
-from fleet_db.unended import UnendedLease
+from fleet_db.tables import WorkClaimRow, WorkLeaseRow
 
 LEASES, CLAIMS = table_of(WorkLeaseRow), table_of(WorkClaimRow)
 KEPT_NS = 86_400_000_000_000

@@ -25,9 +25,9 @@ from estimation.worklist.inputs import WorklistInputs
 from estimation.worklist.row import worklist_row
 from estimation.worklist.urgency import distance_key, urgency_key
 from fleet_db.changes import Changes
-from fleet_db.models import WheelsetRow, WorklistAlertRow, WorklistEntryRow
 from fleet_db.rows import insert_new, replace_all, table_of
 from fleet_db.stores.worklist_inputs import WorklistReader, not_voided
+from fleet_db.tables import WheelsetRow, WorklistAlertRow, WorklistEntryRow
 from fleet_db.worklist_documents import FORM, to_document
 
 ENTRIES, KINDS, WHEELSETS = table_of(WorklistEntryRow), table_of(WorklistAlertRow), table_of(WheelsetRow)

@@ -18,7 +18,6 @@ from estimation.values.windows import WindowState
 from estimation.values.worklist import MileageNow, OpenAlert
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.inputs import WorklistInputs
-from fleet_db.models import AlertRow, GeometryRow, TrendRow, WheelsetRow, WindowRow
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.geometries import GeometryStore
@@ -26,6 +25,7 @@ from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.window_reasons import refused_by_code
+from fleet_db.tables import AlertRow, GeometryRow, TrendRow, WheelsetRow, WindowRow
 
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
 GEOMETRIES, TRENDS = table_of(GeometryRow), table_of(TrendRow)

@@ -22,7 +22,7 @@ import numpy as np
 
 from estimation.errors import ExchangeError, PassingFaultError
 from estimation.values.reasons import ReasonCode
-from fleet_db.passing import passing_fault
+from fleet_db.atomic_files import passing_fault
 from ingest.bounded_file import MEBIBYTE
 from ingest.exchange.description import CsvTable
 from ingest.exchange.table import ExchangeTable, read_table

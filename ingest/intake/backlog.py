@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-from fleet_db.passing import passing_faults
+from fleet_db.atomic_files import passing_faults
 from fleet_db.storage import SqlStorage
 
 LOOK_EVERY_S = 1.0

@@ -14,11 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from estimation.errors import ConflictError, InputError
-from fleet_db.atomic_files import write_atomically
-from fleet_db.incoming import pieces_of
+from fleet_db.atomic_files import passing_faults, write_atomically
 from fleet_db.locks import locked_file
-from fleet_db.passing import passing_faults
-from fleet_db.raw import RawStore
+from fleet_db.raw import RawStore, pieces_of
 from ingest.intake.backlog import BacklogWatch, Behind
 from ingest.intake.chunk import Chunk
 from ingest.intake.store import Arrival, ChunkStorage, Stored

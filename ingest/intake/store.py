@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 from estimation.errors import ConflictError
 from estimation.storage import Clock
-from fleet_db.incoming import IncomingFile
-from fleet_db.raw import RawStore
-from fleet_db.raw_mark import check_raw_store
+from fleet_db.raw import IncomingFile, RawStore
+from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlStorage
 from ingest.deleted import DeletedRecordings

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from estimation.errors import LogFileError
-from fleet_db.passing import passing_fault
+from fleet_db.atomic_files import passing_fault
 from ingest.frames import FrameBatch
 from ingest.logs import asc, blf_reader, candump, mf4
 from ingest.logs.log_format import LogFormat

@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
-from fleet_db.passing import passing_fault
+from fleet_db.atomic_files import passing_fault
 from ingest.frames import FrameBatch
 from ingest.logs.frame_sink import COLUMNS
 from ingest.logs.log_format import LogFormat

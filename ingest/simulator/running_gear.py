@@ -6,17 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters, creep_rate
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
 from ingest.simulator.creep_laws import Creep, CreepLaw
-from ingest.simulator.gear_path import gear_path
+from ingest.simulator.curves import Curves
 from ingest.simulator.gear_rates import (
+    AXLE_PATH,
     AXLE_STATES,
     BODY,
     FRAME,
+    FRAME_PATH,
     GEAR_STATES,
     PATH,
     GearConstants,
@@ -35,6 +38,59 @@ from ingest.simulator.motion import (
 from ingest.simulator.rates import STANDSTILL, Grid
 from ingest.simulator.stepping import OUTPUTS, sub_steps, time_derivative
 from ingest.simulator.track import TrackTruth
+
+
+def gear_path(
+    p: VehicleParameters,
+    curves: Curves,
+    s: FloatArray,
+    distance: FloatArray,
+    speed: FloatArray,
+    step: float,
+    places: tuple[float, ...],
+) -> tuple[FloatArray, FloatArray]:
+    """Return what the loop needs of the path, (n, 16), and what the sensors of each axle measure of it, (a, 4, n).
+
+    Per axle of the former: accelerations added to y'' and psi'', curvature, o, o', t, t'; then the accelerations added
+    to frame (and body). The latter are in the order of ``ACCELERATIONS``.
+
+    Args:
+        curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
+        s: (m,) m along the section.
+        distance: (n,) m of the frame's middle at each sample.
+        speed: (n,) m/s.
+        step: Interval of the samples, s.
+        places: (a,) m by which each axle is ahead of the frame's middle.
+    """
+    curvature = CubicSpline(s, curves.curvature)
+    heading, line = curvature.antiderivative(1), curvature.antiderivative(2)
+    middle = curvature(distance)
+    path = np.zeros((len(speed), PATH))
+    sensed = np.empty((len(places), 4, len(speed)))
+    for axle, x in enumerate(places):
+        at = distance + x
+        kappa, tilt = curvature(at), np.interp(at, s, curves.cant) / (2.0 * p.half_contact_distance)
+        turned, rolling = heading(at) - heading(distance), np.gradient(tilt, step)
+        uncompensated, turning = speed**2 * kappa - GRAVITY * tilt, np.gradient(speed * kappa, step)
+        gyroscopic = p.pitch_inertia * speed / p.nominal_radius * rolling / p.yaw_inertia
+        path[:, AXLE_PATH * axle : AXLE_PATH * (axle + 1)] = np.column_stack(
+            [
+                -uncompensated,
+                -turning + gyroscopic,  # the right rail above: it rolls by -tilt
+                kappa,
+                line(at) - line(distance) - x * heading(distance),
+                speed * (turned - x * middle),
+                turned,
+                speed * (kappa - middle),
+            ]
+        )
+        sensed[axle, :3] = uncompensated, turning, -np.gradient(rolling, step)
+    tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)
+    uncompensated, turning = speed**2 * middle - GRAVITY * tilt, np.gradient(speed * middle, step)
+    path[:, FRAME_PATH], path[:, FRAME_PATH + 1] = -uncompensated, -turning
+    sensed[:, 3] = uncompensated + np.outer(places, turning)
+    return path, sensed
+
 
 ROLLING_LIMIT = 2.0  # as RATE_LIMIT, of the wheels' angular velocity: it follows what steers so fast that only its rest
 # state matters

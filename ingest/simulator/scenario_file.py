@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
@@ -19,12 +19,12 @@ from estimation.contact.rail_wear import DEEPEST_BAND
 from estimation.errors import ProfileError, ScenarioError
 from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
+from ingest.simulator.class_on_file import ClassOnFile
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.profile_files import rail_in, wheel_in
 from ingest.simulator.rail_course import DAYS_PER_YEAR
 from ingest.simulator.running import RunningPlan
 from ingest.simulator.scenario import Scenario
-from ingest.simulator.scenario_schema.class_on_file import ClassOnFileTable
 from ingest.simulator.scenario_schema.drawn_fleet import DrawnFleetTable
 from ingest.simulator.scenario_schema.dynamics import DynamicsTable, VehicleErrorsTable, impossible_bogies
 from ingest.simulator.scenario_schema.fleet import FleetTable, VehicleTable
@@ -34,6 +34,37 @@ from ingest.simulator.scenario_schema.running import SessionsTable, SpeedTable
 from ingest.simulator.scenario_schema.running_plan import CreepTable, TractionTable, WheelsTable
 from ingest.simulator.scenario_schema.track import SectionTable
 from ingest.simulator.scenario_schema.units import MM
+from ingest.vehicle_class_file import read_vehicle_class, shipped_classes, shipped_path
+
+
+class ClassOnFileTable(InputTable):
+    """``[class_on_file]``."""
+
+    file: Text | None = None
+    shipped: Text | None = None
+    nominal_radius_mm: Annotated[float, Field(ge=150.0, le=700.0)] | None = None
+
+    @model_validator(mode="after")
+    def _check_file(self) -> Self:
+        if (self.file is None) == (self.shipped is None):
+            raise field_error("needs either 'file' or 'shipped'")
+        if self.shipped is not None and self.shipped not in shipped_classes():
+            raise field_error(f"{self.shipped!r} is none of {', '.join(shipped_classes())}", "shipped")
+        return self
+
+    def plan(self, folder: Path) -> ClassOnFile:
+        """Return what is on file.
+
+        Args:
+            folder: Folder of the scenario file: a relative file name starts here.
+
+        Raises:
+            ScenarioError: The file is no class file.
+        """
+        path = shipped_path(self.shipped) if self.shipped is not None else folder / str(self.file)
+        radius = None if self.nominal_radius_mm is None else MM * self.nominal_radius_mm
+        return ClassOnFile(path, read_vehicle_class(path, ScenarioError), radius)
+
 
 MAX_SEED = 2**53
 

@@ -8,7 +8,7 @@ from estimation.errors import ConflictError
 from estimation.storage import Clock
 from estimation.values.reasons import ReasonCode, code_of
 from fleet_db.raw import LostRecordingError, RawStore
-from fleet_db.raw_mark import check_raw_store
+from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.deleted import DeletedRecordings

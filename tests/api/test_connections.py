@@ -11,7 +11,7 @@ import httpx
 import pytest
 from running_service import running
 
-from api import http_limits
+from api import http_server
 from api.factory import create_server, open_store
 from api.settings import Settings
 from fleet_db.migrate import upgrade
@@ -89,7 +89,7 @@ def test_a_late_body_is_a_problem_and_ends_the_connection(tmp_path: Path) -> Non
 
 
 def test_a_client_that_does_not_read_is_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("api.connections.SEND_TIMEOUT_S", 0.3)
+    monkeypatch.setattr("api.http_server.SEND_TIMEOUT_S", 0.3)
     with service(tmp_path) as address:
         with socket.socket() as connection:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
@@ -143,7 +143,7 @@ def test_a_busy_connection_is_not_displaced(tmp_path: Path) -> None:
 def test_requests_beyond_those_that_are_being_answered_are_refused_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert http_limits.REQUESTS == 100
+    assert http_server.REQUESTS == 100
     monkeypatch.setattr("api.middleware.REQUESTS", 1)
     with service(tmp_path) as address, connect(address) as waiting, connect(address) as half:
         url = "http://{}:{}".format(*address)
@@ -173,8 +173,8 @@ def test_an_answer_that_is_late_is_not_waited_for(tmp_path: Path) -> None:
 def test_headers_that_are_too_large_are_refused(tmp_path: Path) -> None:
     with service(tmp_path) as address:
         url = "http://{}:{}/healthz".format(*address)
-        assert httpx.get(url, headers={"X": "x" * (http_limits.MAX_HEAD_BYTES - 1000)}).status_code == 200
-        answer = httpx.get(url, headers={"X": "x" * http_limits.MAX_HEAD_BYTES})
+        assert httpx.get(url, headers={"X": "x" * (http_server.MAX_HEAD_BYTES - 1000)}).status_code == 200
+        answer = httpx.get(url, headers={"X": "x" * http_server.MAX_HEAD_BYTES})
         assert answer.status_code == 431
         assert answer.json()["type"] == "urn:treadwatch:problem:headers-too-large"
 
@@ -196,23 +196,23 @@ def test_fewer_connections_than_files(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("resource.getrlimit", limit)
     found = 256
-    assert http_limits.open_connections(1000) == 152
+    assert http_server.open_connections(1000) == 152
     found = 1024
-    assert http_limits.open_connections(1000) == 920
+    assert http_server.open_connections(1000) == 920
     found = 4096
-    assert http_limits.open_connections(1000) == 1000
+    assert http_server.open_connections(1000) == 1000
 
 
 def test_the_usual_limits(tmp_path: Path) -> None:
     settings = Settings.model_validate({"data_dir": tmp_path})
     assert (settings.header_timeout_s, settings.body_timeout_s, settings.request_timeout_s) == (10.0, 30.0, 60.0)
-    assert (settings.max_connections, http_limits.SEND_TIMEOUT_S, http_limits.MAX_HEAD_BYTES) == (1000, 30.0, 16384)
-    assert http_limits.limits_of(settings) == http_limits.HttpLimits()
+    assert (settings.max_connections, http_server.SEND_TIMEOUT_S, http_server.MAX_HEAD_BYTES) == (1000, 30.0, 16384)
+    assert http_server.limits_of(settings) == http_server.HttpLimits()
 
 
 def test_the_server_is_built_with_the_limits_of_the_settings(tmp_path: Path) -> None:
     settings = Settings.model_validate({"data_dir": tmp_path, "port": 0})
     upgrade(settings.url)
     config = create_server(settings).config
-    assert config.backlog == http_limits.ACCEPTED_AT_ONCE
-    assert config.h11_max_incomplete_event_size == http_limits.MAX_HEAD_BYTES
+    assert config.backlog == http_server.ACCEPTED_AT_ONCE
+    assert config.h11_max_incomplete_event_size == http_server.MAX_HEAD_BYTES

@@ -22,8 +22,7 @@ from service_process import COMMAND, ROOT, service_process, wait_for
 
 from estimation.errors import ParameterError
 from fleet_db.migrate import upgrade
-from fleet_db.reachability import RETRY_S, Reachability
-from fleet_db.session import database_engine
+from fleet_db.session import RETRY_S, Reachability, database_engine
 
 PASSWORD = "S3same-öffne%dich"  # noqa: S105 - of a server that asks for none
 QUOTED = "S3same-%C3%B6ffne%25dich"

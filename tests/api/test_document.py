@@ -12,7 +12,7 @@ from running_service import Service
 
 from api.access.security_headers import security_headers
 from api.app import committed_document
-from api.openapi.problem_examples import DETAILS
+from api.openapi.document import DETAILS
 from api.openapi.words import OF_SCHEMA, undescribed
 from api.problems import TYPES
 

@@ -8,9 +8,8 @@ import pytest
 from api_fleet import section_rails as stored
 
 from api.factory import rails_settings
-from api.known_sections import known_sections
 from api.schemas.rails import section_rails
-from api.settings import load_settings
+from api.settings import known_sections, load_settings
 from estimation.errors import ParameterError
 from estimation.jobs.rails_settings import KnownSection
 from estimation.values.reasons import Reason, ReasonCode

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from api.representation_cache import RepresentationCache
+from api.answers import RepresentationCache
 
 
 def test_a_representation_is_made_once_a_version() -> None:

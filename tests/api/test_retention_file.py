@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from in_process_command import Run
 
-from api.retention_file import load_retention
+from api.settings import load_retention
 from estimation.errors import InputError
 from fleet_db.keeping.retention import Kept, Retention
 

@@ -14,8 +14,7 @@ import pytest
 import structlog
 
 from api import logs
-from api.faults import FAULTS, FULL_AGAIN_S, SUMMARY_S, TRACE_CHARACTERS, FaultLedger, fault_of, short_trace
-from api.redaction import Redactor
+from api.logs import FAULTS, FULL_AGAIN_S, SUMMARY_S, TRACE_CHARACTERS, FaultLedger, Redactor, fault_of, short_trace
 from api.settings import Settings
 from estimation.errors import StorageError
 

@@ -6,8 +6,8 @@ from threading import Event
 
 import pytest
 
+from api.factory import once_the_database_answers
 from api.settings import Settings
-from api.starting import once_the_database_answers
 from estimation.errors import MigrationError, ParameterError, StorageError
 
 SERVER = Settings(database_url="postgresql://user@host/db", _env_file=None)

@@ -20,7 +20,7 @@ from populated_service import new_database
 from webhook_receiver import Answer, Received, Receiver, receiving
 
 from api.factory import open_services
-from api.redaction import Redactor
+from api.logs import Redactor
 from api.webhooks.sending import Sender
 from api.webhooks.signing import signature
 from api.webhooks.targets import Targets, networks_of

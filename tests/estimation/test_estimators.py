@@ -16,10 +16,8 @@ from smooth_wheelset import SmoothTable, ideal, run
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.estimators import paper_equations
-from estimation.estimators.catalogue import SHIPPED, estimator_named, estimators
-from estimation.estimators.cubic import CubicFit, b_splines
+from estimation.estimators.catalogue import SHIPPED, CubicFit, LinearConicity, b_splines, estimator_named, estimators
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
-from estimation.estimators.linear import LinearConicity
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.replicates import Replicates, curve_estimate
 from estimation.geometry.uncertainty import ParameterUncertainty

@@ -15,10 +15,10 @@ from estimation.errors import ParameterError
 from estimation.estimators import block_filters, particle_filter
 from estimation.estimators import filter_kernels as kernels
 from estimation.estimators.block_filters import Inputs, Posterior, follows
+from estimation.estimators.catalogue import LinearConicity
 from estimation.estimators.extended_kalman import ExtendedKalman
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
 from estimation.estimators.known_irregularity import KnownIrregularity
-from estimation.estimators.linear import LinearConicity
 from estimation.estimators.particle_filter import ParticleFilter
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.motion import Motion

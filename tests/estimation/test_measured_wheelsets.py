@@ -15,9 +15,9 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord
-from fleet_db.models import MeasuredProfilesRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import MeasuredProfilesRow
 
 STD = 0.1e-3  # m
 

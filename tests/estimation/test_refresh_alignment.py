@@ -16,9 +16,9 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import WindowState
-from fleet_db.models import TrackAlignmentRow, WindowBinTableRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import TrackAlignmentRow, WindowBinTableRow
 
 TABLES = table_of(WindowBinTableRow)
 

@@ -18,9 +18,9 @@ from estimation.storage import Storage
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import AlignmentSource, TrackAlignment
-from fleet_db.models import TrackEpochRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import TrackEpochRow
 from ingest.registry_file import load_registry
 from ingest.registry_schema import FORMAT
 

@@ -10,10 +10,10 @@ import stored_values as make
 from estimation.values.alerts import AlertEventKind
 from estimation.values.runs import JobTrigger
 from estimation.values.windows import WindowState
-from fleet_db.models import Base
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import Base
 
 RECORDING = b"frames of V-1" * 1000
 

@@ -23,9 +23,9 @@ from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.manifest import read_manifest, write_manifest
 from fleet_db.keeping.restore import CAUSE, restore
 from fleet_db.migrate import upgrade
-from fleet_db.models import WheelsetBinRow
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import WheelsetBinRow
 
 
 def quietly(_done: int, _total: int) -> None:

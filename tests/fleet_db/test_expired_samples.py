@@ -16,13 +16,12 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track_epochs import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import PassedOver, WindowPosition, WindowRecord, WindowState
 from fleet_db.keeping.deep_check import check_deep
-from fleet_db.keeping.expired_samples import WAITING
 from fleet_db.keeping.kept_files import kept_files
 from fleet_db.keeping.orphans import orphaned_samples
-from fleet_db.keeping.purge import Purged, purge
+from fleet_db.keeping.purge import WAITING, Purged, purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.models import WindowBinTableRow
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import WindowBinTableRow
 
 NOTHING: dict[str, Any] = dict.fromkeys((kind.value for kind in Kept), None)
 AFTER = make.START + 2 * DAY_NS

@@ -20,10 +20,9 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Engine
 
 from estimation.errors import MigrationError, ParameterError, StorageError
-from fleet_db.migrate import upgrade
-from fleet_db.models import Base
-from fleet_db.revisions import SCRIPTS, check_head, head, known_revisions
+from fleet_db.migrate import SCRIPTS, check_head, head, known_revisions, upgrade
 from fleet_db.session import database_engine
+from fleet_db.tables import Base
 
 ROOT = Path(__file__).parent.parent.parent
 

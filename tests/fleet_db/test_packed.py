@@ -19,7 +19,7 @@ from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, GaugeShift, TrackFindings
 from estimation.values.trend import WearTrend
-from fleet_db.fields import fields_of, from_json, to_json, value_of
+from fleet_db.fields import fields_of, from_json, pack, to_json, unpack, value_of
 from fleet_db.packed_values import (
     pack_alignment,
     pack_bin_table,
@@ -32,7 +32,6 @@ from fleet_db.packed_values import (
     unpack_trend,
     unpack_wheel_pair,
 )
-from fleet_db.packing import pack, unpack
 
 ANY_FLOAT = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 DTYPES = st.sampled_from([np.dtype("<f8"), np.dtype("<i8"), np.dtype("<i2"), np.dtype("u1")])

@@ -16,8 +16,7 @@ from raw_stores import Behind
 from scipy.stats import uniform
 
 from estimation.errors import InputError, ParameterError, PassingFaultError
-from fleet_db.incoming import PREFIX
-from fleet_db.raw import MARK_NAME, LostRecordingError, RawItem, RawTotal
+from fleet_db.raw import MARK_NAME, PREFIX, LostRecordingError, RawItem, RawTotal
 from fleet_db.s3_bucket import PART_BYTES
 
 LARGE = uniform.rvs(size=2 * PART_BYTES // 8 + 12_345, random_state=1).tobytes()

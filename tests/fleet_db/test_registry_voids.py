@@ -21,10 +21,10 @@ from estimation.values.registry import (
 )
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.class_on_file import class_digest
-from fleet_db.models import Base
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
+from fleet_db.tables import Base
 from ingest.vehicle_class_file import class_of_package, shipped_class
 
 AT = 5_000

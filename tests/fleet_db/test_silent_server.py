@@ -20,8 +20,7 @@ from estimation.errors import ConflictError, StorageError
 from estimation.values.registry import FleetRecord
 from fleet_db import session
 from fleet_db.migrate import upgrade
-from fleet_db.session import database_engine
-from fleet_db.silent_server import ServerLimits
+from fleet_db.session import ServerLimits, database_engine
 from fleet_db.storage import SqlStorage
 
 QUICK = ServerLimits(connect_s=2, silence_s=0.2)

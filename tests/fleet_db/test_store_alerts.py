@@ -15,8 +15,8 @@ from sqlalchemy.exc import IntegrityError
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
-from fleet_db.models import AlertRow
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import AlertRow
 
 RAISED, UPDATED, CLOSED = AlertEventKind.RAISED, AlertEventKind.UPDATED, AlertEventKind.CLOSED
 EVERYTHING: dict[str, Any] = {

@@ -26,10 +26,10 @@ from estimation.values.signatures import (
     WindowSignatures,
 )
 from estimation.values.windows import WindowState
-from fleet_db.models import WearSignatureRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores import signatures as signature_store
+from fleet_db.tables import WearSignatureRow
 
 
 def signature(start_ns: int, order: int, place: Place | None) -> Signature:

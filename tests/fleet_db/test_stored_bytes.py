@@ -19,9 +19,9 @@ from fleet_db.keeping.retention import Kept, Retention
 from fleet_db.keeping.stored_bytes import OTHER, TABLES, StoredKind, stored_bytes
 from fleet_db.keeping.table_sizes import database_size
 from fleet_db.migrate import upgrade
-from fleet_db.models import Base
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import Base
 
 FOR_EVER = Retention(**dict.fromkeys((kind.value for kind in Kept), None))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from sqlalchemy import MetaData, Table, select
 
-from fleet_db.models.base import Base
+from fleet_db.tables.base import Base
 from fleet_db.visibility import HIDDEN, RULES, SHARED, narrowed
 
 

@@ -12,11 +12,11 @@ from sqlalchemy import select, text, update
 from estimation.errors import LeaseLostError
 from estimation.values.registry import FleetRecord
 from estimation.values.runs import JobTrigger
-from fleet_db import owners
-from fleet_db.models import WorkClaimRow, WorkLeaseRow
+from fleet_db import locks
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.work_claims import KEPT_NS
+from fleet_db.tables import WorkClaimRow, WorkLeaseRow
 
 CLAIMS, LEASES = table_of(WorkClaimRow), table_of(WorkLeaseRow)
 LONG_S, SHORT_S = 600.0, 0.4
@@ -91,7 +91,7 @@ def test_a_lease_from_before_the_clock_was_set_back_has_ended(storage: SqlStorag
 def test_the_leases_of_a_process_end_with_it(storage: SqlStorage) -> None:
     with storage.owned(JobTrigger.CLI, "alive", 1) as alive, alive.leased("a", ["1"], "alive", LONG_S):
         with storage.write() as unit:
-            dead = owners.add(unit.connection, JobTrigger.CLI, "dead", 1)  # it holds no lock
+            dead = locks.add(unit.connection, JobTrigger.CLI, "dead", 1)  # it holds no lock
             unit.work_claims.take(unit.work_claims.lease("dead", 10**15, dead), "a", ["2"])
         with storage.leased("a", ["1", "2"], "other", LONG_S) as (_, claimed):
             assert (claimed.elsewhere, claimed.ended) == (1, (("2", 1),))

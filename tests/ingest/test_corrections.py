@@ -13,11 +13,11 @@ from estimation.errors import ConflictError, LogFileError, NotFoundError
 from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
-from fleet_db.models import WindowRow
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState, RecordingAction
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import WindowRow
 from ingest.canopen import TIME_ID
 from ingest.catalogue import default_catalogue
 from ingest.corrections import Author, RecordingCorrections

@@ -13,7 +13,6 @@ from test_receiver import CountingClock
 from vehicle_bus import register
 
 from estimation.errors import PassingFaultError
-from fleet_db.incoming import PREFIX
 from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.manifest import digests_file
@@ -22,8 +21,8 @@ from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.keeping.stored_bytes import stored_bytes
-from fleet_db.raw import MARK_NAME
-from fleet_db.raw_mark import check_raw_store
+from fleet_db.raw import MARK_NAME, PREFIX
+from fleet_db.raw_files import check_raw_store
 from fleet_db.storage import SqlStorage
 from ingest.corrections import Author, RecordingCorrections
 

@@ -20,11 +20,11 @@ from ingest.dropped_frames import OVERFLOW_ID, count_dropped, dropped_marker
 from ingest.frames import FrameBatch, batch_of
 from ingest.live.buffer import FrameBuffer
 from ingest.live.drop_count import DropCount, DropCountFile
-from ingest.live.pieces import read_piece
 from ingest.live.records import FRAME_BYTES, Record, decode, encode, pack_frame
 from ingest.live.spool import Spool, TakenOver, spool_folder
 from ingest.live.spooling import Spooling
 from ingest.live.status import LiveStatus, Reports
+from ingest.live.storing import read_piece
 from ingest.logs import read_log
 
 LIMIT = 1 << 20

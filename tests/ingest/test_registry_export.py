@@ -18,10 +18,10 @@ from sqlalchemy import delete
 from estimation.contact.profiles import wheel_profile
 from estimation.errors import InputError
 from estimation.values.registry import WheelsetRecord
-from fleet_db.models import Base
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey
+from fleet_db.tables import Base
 from ingest.registry_entry.contradiction import CONFIRMABLE
 from ingest.registry_export import export_registry, write_export
 from ingest.simulator.fleet import prepare

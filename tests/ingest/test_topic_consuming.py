@@ -21,7 +21,7 @@ from estimation.errors import StorageError
 from estimation.values.quarantine import QuarantineState, delay_s
 from estimation.values.reasons import ReasonCode
 from fleet_db.decoding_locks import decoding_locks
-from fleet_db.raw_mark import check_raw_store
+from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.topic import consuming, held_references, publishing, reading

@@ -27,9 +27,9 @@ from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobRun, JobTrigger
 from estimation.values.windows import WindowState
-from fleet_db.models import WorkClaimRow, WorkLeaseRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import WorkClaimRow, WorkLeaseRow
 from ingest.simulator.fleet import FleetReport
 
 SCRIPT = Path(__file__).with_name("worker_process.py")

@@ -21,11 +21,11 @@ from bench.standing_clock import StandingClock
 from estimation.jobs.catalogue import run_all
 from estimation.values.geometry import GeometryRecord
 from estimation.values.runs import JobRun, JobTrigger
-from fleet_db.models import Base
 from fleet_db.packed_values import pack_geometry
 from fleet_db.receipts import ChunkRecord
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import Base
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
 from ingest.registry_file import load_registry

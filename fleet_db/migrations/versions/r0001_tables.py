@@ -10,7 +10,7 @@ from typing import Any
 import sqlalchemy as sa
 from alembic import op
 
-from fleet_db.models.base import NAMING, one_of
+from fleet_db.tables.base import NAMING, one_of
 
 revision: str = "r0001"
 down_revision: str | None = None

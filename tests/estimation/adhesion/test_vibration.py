@@ -9,8 +9,7 @@ import pytest
 from bogie_run import SOFT, of_bogie
 from test_creep_forces import KNOWN, SIGNALS, found, gear, high_passed, true_forces
 
-from estimation.adhesion.creep_forces import contact_forces
-from estimation.adhesion.vibration import BAND_HZ, VIBRATING, without_vibration
+from estimation.adhesion.creep_forces import BAND_HZ, VIBRATING, contact_forces, without_vibration
 from estimation.adhesion.window_adhesion import FORCE_ERROR, SMOOTHED_ERROR
 from estimation.values.reasons import Reason
 from estimation.values.windows import ACCELERATIONS, Window

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.alignment_std import _gauge_std, _scale_std, _std
+from estimation.track.alignment_std import LongWaveAlignment, _gauge_std, _scale_std, _std
 from estimation.track.gridded_pass import place
 from estimation.track.iteration import IterationParameters, IterationResult, _largest_move, _ratio_change
 from estimation.track.panel.basis import Panel, PanelParameters
-from estimation.track.panel.long_waves import LongWaveAlignment
 from estimation.track.panel.normal_equations import init
 from estimation.track.panel.prior_alignment import PriorAlignment
 from estimation.track.panel.solution import result

@@ -22,9 +22,9 @@ from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, Whe
 from estimation.values.runs import JobTrigger
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowRecord, WindowState
-from fleet_db.models import GeometryRow, TrackAlignmentRow, WindowBinTableRow, WindowRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.tables import GeometryRow, TrackAlignmentRow, WindowBinTableRow, WindowRow
 
 NAMES = ("W0", "W1", "W2")
 MINUTE_NS = 60 * 10**9

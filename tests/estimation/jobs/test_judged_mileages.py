@@ -19,10 +19,10 @@ from estimation.jobs.steps.plausibility import judge_mileages
 from estimation.motion.mileage import implausible_mileages
 from estimation.storage import Storage
 from estimation.values.reasons import Reason
-from fleet_db.models import WindowRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.windows import implausible_reason
+from fleet_db.tables import WindowRow
 
 WINDOWS = table_of(WindowRow)
 

@@ -25,12 +25,12 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.signatures import Basis, Signature, SignatureRecord, WindowSignatures
 from fleet_db.migrate import upgrade
-from fleet_db.models import WearSignatureRow, WindowRow
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.signatures import SignatureStore
+from fleet_db.tables import WearSignatureRow, WindowRow
 from ingest.simulator.scenario_file import load_scenario
 
 SCENARIO = """\

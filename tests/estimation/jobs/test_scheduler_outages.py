@@ -20,8 +20,8 @@ from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.registry import FleetRecord
 from estimation.values.runs import JobRun, JobTrigger
+from fleet_db.locks import check_claim
 from fleet_db.migrate import upgrade
-from fleet_db.owners import check_claim
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 

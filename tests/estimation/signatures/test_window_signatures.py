@@ -10,8 +10,7 @@ import pytest
 
 from bench.signature_cases import Wheelset, tracks, wheelset, window_of, window_parameters
 from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.spectra import band_spectra
-from estimation.signatures.window_signatures import window_signatures
+from estimation.signatures.window_signatures import band_spectra, window_signatures
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Place, Signature

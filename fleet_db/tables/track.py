@@ -1,4 +1,4 @@
-"""Track sections and the versions of their alignment and of their layout."""
+"""Track sections, their epochs and alignments, positions, and findings on suspensions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource
-from fleet_db.models.base import (
+from fleet_db.tables.base import (
     Base,
     Count,
     Digest,
@@ -133,3 +133,88 @@ class TrackLayoutRow(Base):
     points: Mapped[Count]
     content_digest: Mapped[Digest]
     packed: Mapped[Packed]
+
+
+class TrackEpochRow(Base):
+    """One epoch of a section as it was computed last, in vehicle time; replaced when its windows change."""
+
+    __tablename__ = "track_epochs"
+    __table_args__ = (CheckConstraint("number > 0", name="number_positive"),)
+
+    section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True)
+    before: Mapped[Name]
+    input_digest: Mapped[Digest]
+    horizon_ns: Mapped[Nanoseconds]
+    windows: Mapped[Count]
+    waits: Mapped[bool]
+    version: Mapped[int | None]
+    same_since: Mapped[int | None]
+    estimated_on: Mapped[int | None]
+    survey: Mapped[Name]
+    survey_code: Mapped[ReasonCodeColumn | None]
+    report: Mapped[Count]
+    recorded_ns: Mapped[Nanoseconds]
+
+
+class TrackEpochWindowRow(Base):
+    """A window of an epoch as it was when the epoch was computed; it stays when the window itself is gone.
+
+    ``estimated_version`` is of the alignment that the window was refused on last, null where it was not.
+    """
+
+    __tablename__ = "track_epoch_windows"
+    __table_args__ = (
+        ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
+        Index(None, "section", "epoch"),
+    )
+
+    wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
+    start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    section: Mapped[str] = mapped_column(String(64))
+    epoch: Mapped[int]
+    vehicle: Mapped[str] = mapped_column(String(64))
+    content_digest: Mapped[Digest]
+    mileage_km: Mapped[Real]
+    context: Mapped[Digest]
+    assumed: Mapped[Digest]
+    placed: Mapped[bool]
+    estimated_version: Mapped[int | None]
+
+
+class TrackEpochVehicleRow(Base):
+    """A vehicle whose windows are estimated on no older version than that of an epoch, for what that found of it."""
+
+    __tablename__ = "track_epoch_vehicles"
+    __table_args__ = (
+        ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
+    )
+
+    section: Mapped[str] = mapped_column(String(64), primary_key=True)
+    vehicle: Mapped[str] = mapped_column(String(64), primary_key=True)
+    epoch: Mapped[int] = mapped_column(primary_key=True)
+    version: Mapped[int]
+    stiffness_ratio: Mapped[Real]
+
+
+class SuspensionFindingRow(Base):
+    """Yaw stiffness over creep coefficient of one vehicle on one section in one epoch, of the assumed one."""
+
+    __tablename__ = "suspension_findings"
+    __table_args__ = (
+        CheckConstraint("ratio > 0", name="ratio_positive"),
+        CheckConstraint("ratio_std > 0", name="ratio_std_positive"),
+        CheckConstraint("assumed_m > 0", name="assumed_positive"),
+        CheckConstraint("from_ns <= to_ns", name="from_before_to"),
+    )
+
+    vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"), primary_key=True)
+    section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
+    to_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    from_ns: Mapped[Nanoseconds]
+    ratio: Mapped[Real]
+    ratio_std: Mapped[Real]
+    assumed_m: Mapped[Real]
+    code_version: Mapped[Name]
+    epoch: Mapped[int | None]
+    recorded_ns: Mapped[Nanoseconds]

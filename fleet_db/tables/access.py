@@ -1,11 +1,11 @@
-"""Keys of the REST API, and what was done with them."""
+"""Who may do what, what was done with it, and requests that are answered once."""
 
 from __future__ import annotations
 
 from sqlalchemy import Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from fleet_db.models.base import Base, Digest, Json, Name, Nanoseconds, Serial
+from fleet_db.tables.base import Base, Digest, Json, Name, Nanoseconds, Serial
 
 
 class ApiKeyRow(Base):
@@ -41,3 +41,15 @@ class AuditRow(Base):
     object: Mapped[Name | None]
     address: Mapped[Name | None]
     request_id: Mapped[str | None] = mapped_column(String(64))
+
+
+class IdempotencyRow(Base):
+    """The answer to one request that carried an ``Idempotency-Key``."""
+
+    __tablename__ = "idempotency_keys"
+
+    key: Mapped[str] = mapped_column(String(255), primary_key=True)
+    request_digest: Mapped[Digest]
+    status_code: Mapped[int]
+    body: Mapped[Name]
+    recorded_ns: Mapped[Nanoseconds]

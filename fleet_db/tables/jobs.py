@@ -1,0 +1,141 @@
+"""Runs of jobs, who owns and claims work, what each job has seen, and settings that are kept."""
+
+from __future__ import annotations
+
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
+from sqlalchemy.orm import Mapped, mapped_column
+
+from estimation.values.runs import JobOutcome, JobTrigger
+from fleet_db.tables.base import Base, Count, Digest, Json, Name, Nanoseconds, Serial, one_of
+
+
+class JobRunRow(Base):
+    """One run; ``finished_ns`` is null until its end is recorded. ``owner`` is the token of its process."""
+
+    __tablename__ = "job_runs"
+    __table_args__ = (
+        one_of("outcome", JobOutcome),
+        CheckConstraint("(outcome = 'running') = (finished_ns IS NULL)", name="running_until_finished"),
+        Index(None, "job", "run_id"),
+        {"sqlite_autoincrement": True},
+    )
+
+    run_id: Mapped[Serial]
+    job: Mapped[str] = mapped_column(String(64))
+    trigger: Mapped[str] = mapped_column(String(16))
+    started_ns: Mapped[Nanoseconds]
+    finished_ns: Mapped[Nanoseconds | None]
+    outcome: Mapped[str] = mapped_column(String(16))
+    counts: Mapped[Json]
+    error: Mapped[Name | None]
+    owner: Mapped[Count | None]
+
+
+ONE_SCHEDULER = text("kind = 'schedule'")
+
+
+class JobOwnerRow(Base):
+    """A process that runs jobs, from its start to its end or until it is found dead; at most one scheduler.
+
+    ``token`` is never used twice. While the process lives it holds a lock with this number.
+    """
+
+    __tablename__ = "job_owners"
+    __table_args__ = (
+        one_of("kind", JobTrigger),
+        Index(
+            "ix_job_owners_one_scheduler",
+            "kind",
+            unique=True,
+            sqlite_where=ONE_SCHEDULER,
+            postgresql_where=ONE_SCHEDULER,
+        ),
+        {"sqlite_autoincrement": True},
+    )
+
+    token: Mapped[Serial]
+    kind: Mapped[str] = mapped_column(String(16))
+    holder: Mapped[Name]
+    since_ns: Mapped[Nanoseconds]
+
+
+class WorkLeaseRow(Base):
+    """Leave to work on some things until a time by the clock of the database, prolonged as long as the worker lives.
+
+    ``lease_id`` is never used twice: whoever has lost one stores nothing under it. ``owner`` is the token of the
+    process that runs the job, where the lease ends with it.
+    """
+
+    __tablename__ = "work_leases"
+    __table_args__ = (
+        CheckConstraint("length_ns > 0", name="length_positive"),
+        Index(None, "until_ns"),
+        {"sqlite_autoincrement": True},
+    )
+
+    lease_id: Mapped[Serial]
+    holder: Mapped[Name]
+    owner: Mapped[Count | None]
+    length_ns: Mapped[Nanoseconds]
+    until_ns: Mapped[Nanoseconds]
+
+
+class WorkClaimRow(Base):
+    """One thing that a stage works on under a lease, or worked on under one that has ended without a word.
+
+    The row goes when work on it ends in order. ``attempts`` counts how often work on it has begun since then.
+    """
+
+    __tablename__ = "work_claims"
+    __table_args__ = (CheckConstraint("attempts >= 1", name="begun"), Index(None, "lease_id"))
+
+    stage: Mapped[str] = mapped_column(String(64), primary_key=True)
+    key: Mapped[str] = mapped_column(String(128), primary_key=True)
+    lease_id: Mapped[Count | None] = mapped_column(ForeignKey("work_leases.lease_id", ondelete="SET NULL"))
+    attempts: Mapped[Count]
+    begun_ns: Mapped[Nanoseconds]
+
+
+class LookRow(Base):
+    """Everything that a job's last look at a wheelset was made from, as one digest, and when time alone changes it."""
+
+    __tablename__ = "looks"
+
+    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    inputs: Mapped[Digest]
+    until_ns: Mapped[Nanoseconds | None]
+    number: Mapped[Count | None]
+
+
+class SectionChangeRow(Base):
+    """How often something has happened to windows, positions or epochs of a section.
+
+    ``section`` is empty for windows that are on none.
+    """
+
+    __tablename__ = "section_changes"
+
+    section: Mapped[str] = mapped_column(String(64), primary_key=True)
+    touched: Mapped[Count]
+
+
+class SectionLookRow(Base):
+    """Everything that a job's last look at a section was made from, where it found nothing to do."""
+
+    __tablename__ = "section_looks"
+
+    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
+    section: Mapped[str] = mapped_column(String(64), primary_key=True)
+    inputs: Mapped[Digest]
+    touched: Mapped[Count]
+
+
+class StoredSettingRow(Base):
+    """One setting, as text, since the first recording was received with it."""
+
+    __tablename__ = "stored_settings"
+
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    value: Mapped[Name]
+    recorded_ns: Mapped[Nanoseconds]

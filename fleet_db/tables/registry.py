@@ -1,0 +1,166 @@
+"""Fleets, vehicles and their classes, wheelsets and what happens to them, and the history of the registry."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, UniqueConstraint, text
+from sqlalchemy.orm import Mapped, mapped_column
+
+from estimation.values.registry import SensorWork
+from fleet_db.registry_events import RecordAction, RecordKind
+from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
+
+
+class WheelsetRow(Base):
+    """One wheelset, wherever it is mounted."""
+
+    __tablename__ = "wheelsets"
+    __table_args__ = (CheckConstraint("nominal_radius_m > 0", name="radius_positive"),)
+
+    serial: Mapped[str] = mapped_column(String(64), primary_key=True)
+    fleet: Mapped[str] = mapped_column(ForeignKey("fleets.code"), index=True)
+    wheel_profile: Mapped[Name]
+    nominal_radius_m: Mapped[Real]
+
+
+class WheelsetChangeRow(Base):
+    """How many times what a geometry is computed from has changed, and up to which change it was computed.
+
+    A wheelset is stale while ``geometry_change`` is behind ``change``. ``touched`` also counts what else has happened
+    to its windows, results and alerts.
+    """
+
+    __tablename__ = "wheelset_changes"
+
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    change: Mapped[Count]
+    geometry_change: Mapped[Count] = mapped_column(default=0)
+    touched: Mapped[Count] = mapped_column(default=0, server_default=text("0"))
+
+
+class ReprofilingRow(Base):
+    """One visit to the lathe."""
+
+    __tablename__ = "reprofilings"
+
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    at_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    mileage_km: Mapped[Real]
+    note: Mapped[Name]
+
+
+FleetKey = Annotated[str, mapped_column(String(64), primary_key=True)]
+
+
+class FleetRow(Base):
+    """One fleet."""
+
+    __tablename__ = "fleets"
+
+    code: Mapped[FleetKey]
+    name: Mapped[Name]
+
+
+class VehicleClassRow(Base):
+    """One version of a class; never changed. ``document`` is the whole value."""
+
+    __tablename__ = "vehicle_classes"
+    __table_args__ = (CheckConstraint("version > 0", name="version_counted"),)
+
+    code: Mapped[str] = mapped_column(String(64), primary_key=True)
+    version: Mapped[int] = mapped_column(primary_key=True)
+    document: Mapped[Json]
+    recorded_ns: Mapped[Nanoseconds]
+
+
+class VehicleRow(Base):
+    """One vehicle; ``axle_offsets_m`` is a JSON list of one distance an axle."""
+
+    __tablename__ = "vehicles"
+    __table_args__ = (CheckConstraint("axles > 0", name="axles_positive"),)
+
+    code: Mapped[str] = mapped_column(String(64), primary_key=True)
+    fleet: Mapped[str] = mapped_column(ForeignKey("fleets.code"), index=True)
+    vehicle_class: Mapped[Name]
+    axles: Mapped[int]
+    max_speed_m_s: Mapped[Real]
+    axle_offsets_m: Mapped[Json]
+
+
+class MountingRow(Base):
+    """One mounting, ``[from_ns, to_ns)``; ``to_ns`` is null while it lasts.
+
+    That neither a wheelset nor an axle is in two mountings at one time is checked by the store, under the lock of
+    the registry: the range types that could express it as a constraint exist on PostgreSQL only.
+    """
+
+    __tablename__ = "mountings"
+    __table_args__ = (
+        CheckConstraint("to_ns IS NULL OR to_ns > from_ns", name="ends_after_start"),
+        CheckConstraint("axle > 0", name="axle_positive"),
+        UniqueConstraint("vehicle", "axle", "from_ns"),
+    )
+
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    from_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    to_ns: Mapped[Nanoseconds | None]
+    vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"))
+    axle: Mapped[int]
+    vehicle_odometer_km: Mapped[Real]
+    wheelset_mileage_km: Mapped[Real]
+    reversed: Mapped[bool]
+
+
+class SensorChangeRow(Base):
+    """Work on the sensors of one axle at a time of the vehicle's clock."""
+
+    __tablename__ = "sensor_changes"
+    __table_args__ = (CheckConstraint("axle > 0", name="axle_positive"), one_of("work", SensorWork))
+
+    vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"), primary_key=True)
+    axle: Mapped[int] = mapped_column(primary_key=True)
+    at_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    work: Mapped[str] = mapped_column(String(16))
+    removed: Mapped[Name]
+    fitted: Mapped[Name]
+    note: Mapped[Name]
+
+
+class MeasuredProfilesRow(Base):
+    """One measurement of both wheels of a wheelset. The profiles are in ``packed``."""
+
+    __tablename__ = "measured_profiles"
+    __table_args__ = (CheckConstraint("std_m > 0", name="std_positive"),)
+
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    at_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    mileage_km: Mapped[Real]
+    std_m: Mapped[Real]
+    packed: Mapped[Packed]
+
+
+class RegistryEventRow(Base):
+    """One decision; never changed.
+
+    ``record`` is what was there before, or what was restored; ``after`` what is there since.
+    """
+
+    __tablename__ = "registry_events"
+    __table_args__ = (
+        one_of("kind", RecordKind),
+        one_of("action", RecordAction),
+        Index(None, "subject", "kind"),
+        {"sqlite_autoincrement": True},
+    )
+
+    id: Mapped[Serial]
+    kind: Mapped[str] = mapped_column(String(16))
+    subject: Mapped[Code]
+    at_ns: Mapped[Nanoseconds | None]
+    action: Mapped[str] = mapped_column(String(16))
+    actor: Mapped[Name]
+    reason: Mapped[Name]
+    record: Mapped[Json]
+    recorded_ns: Mapped[Nanoseconds | None]
+    after: Mapped[Json | None]

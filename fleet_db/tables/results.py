@@ -1,0 +1,142 @@
+"""Geometries, trends, and the row of the worklist."""
+
+from __future__ import annotations
+
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, Text, text
+from sqlalchemy.orm import Mapped, mapped_column
+
+from estimation.values.alerts import Severity
+from estimation.values.quantities import Status
+from estimation.values.worklist import Urgency
+from fleet_db.tables.base import (
+    Base,
+    Code,
+    Count,
+    Digest,
+    Json,
+    Name,
+    Nanoseconds,
+    Packed,
+    Real,
+    ReasonCodeColumn,
+    Serial,
+    one_of,
+)
+
+CURRENT = text("baseline_interval IS NULL")
+
+
+class GeometryRow(Base):
+    """One estimate; never changed. ``packed`` holds the whole value, bit for bit; the columns beside it are queried.
+
+    ``baseline_interval`` is null for the current geometry of a baseline.
+    """
+
+    __tablename__ = "geometry_estimates"
+    __table_args__ = (
+        one_of("status", Status),
+        CheckConstraint("baseline >= 0", name="baseline_counted"),
+        Index("ix_geometry_interval", "wheelset", "baseline", "baseline_interval", "geometry_id", "recorded_ns"),
+        Index(None, "wheelset", "geometry_id"),
+        Index(
+            "ix_geometry_current_baseline",
+            *("wheelset", "baseline", "geometry_id", "recorded_ns"),
+            sqlite_where=CURRENT,
+            postgresql_where=CURRENT,
+        ),
+        Index(None, "recorded_ns"),
+        {"sqlite_autoincrement": True},
+    )
+
+    geometry_id: Mapped[Serial]
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
+    baseline: Mapped[int]
+    baseline_interval: Mapped[int | None]
+    mileage_km: Mapped[Real | None]
+    from_ns: Mapped[Nanoseconds]
+    to_ns: Mapped[Nanoseconds]
+    input_digest: Mapped[Digest]
+    track_versions: Mapped[Json]
+    parameters: Mapped[Json]
+    code_version: Mapped[Name]
+    recorded_ns: Mapped[Nanoseconds]
+    status: Mapped[str] = mapped_column(String(16))
+    reason: Mapped[Name]
+    reason_code: Mapped[ReasonCodeColumn | None]
+    windows: Mapped[Count]
+    conicities: Mapped[str | None] = mapped_column(Text)
+    packed: Mapped[Packed]
+
+
+class TrendRow(Base):
+    """One trend; never changed. ``packed`` holds the whole value with its points."""
+
+    __tablename__ = "trends"
+    __table_args__ = (
+        CheckConstraint("baseline >= 0", name="baseline_counted"),
+        Index(None, "wheelset", "trend_id"),
+        Index(None, "wheelset", "recorded_ns", "trend_id"),
+        Index(None, "recorded_ns"),
+        {"sqlite_autoincrement": True},
+    )
+
+    trend_id: Mapped[Serial]
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
+    baseline: Mapped[int]
+    quantity: Mapped[str] = mapped_column(String(64))
+    input_digest: Mapped[Digest]
+    code_version: Mapped[Name]
+    recorded_ns: Mapped[Nanoseconds]
+    packed: Mapped[Packed]
+    parameters: Mapped[Json]
+
+
+SORT_KEYS = ("urgency_key", "distance_key", "conicity_key", "trend_key", "mileage_key", "last_data_ns")
+
+
+class WorklistEntryRow(Base):
+    """One wheelset that is not voided. ``document`` is the whole row as JSON, made in the ``form`` of its release.
+
+    A form of 0 is a row of a database that was migrated: its document is empty until the first evaluation of alerts.
+    """
+
+    __tablename__ = "worklist_entries"
+    __table_args__ = (
+        one_of("status", Status),
+        one_of("urgency", Urgency),
+        one_of("worst_severity", Severity),
+        *(Index(None, key, "wheelset") for key in SORT_KEYS),
+        *(Index(None, "fleet", key, "wheelset") for key in SORT_KEYS),
+        Index(None, "fleet", "wheelset"),
+        Index(None, "vehicle", "wheelset"),
+        Index(None, "vehicle_class", "wheelset"),
+        Index(None, "status", "wheelset"),
+        Index(None, "urgency", "wheelset"),
+        Index(None, "worst_severity", "wheelset"),
+    )
+
+    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    fleet: Mapped[Code]
+    vehicle: Mapped[Code | None]
+    vehicle_class: Mapped[Name | None]
+    status: Mapped[str] = mapped_column(String(16))
+    urgency: Mapped[str] = mapped_column(String(16))
+    worst_severity: Mapped[str | None] = mapped_column(String(16))
+    urgency_key: Mapped[Real]
+    distance_key: Mapped[Real | None]
+    conicity_key: Mapped[Real | None]
+    trend_key: Mapped[Real | None]
+    mileage_key: Mapped[Real | None]
+    last_data_ns: Mapped[Nanoseconds | None]
+    form: Mapped[Count]
+    document: Mapped[Name]
+
+
+class WorklistAlertRow(Base):
+    """One kind of alert that is open of a wheelset."""
+
+    __tablename__ = "worklist_alerts"
+    __table_args__ = (Index(None, "wheelset"),)
+
+    kind: Mapped[str] = mapped_column(String(32), primary_key=True)
+    wheelset: Mapped[str] = mapped_column(ForeignKey("worklist_entries.wheelset", ondelete="CASCADE"), primary_key=True)
