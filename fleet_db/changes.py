@@ -11,6 +11,7 @@ from typing import Any
 from sqlalchemy import Connection, Select, select, update
 
 from fleet_db.rows import insert_new, table_of
+from fleet_db.subjects import Subjects
 from fleet_db.tables import SectionChangeRow, TrackEpochWindowRow, WheelsetChangeRow, WindowRow
 
 CHANGES, OF_SECTIONS = table_of(WheelsetChangeRow), table_of(SectionChangeRow)
@@ -26,6 +27,7 @@ class Changes:
     """
 
     connection: Connection
+    subjects: Subjects
     noted: set[str] = field(default_factory=set)
     shown: set[str] = field(default_factory=set)
     touched: set[str] = field(default_factory=set)  # noted or shown since they were written last
@@ -76,6 +78,7 @@ class Changes:
 
     def flush(self) -> None:
         """Write what was noted."""
+        self.subjects.flush()
         for wheelset in sorted(self.touched):
             more = 1 if wheelset in self.noted else 0
             counted = update(CHANGES).where(CHANGES.c.wheelset == wheelset)

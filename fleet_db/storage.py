@@ -66,6 +66,7 @@ from fleet_db.stores.windows import WindowStore
 from fleet_db.stores.work_claims import WorkClaimStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
+from fleet_db.subjects import Subjects
 from fleet_db.telemetry import WindowFiles
 from fleet_db.visibility import VISIBLE
 
@@ -81,6 +82,7 @@ class SqlUnitOfWork:
     writing: bool
     shipped: Shipped = no_class
     owner: int | None = None  # token of the process that runs jobs
+    subjects: Subjects = field(init=False)
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
     settings: StoredSettingStore = field(init=False)
@@ -122,7 +124,8 @@ class SqlUnitOfWork:
 
     def __post_init__(self) -> None:
         connection = self.connection
-        self.changes = Changes(connection)
+        self.subjects = Subjects(connection)
+        self.changes = Changes(connection, self.subjects)
         self.chunks = ChunkStore(connection)
         self.settings = StoredSettingStore(connection)
         self.stale_spans = StaleSpanStore(connection)
@@ -132,7 +135,7 @@ class SqlUnitOfWork:
         self.recording_changes = RecordingChangeStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection, self.changes)
-        self.registry_history = RegistryHistoryStore(connection)
+        self.registry_history = RegistryHistoryStore(connection, self.subjects)
         self.sensor_changes = SensorChangeStore(connection, self.changes)
         self.corrections = CorrectionStore(
             connection, self.changes, self.registry, self.tracks, self.registry_history, self.sensor_changes

@@ -183,6 +183,7 @@ HIDDEN = frozenset(
         "raw_scrubs",
         "section_changes",
         "section_looks",
+        "subject_versions",
         "webhook_secrets",
         "work_claims",
         "work_leases",

@@ -11,7 +11,9 @@ from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
+from estimation.values.facets import Facet
 from estimation.values.identity import IDENTITY, UNREGISTERED_CHANGE
+from estimation.values.quarantine import SubjectKind
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.session import to_json
@@ -213,6 +215,7 @@ class AlertStore:
             self.changes.show(saved.wheelset)
         if events and saved.kind in RESTARTING and saved.wheelset is not None:
             self.changes.note(saved.wheelset)  # its geometry starts again from the change
+            self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.RESTARTS)
         return saved
 
     def _in_feed(self, alert: Alert) -> bool:

@@ -25,9 +25,11 @@ from sqlalchemy import (
     update,
 )
 
+from estimation.values.facets import Facet
 from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
 from estimation.values.interval_conicities import IntervalConicities
 from estimation.values.quantities import Status
+from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
@@ -71,6 +73,7 @@ class GeometryStore:
             values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
         self.connection.execute(insert(GEOMETRIES).values(**values))
         self.changes.touch(record.wheelset)
+        self.changes.subjects.raised(SubjectKind.WHEELSET, record.wheelset, Facet.GEOMETRY)
         if record.interval is None:
             self._show_bins(record.wheelset)
             self.changes.show(record.wheelset)

@@ -37,7 +37,7 @@ from fleet_db.stores.mountings import (
     mountings_on,
     to_mounting,
 )
-from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided
+from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
 from fleet_db.stores.reprofilings import REPROFILINGS, reprofilings_of, stored_reprofiling
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
@@ -196,7 +196,7 @@ class RegistryStore:
             was = None if on_file is None else class_document(on_file.vehicle_class)
             self._note(key, was, document, recorded_ns)
         if taken_out(self.connection, stored):
-            RegistryHistoryStore(self.connection).note_return(key, document, self.decision)
+            RegistryHistoryStore(self.connection, self.changes.subjects).note_return(key, document, self.decision)
         vehicles = [vehicle.code for vehicle in self.vehicles_of_class(vehicle_class.code)]
         self._show_mounted(vehicles)
         return Again(self.connection, self.changes, recorded_ns).class_changed(vehicles, before, stored)
@@ -218,7 +218,7 @@ class RegistryStore:
         was = found[0] if found else None
         values = _vehicle_values(record)
         key = RecordKey(RecordKind.VEHICLE, record.code)
-        RegistryHistoryStore(self.connection).note_return(key, values, self.decision)
+        RegistryHistoryStore(self.connection, self.changes.subjects).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
             self._show_mounted([record.code])
             self.changes.refile_vehicle(record.code)
@@ -252,7 +252,7 @@ class RegistryStore:
         was = None if row is None else row["nominal_radius_m"]
         key = RecordKey(RecordKind.WHEELSET, record.serial)
         if self.voided(record.serial):
-            RegistryHistoryStore(self.connection).note(
+            RegistryHistoryStore(self.connection, self.changes.subjects).note(
                 key, RecordAction.RESTORED, values, replace(self.decision, recorded_ns=recorded_ns)
             )
             self.changes.show(record.serial)
@@ -323,7 +323,7 @@ class RegistryStore:
     def voided(self, serial: str) -> bool:
         """Return whether a wheelset was voided and not restored since."""
         key = RecordKey(RecordKind.WHEELSET, serial)
-        return RegistryHistoryStore(self.connection).stands_voided(key) is not None
+        return stands_voided(self.connection, key) is not None
 
     def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> bool:
         """Add a visit to the lathe, or change the one of the same wheelset and time; return whether anything changed.
@@ -366,7 +366,7 @@ class RegistryStore:
 
     def _note(self, key: RecordKey, was: Record | None, now: Record | None, recorded_ns: int | None) -> None:
         decision = self.decision if recorded_ns is None else replace(self.decision, recorded_ns=recorded_ns)
-        RegistryHistoryStore(self.connection).note_change(key, was, now, decision)
+        RegistryHistoryStore(self.connection, self.changes.subjects).note_change(key, was, now, decision)
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
         rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()

@@ -18,6 +18,7 @@ from fleet_db.tables.jobs import (
     SectionChangeRow,
     SectionLookRow,
     StoredSettingRow,
+    SubjectVersionRow,
     WorkClaimRow,
     WorkLeaseRow,
 )
@@ -112,6 +113,7 @@ __all__ = [
     "SignatureAnswerRow",
     "StaleSpanRow",
     "StoredSettingRow",
+    "SubjectVersionRow",
     "SuspensionFindingRow",
     "TakenTableRow",
     "TrackAlignmentRow",

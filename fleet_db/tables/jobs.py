@@ -108,6 +108,17 @@ class LookRow(Base):
     number: Mapped[Count | None]
 
 
+class SubjectVersionRow(Base):
+    """How often a facet of a wheelset, vehicle or section has changed; section '' is what is on none."""
+
+    __tablename__ = "subject_versions"
+
+    kind: Mapped[str] = mapped_column(String(16), primary_key=True)
+    subject: Mapped[str] = mapped_column(String(64), primary_key=True)
+    facet: Mapped[str] = mapped_column(String(32), primary_key=True)
+    version: Mapped[Count]
+
+
 class SectionChangeRow(Base):
     """How often something has happened to windows, positions or epochs of a section.
 

@@ -596,6 +596,14 @@ sa.Table(
     required("packed", BLOB),
 )
 sa.Table(
+    "subject_versions",
+    TABLES,
+    sa.Column("kind", sa.String(16), primary_key=True),
+    sa.Column("subject", CODE, primary_key=True),
+    sa.Column("facet", sa.String(32), primary_key=True),
+    required("version", BIG),
+)
+sa.Table(
     "section_changes",
     TABLES,
     sa.Column("section", CODE, primary_key=True),

@@ -1,0 +1,81 @@
+"""Versions of what is known of wheelsets, vehicles and sections: raised with the fact, read by the stages.
+
+Whoever writes a base fact or a result raises its facet in the same transaction. A stage compares the sum of the
+versions of the facets that it declares with the sum that it has seen (``fleet_db.stores.stage_marks``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+from sqlalchemy import Connection, Insert, Select, bindparam, select
+from sqlalchemy.dialects import postgresql, sqlite
+
+from estimation.values.facets import Facet
+from estimation.values.quarantine import SubjectKind
+from fleet_db.rows import table_of
+from fleet_db.tables import MountingRow, SubjectVersionRow, VehicleRow, WindowRow
+
+VERSIONS, MOUNTINGS = table_of(SubjectVersionRow), table_of(MountingRow)
+VEHICLES, WINDOWS = table_of(VehicleRow), table_of(WindowRow)
+
+
+@dataclass(slots=True)
+class Subjects:
+    """The facets that a transaction raises: each once, however often it is asked for."""
+
+    connection: Connection
+    _raised: set[tuple[str, str, str]] = field(default_factory=set)
+
+    def raised(self, kind: SubjectKind, subject: str | None, facet: str) -> None:
+        """Let a facet have another version.
+
+        Args:
+            subject: Its code or serial; None is what is on no section.
+        """
+        self._raised.add((str(kind), subject or "", str(facet)))
+
+    def pending(self, kind: SubjectKind, subject: str, facets: Collection[str]) -> int:
+        """Return how many of these facets of a subject this transaction has raised and not written yet."""
+        return sum((str(kind), subject, str(facet)) in self._raised for facet in facets)
+
+    def wheelset_on_file(self, serial: str) -> None:
+        """Something on file of a wheelset has changed: sections with its windows follow."""
+        self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
+        self._sections(select(WINDOWS.c.track_section).where(WINDOWS.c.wheelset == serial))
+
+    def vehicle_on_file(self, code: str) -> None:
+        """Something on file of a vehicle has changed: what has ever been mounted there follows, and its sections."""
+        self.raised(SubjectKind.VEHICLE, code, Facet.REGISTRY)
+        for serial in self.connection.scalars(select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == code)):
+            self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
+        self._sections(select(WINDOWS.c.track_section).where(WINDOWS.c.vehicle == code))
+
+    def class_on_file(self, code: str) -> None:
+        """A class has another version: its vehicles follow."""
+        for vehicle in self.connection.scalars(select(VEHICLES.c.code).where(VEHICLES.c.vehicle_class == code)).all():
+            self.vehicle_on_file(vehicle)
+
+    def flush(self) -> None:
+        """Write the versions, in one order in all transactions: they wait for each other and never in a circle."""
+        rows = [{"kind": kind, "subject": subject, "facet": facet} for kind, subject, facet in sorted(self._raised)]
+        if rows:
+            self.connection.execute(_raise(self.connection.dialect.name), rows)
+        self._raised.clear()
+
+    def _sections(self, windows: Select[Any]) -> None:
+        sections: Iterable[str | None] = self.connection.scalars(windows.distinct())
+        for section in sections:
+            self.raised(SubjectKind.SECTION, section, Facet.REGISTRY)
+
+
+@cache
+def _raise(dialect: str) -> Insert:
+    names = ("kind", "subject", "facet")
+    row = {**{name: bindparam(name) for name in names}, "version": 1}
+    insert = postgresql.insert if dialect == "postgresql" else sqlite.insert
+    raised = insert(VERSIONS).values(row)
+    return raised.on_conflict_do_update(index_elements=names, set_={"version": VERSIONS.c.version + 1})
