@@ -50,6 +50,7 @@ from fleet_db.stores.recorded_times import RecordedTimeStore
 from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore
+from fleet_db.stores.results import ResultStore
 from fleet_db.stores.roll_ups import RollUpStore
 from fleet_db.stores.section_looks import SectionLookStore
 from fleet_db.stores.sensor_changes import SensorChangeStore
@@ -101,6 +102,7 @@ class SqlUnitOfWork:
     assembled: AssembledWindowStore = field(init=False)
     tables: BinTableStore = field(init=False)
     geometries: GeometryStore = field(init=False)
+    results: ResultStore = field(init=False)
     trends: TrendStore = field(init=False)
     suspensions: SuspensionStore = field(init=False)
     adhesion: AdhesionStore = field(init=False)
@@ -145,7 +147,8 @@ class SqlUnitOfWork:
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
-        self.trends = TrendStore(connection, self.changes)
+        self.results = ResultStore(connection, self.changes)
+        self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection)
         self.adhesion = AdhesionStore(connection)
         self.dampers = DamperStore(connection, self.changes)

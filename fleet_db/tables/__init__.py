@@ -54,7 +54,7 @@ from fleet_db.tables.registry import (
     WheelsetChangeRow,
     WheelsetRow,
 )
-from fleet_db.tables.results import GeometryRow, TrendRow, WorklistAlertRow, WorklistEntryRow
+from fleet_db.tables.results import GeometryRow, ResultRow, WorklistAlertRow, WorklistEntryRow
 from fleet_db.tables.track import (
     SuspensionFindingRow,
     TrackAlignmentRow,
@@ -102,6 +102,7 @@ __all__ = [
     "RecordingChangeRow",
     "RegistryEventRow",
     "ReprofilingRow",
+    "ResultRow",
     "RollUpRow",
     "RollUpStateRow",
     "RollingSumsRow",
@@ -124,7 +125,6 @@ __all__ = [
     "TrackReportRow",
     "TrackSectionRow",
     "TrackVersionRow",
-    "TrendRow",
     "VehicleClassRow",
     "VehicleRow",
     "WearSignatureRow",
