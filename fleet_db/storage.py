@@ -56,6 +56,7 @@ from fleet_db.stores.section_looks import SectionLookStore
 from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.signatures import SignatureStore
+from fleet_db.stores.stage_marks import StageMarkStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
 from fleet_db.stores.track_epochs import EpochStore
@@ -102,6 +103,7 @@ class SqlUnitOfWork:
     assembled: AssembledWindowStore = field(init=False)
     tables: BinTableStore = field(init=False)
     geometries: GeometryStore = field(init=False)
+    marks: StageMarkStore = field(init=False)
     results: ResultStore = field(init=False)
     trends: TrendStore = field(init=False)
     suspensions: SuspensionStore = field(init=False)
@@ -147,6 +149,7 @@ class SqlUnitOfWork:
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
+        self.marks = StageMarkStore(connection, self.subjects)
         self.results = ResultStore(connection, self.changes)
         self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection)

@@ -6,6 +6,7 @@ versions of the facets that it declares with the sum that it has seen (``fleet_d
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from functools import cache
@@ -14,8 +15,8 @@ from typing import Any
 from sqlalchemy import Connection, Insert, Select, bindparam, select
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.facets import Facet
 from estimation.values.quarantine import SubjectKind
+from estimation.values.subjects import Facet
 from fleet_db.rows import table_of
 from fleet_db.tables import MountingRow, SubjectVersionRow, VehicleRow, WindowRow
 
@@ -28,7 +29,8 @@ class Subjects:
     """The facets that a transaction raises: each once, however often it is asked for."""
 
     connection: Connection
-    _raised: set[tuple[str, str, str]] = field(default_factory=set)
+    _raised: set[tuple[str, str, str]] = field(default_factory=set)  # since they were written last
+    _written: Counter[tuple[str, str, str]] = field(default_factory=Counter)
 
     def raised(self, kind: SubjectKind, subject: str | None, facet: str) -> None:
         """Let a facet have another version.
@@ -38,9 +40,14 @@ class Subjects:
         """
         self._raised.add((str(kind), subject or "", str(facet)))
 
-    def pending(self, kind: SubjectKind, subject: str, facets: Collection[str]) -> int:
-        """Return how many of these facets of a subject this transaction has raised and not written yet."""
-        return sum((str(kind), subject, str(facet)) in self._raised for facet in facets)
+    def growth(self, kind: SubjectKind, facets: Collection[str], subject: str | None = None) -> int:
+        """Return by how much this transaction lets the sum of versions grow, of a subject or of all of a kind."""
+        grown = self._written + Counter(self._raised)
+        return sum(
+            count
+            for (of_kind, name, facet), count in grown.items()
+            if of_kind == kind and facet in facets and subject in {None, name}
+        )
 
     def wheelset_on_file(self, serial: str) -> None:
         """Something on file of a wheelset has changed: sections with its windows follow."""
@@ -64,6 +71,7 @@ class Subjects:
         rows = [{"kind": kind, "subject": subject, "facet": facet} for kind, subject, facet in sorted(self._raised)]
         if rows:
             self.connection.execute(_raise(self.connection.dialect.name), rows)
+        self._written.update(self._raised)
         self._raised.clear()
 
     def _sections(self, windows: Select[Any]) -> None:

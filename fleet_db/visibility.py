@@ -192,6 +192,7 @@ HIDDEN = frozenset(
         "raw_scrubs",
         "section_changes",
         "section_looks",
+        "stage_marks",
         "subject_versions",
         "webhook_secrets",
         "work_claims",

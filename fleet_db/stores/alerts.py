@@ -11,9 +11,9 @@ from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
-from estimation.values.facets import Facet
 from estimation.values.identity import IDENTITY, UNREGISTERED_CHANGE
 from estimation.values.quarantine import SubjectKind
+from estimation.values.subjects import Facet
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.session import to_json
@@ -98,6 +98,11 @@ class AlertStore:
         """Return at most ``limit`` alerts that match every filter given, by number, from behind ``after_id`` on."""
         chosen = AlertChoice(fleet, wheelset, kind, condition, severity, scope, fleet_alert_id, open_only=open_only)
         return self._alerts(page_of(select(ALERTS), chosen, after_id, limit, newest_first=newest_first))
+
+    def of_kind(self, kind: str, wheelsets: Collection[str]) -> Sequence[Alert]:
+        """Return every alert of a kind that there has been of some wheelsets, by number."""
+        chosen = (ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(wheelsets))
+        return self._alerts(select(ALERTS).where(*chosen).order_by(ALERTS.c.alert_id))
 
     def outlines(
         self, choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool = False

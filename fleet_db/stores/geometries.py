@@ -25,12 +25,12 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.values.facets import Facet
 from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
 from estimation.values.interval_conicities import IntervalConicities
 from estimation.values.quantities import Status
 from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
+from estimation.values.subjects import Facet
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_geometry, unpack_geometry

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -99,6 +99,10 @@ class RegistryStore:
         """Return all vehicles, those that are voided too, by code."""
         return self._vehicles(select(VEHICLES))
 
+    def vehicles_of(self, codes: Collection[str]) -> Mapping[str, VehicleRecord]:
+        """Return vehicles by code; one that is not on file is left out."""
+        return {one.code: one for one in self._vehicles(select(VEHICLES).where(VEHICLES.c.code.in_(codes)))}
+
     def vehicles_of_class(self, code: str) -> Sequence[VehicleRecord]:
         """Return the vehicles of a class, by code."""
         return self._vehicles(select(VEHICLES).where(VEHICLES.c.vehicle_class == code))
@@ -149,6 +153,14 @@ class RegistryStore:
     def mountings(self, wheelset: str) -> Sequence[Mounting]:
         """Return every mounting of a wheelset, oldest first."""
         return mountings_of(self.connection, wheelset)
+
+    def mountings_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
+        """Return every mounting of some wheelsets by serial, oldest first; one without a mounting is left out."""
+        statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(wheelsets)).order_by(MOUNTINGS.c.from_ns)
+        mountings: dict[str, list[Mounting]] = {}
+        for row in self.connection.execute(statement):
+            mountings.setdefault(row.wheelset, []).append(to_mounting(row))
+        return mountings
 
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
         """Return every measurement of the profiles of a wheelset, oldest first.

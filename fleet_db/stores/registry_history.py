@@ -8,9 +8,9 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, RowMapping, Subquery, and_, func, insert, null, select
 
-from estimation.values.facets import Facet
 from estimation.values.json_value import JsonValue
 from estimation.values.quarantine import SubjectKind
+from estimation.values.subjects import Facet
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import table_of
 from fleet_db.subjects import Subjects

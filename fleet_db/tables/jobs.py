@@ -119,6 +119,23 @@ class SubjectVersionRow(Base):
     version: Mapped[Count]
 
 
+class StageMarkRow(Base):
+    """What a stage has seen of a subject: the sum of the versions of its inputs, and digests of the inputs themselves.
+
+    ``common`` is what is the same for all subjects. From ``again_ns`` on, our time, the same inputs may say something
+    else.
+    """
+
+    __tablename__ = "stage_marks"
+
+    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
+    subject: Mapped[str] = mapped_column(String(64), primary_key=True)
+    seen: Mapped[Count]
+    common: Mapped[Digest]
+    made_from: Mapped[Digest]
+    again_ns: Mapped[Nanoseconds | None]
+
+
 class SectionChangeRow(Base):
     """How often something has happened to windows, positions or epochs of a section.
 

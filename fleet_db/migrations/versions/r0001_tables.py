@@ -596,6 +596,16 @@ sa.Table(
     required("packed", BLOB),
 )
 sa.Table(
+    "stage_marks",
+    TABLES,
+    sa.Column("stage", sa.String(32), primary_key=True),
+    sa.Column("subject", CODE, primary_key=True),
+    required("seen", BIG),
+    required("common", CODE),
+    required("made_from", CODE),
+    sa.Column("again_ns", BIG),
+)
+sa.Table(
     "subject_versions",
     TABLES,
     sa.Column("kind", sa.String(16), primary_key=True),
