@@ -15,10 +15,9 @@ from bench.adhesion_friction import STEP, compare
 from bench.adhesion_stored import StoredPasses, path_of, write_passes
 from estimation.adhesion.creep_forces import ContactForces, ForceParameters, contact_forces
 from estimation.adhesion.friction import FrictionParameters, section_adhesion
-from estimation.adhesion.friction_sums import creep_signals
 from estimation.adhesion.gravity import contact_angles
 from estimation.adhesion.left_out import away_from_low_adhesion
-from estimation.adhesion.window_adhesion import AdhesionInputs, window_adhesion
+from estimation.adhesion.window_adhesion import AdhesionInputs, creep_signals, window_adhesion
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters

@@ -24,11 +24,11 @@ from estimation.vehicle.vehicle_class import Arrangement, SensorChannel, SensorL
 from ingest.simulator.axle_motion import axle_motions, contact_of, together
 from ingest.simulator.campaign import VehicleRun, scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.drawn_fleet import vehicle_parameters
+from ingest.simulator.fleet import surveyed
 from ingest.simulator.motion import STEP, WheelsetMotion
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.sensors import Channel
 from ingest.simulator.surface import friction_factor, with_stretches
-from ingest.simulator.survey import surveyed
 from ingest.simulator.track import TrackTruth
 
 WINDOW_S = 60.0

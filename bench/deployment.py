@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from api.comparison.study import TrueWheelset, read_truth
 from api.comparison.trial import Recorded, deploy, opened, receive
-from api.comparison.truth import TrueWheelset, read_truth
 from estimation.jobs.job import JobContext
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.geometry import WheelsetGeometry

@@ -20,10 +20,10 @@ from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.simulator.axle_motion import axle_motions, contact_of, true_geometry
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
+from ingest.simulator.fleet import surveyed
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
-from ingest.simulator.survey import surveyed
-from ingest.simulator.vehicle_class_entry import class_entry
+from ingest.simulator.side_files import class_entry
 from ingest.vehicle_class_schema import VehicleClassEntry
 
 SCENARIOS = Path(__file__).parent / "vehicle_scenarios"

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from api.comparison.study import read_truth
 from api.comparison.trial import ESTIMATION, record, run_jobs
-from api.comparison.truth import read_truth
 from bench.deployment import published, received
 from bench.section_alignment import AlignmentScore, alignment_score
 from bench.wheelset_score import WheelsetScore, wheelset_score

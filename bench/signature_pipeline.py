@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from api.comparison import trial
-from api.comparison.truth import read_truth
+from api.comparison.study import read_truth
 from estimation.jobs import refresh_signatures
 from estimation.values.signatures import SignatureRecord
 from ingest.simulator.drawn_fleet import with_seed

@@ -22,7 +22,7 @@ from bench.report import BenchRow
 from bench.wheelset_year import HOURS_A_DAY, SERIAL, WINDOWS_A_DAY, WheelsetYear, recorded
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.retention import Retention
-from fleet_db.keeping.table_sizes import database_size
+from fleet_db.keeping.stored_bytes import database_size
 from fleet_db.migrate import upgrade
 from fleet_db.packed_values import pack_geometry
 from fleet_db.raw_files import FileRawStore

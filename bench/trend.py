@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.report import BenchRow
 from bench.wear_histories import History, histories
-from estimation.trend.recent import fit_recent
+from estimation.trend.trend import fit_recent
 from estimation.values.quantities import Estimate
 
 HISTORIES = 400

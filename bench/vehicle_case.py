@@ -7,8 +7,8 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from api.comparison.study import read_truth
 from api.comparison.trial import record, run_jobs
-from api.comparison.truth import read_truth
 from bench.deployment import received
 from bench.world_case import WorldScore, stored_score
 from estimation.storage import Storage, UnitOfWork

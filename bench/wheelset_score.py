@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from api.comparison.truth import TrueWheelset, conicity_errors
+from api.comparison.study import TrueWheelset, conicity_errors
 from estimation.accuracy.curve_origin import curve_origin
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry

@@ -15,15 +15,16 @@ from typing import TypeVar
 import numpy as np
 
 from estimation.contact.profiles import MeasuredProfiles, Profile
-from estimation.errors import InputError, ProfileError
+from estimation.errors import InputError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
+from estimation.vehicle.class_on_file import class_of_document
+from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import InputFile, Location, read_json
 from ingest.profiles.wheel_profile import read_wheel_profile
-from ingest.registry_classes import read_classes
 from ingest.registry_entry.contents import (
     Entry,
     LoadedRegistry,
@@ -32,7 +33,14 @@ from ingest.registry_entry.contents import (
     RegistryRefusedError,
 )
 from ingest.registry_entry.enter import enter
-from ingest.registry_schema import AlignmentEntry, MeasurementEntry, RegistryObject, SectionEntry
+from ingest.registry_schema import (
+    AlignmentEntry,
+    ClassFileEntry,
+    MeasurementEntry,
+    RecordedClassEntry,
+    RegistryObject,
+    SectionEntry,
+)
 from ingest.section_line import read_line
 from ingest.track_file import (
     LAYOUT_COLUMNS,
@@ -41,6 +49,46 @@ from ingest.track_file import (
     read_track_columns,
     uniform_distance,
 )
+from ingest.vehicle_class_file import read_vehicle_class
+from ingest.vehicle_class_schema import VehicleClassEntry
+
+_FIELD = "vehicle_classes"
+
+
+def read_classes(file: InputFile, count: int) -> tuple[VehicleClass, ...]:
+    """Return the classes of a registry file, those in files of their own included.
+
+    Args:
+        count: Of the entries of ``vehicle_classes``.
+
+    Raises:
+        InputError: An entry or a file is wrong, or two have the same code.
+    """
+    found: list[VehicleClass] = []
+    for index in range(count):
+        one = _class(file, (_FIELD, index))
+        if any(one.code == other.code for other in found):
+            raise file.error(f"there are two classes {one.code!r}", (_FIELD, index))
+        found.append(one)
+    return tuple(found)
+
+
+def _class(file: InputFile, location: Location) -> VehicleClass:
+    if "file" in file.at(location):
+        name = file.parse(ClassFileEntry, location).file
+        return read_vehicle_class(file.path.parent / name)
+    if "recorded" in file.at(location):
+        return _recorded(file, location)
+    return file.parse(VehicleClassEntry, location).record()
+
+
+def _recorded(file: InputFile, location: Location) -> VehicleClass:
+    document = file.parse(RecordedClassEntry, location).recorded
+    try:
+        return class_of_document(document)
+    except (KeyError, TypeError, ValueError, AttributeError, ParameterError) as error:
+        raise file.error(f"is no vehicle class as an export has it: {error}", (*location, "recorded")) from error
+
 
 MIN_LAYOUT_SHARE = 0.5  # of a section that its layout must reach
 _Read = TypeVar("_Read")

@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from api.comparison.study import TrueWheelset, read_truth
 from api.comparison.trial import deploy, opened, receive, record, run_jobs
-from api.comparison.truth import TrueWheelset, read_truth
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.track import TrackAlignment

@@ -6,14 +6,16 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from estimation.adhesion.creep_forces import ContactForces
 from estimation.adhesion.file_errors import ForceErrors
-from estimation.adhesion.friction_sums import CreepSignals, creep_signals, friction_sums
 from estimation.adhesion.gravity import ContactAngles, contact_angles
+from estimation.adhesion.saturation_kernels import add_saturated, excess_table
+from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.parameters import WindowParameters
-from estimation.values.adhesion import WindowAdhesion
-from estimation.values.arrays import FloatArray
+from estimation.values.adhesion import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
+from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.intervals import with_interval
 from estimation.values.motion import Motion
@@ -21,7 +23,139 @@ from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackSectionRecord
 from estimation.values.windows import Window
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import VehicleClass
+
+SUMMED_S = 0.012  # between samples that are summed: creep changes within some 20 ms
+FEWEST_S = 0.4  # of a place
+SHORTEST_S = 5.0  # of a stretch of samples
+TRIMMED_S = 1.0  # at each of its ends
+
+
+@dataclass(frozen=True, slots=True)
+class CreepSignals:
+    """Creep of one wheelset over one window in the band of its motion, in its own axes; NaN where not known."""
+
+    lateral: FloatArray  # (n,) N, creep force of both wheels; NaN all over without an angle difference
+    contact: FloatArray  # (n,) N, with gravitational stiffness
+    moment: FloatArray  # (n,) N m
+    linear_difference: FloatArray  # (n,) R by linear creep, m
+    spin: FloatArray  # (n,) N, lateral force of a wheel by the spin of its inclined contact, the other's reversed
+    valid: BoolArray  # (n,)
+
+    def __post_init__(self) -> None:
+        n = len(self.valid)
+        for name in ("lateral", "contact", "moment", "linear_difference", "spin"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+        object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
+
+    def resultants(self, half_contact_distance: float, share: float | FloatArray = 1.0) -> FloatArray:
+        """Return the resultant creep force of left and right wheel (2, n), N.
+
+        Args:
+            half_contact_distance: l, m.
+            share: Of its linear creep force that a wheel transmits, (n,) or one number: spin is known as a linear
+                force.
+        """
+        spin = share * self.spin
+        lateral = np.stack([0.5 * self.lateral + spin, 0.5 * self.lateral - spin])
+        return np.asarray(np.hypot(0.5 * self.moment / half_contact_distance, lateral))
+
+
+def creep_signals(
+    forces: ContactForces,
+    motion: Motion,
+    vehicle: VehicleParameters,
+    sample_interval_s: float,
+    cutoff_wavelength: float,
+    angles: ContactAngles | None,
+    *,
+    mounted_reversed: bool = False,
+) -> CreepSignals:
+    """Return the creep of a wheelset, high-passed as its motion is.
+
+    Args:
+        forces: (n,) of the window, in the axes of the sensors.
+        motion: (n,) of the same window.
+        sample_interval_s: Between samples, s.
+        cutoff_wavelength: Of the high-pass of the motion, m.
+        angles: dL - dR of the wheelset; None where it is not known.
+        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
+    """
+    p, V = vehicle, motion.speed
+    f11 = p.longitudinal_creep_coefficient / motion.stiffness_ratio
+    turning = 2.0 * p.half_contact_distance * p.nominal_radius / V * forces.yaw_rate
+    R = -p.nominal_radius / (p.half_contact_distance * f11) * forces.moment - turning
+    sign = -1.0 if mounted_reversed else 1.0
+    rows = sign * np.stack([forces.contact, forces.moment, R, forces.roll])
+    finite = np.isfinite(rows).all(axis=0) & np.isfinite(motion.displacement)
+    passed, valid = np.full(rows.shape, np.nan), np.zeros(len(V), np.bool_)
+    trim, shortest = round(TRIMMED_S / sample_interval_s), round(SHORTEST_S / sample_interval_s)
+    for start, stop in runs(finite):
+        if stop - start < shortest:
+            continue
+        part = slice(start, stop)
+        run = np.concatenate([[0.0], np.cumsum(0.5 * sample_interval_s * (V[part][1:] + V[part][:-1]))])
+        passed[:, part] = remove_wander(rows[:, part], run, np.asarray(forces.known[part]), cutoff_wavelength)
+        valid[start + trim : stop - trim] = True
+    contact, moment, R, roll = passed
+    none = np.full(len(V), np.nan)
+    D, A = (none, none) if angles is None else (angles.difference_at(R), angles.sum_at(R))
+    lateral = contact + p.load * (0.5 * D + roll)
+    spin = 0.5 * p.lateral_spin_creep_coefficient / p.nominal_radius * A
+    return CreepSignals(lateral, contact, moment, R, spin, valid & motion.valid & forces.known)
+
+
+def friction_sums(
+    signals: CreepSignals,
+    motion: Motion,
+    distance: FloatArray,
+    curve: tuple[FloatArray, FloatArray],
+    vehicle: VehicleParameters,
+    sample_interval_s: float,
+) -> FrictionSums:
+    """Return the sums of a window by place, over samples that are ``SUMMED_S`` apart or what is next below.
+
+    Args:
+        signals: (n,) creep.
+        motion: (n,) of the same window.
+        distance: (n,) m along the section.
+        curve: (b,) centres of bins of y - d, m, and (b,) rL - rR there, m, NaN where it is not known.
+        sample_interval_s: Between samples, s.
+    """
+    p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
+    difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
+    known = signals.valid & np.isfinite(difference) & np.isfinite(signals.lateral) & np.isfinite(distance)
+    good = np.flatnonzero(known[::step]) * step
+    place = np.floor(distance[good] / CELL_LENGTH).astype(np.int64)
+    cells, index, counts = np.unique(place, return_inverse=True, return_counts=True)
+    f11 = p.longitudinal_creep_coefficient / motion.stiffness_ratio
+    moment = signals.moment[good]
+    e, x = difference[good], motion.displacement[good]
+    q = -p.nominal_radius / (p.half_contact_distance * f11) * moment
+    products = (e * e, e * q, q * q, e * x, q * x, x * x)
+    squares = np.stack([_summed(values, index, len(cells)) for values in products], axis=1)
+    saturated = np.zeros((len(cells), 4, len(INVERSE)))
+    forces = np.stack([0.5 * moment / p.half_contact_distance, 0.5 * signals.lateral[good], signals.spin[good]])
+    add_saturated(excess_table(), np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
+    kept = counts * step * sample_interval_s >= FEWEST_S
+    return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
+
+
+def _summed(values: FloatArray, index: npt.NDArray[np.intp], count: int) -> FloatArray:
+    return np.asarray(np.bincount(index, weights=values, minlength=count), np.float64)
+
+
+def _on_curve(displacement: FloatArray, centres: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the curve (n,) at displacements (n,), NaN outside and where one of both neighbours is not known."""
+    width = centres[1] - centres[0]
+    with np.errstate(invalid="ignore"):
+        place = (displacement - centres[0]) / width
+        inside = (place >= 0.0) & (place < len(centres) - 1)
+    cell = np.where(inside, place, 0.0).astype(np.int64)
+    part = np.where(inside, place, np.nan) - cell
+    return np.asarray((1.0 - part) * values[cell] + part * values[cell + 1])
+
 
 FORCE_ERROR = 0.05  # std of an rms force beside springs and load: what the filter makes of it; docs/results/adhesion.md
 SMOOTHED_ERROR = 0.06  # the same where vibration was taken out, and with it what is as fast

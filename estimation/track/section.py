@@ -8,7 +8,7 @@ journey that then agrees with nothing is refused and the others are solved again
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from estimation.track.alignment_std import merged_alignment
 from estimation.track.convergence import Iterated
 from estimation.track.iteration import Grouped, IterationResult, iterate, with_slope
 from estimation.track.journeys import Journey, journeys
-from estimation.track.panel.basis import KnownBeforehand, Panel
+from estimation.track.panel.basis import KnownBeforehand, Panel, pass_residual
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
 from estimation.track.panel.solution import (
@@ -29,13 +29,86 @@ from estimation.track.panel.solution import (
 from estimation.track.panel.stiffness_ratio import error_of_difference
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
-from estimation.track.residuals import residuals
 from estimation.track.results import AlignmentReport, JourneyReport, nothing
 from estimation.track.section_parameters import SectionParameters
+from estimation.values.arrays import FloatArray
 from estimation.values.evidence import evidence_of_measurement, evidence_of_version
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.track import Correction, TrackAlignment
+
+USUAL_FACTOR = 1.5  # times the median of the wheelsets
+LEAST_USUAL = 0.12e-3  # m
+POWER = 4
+LARGEST_EFFECTIVE_WEIGHT = 0.25  # weight of the one that is furthest off, above which nothing would change
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """Root mean squares of y - d - h(R), m; NaN where nothing that is known was covered."""
+
+    of_journeys: Mapping[Journey, float]
+    of_lives: Mapping[ProfileLife, float]
+    of_usual_wheelsets: Mapping[Journey, float] = field(default_factory=dict)  # lower median of those of a journey
+
+    def weights(self) -> dict[ProfileLife, float]:
+        """Return by profile life how much a pass counts: 1 up to what is usual, less and less beyond.
+
+        Empty where none is so far off that it would matter.
+        """
+        known = [value for value in self.of_lives.values() if np.isfinite(value)]
+        usual = max(USUAL_FACTOR * float(np.median(known)), LEAST_USUAL) if known else np.inf
+        found = {life: (usual / value) ** POWER for life, value in self.of_lives.items() if value > usual}
+        return found if any(weight < LARGEST_EFFECTIVE_WEIGHT for weight in found.values()) else {}
+
+
+@dataclass(slots=True)
+class _MeanSquare:
+    squares: float = 0.0
+    count: int = 0
+
+    def add(self, values: FloatArray) -> None:
+        self.squares, self.count = self.squares + float(values @ values), self.count + len(values)
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(self.squares / self.count)) if self.count else float("nan")
+
+
+@dataclass(slots=True)
+class _Sums:
+    journeys: dict[Journey, _MeanSquare] = field(default_factory=dict)
+    lives: dict[ProfileLife, _MeanSquare] = field(default_factory=dict)
+    parts: dict[Journey, dict[ProfileLife, _MeanSquare]] = field(default_factory=dict)
+
+    def usual_wheelset(self, journey: Journey) -> float:
+        """Return the lower median of the wheelsets of a journey: one that is wrong alone does not make it larger."""
+        known = sorted(mean.rms for mean in self.parts.get(journey, {}).values())
+        return known[(len(known) - 1) // 2] if known else float("nan")
+
+
+def residuals(iterated: IterationResult) -> Residuals:
+    """Return the residuals of an iterated section, by journey and by wheelset."""
+    sums, d = _Sums(), iterated.solution.alignment
+    for journey, one in iterated.placed.items():
+        for item in one.passes:
+            sums.journeys.setdefault(journey, _MeanSquare())
+            sums.lives.setdefault(item.life, _MeanSquare())
+            curve = iterated.solution.curve_of(item.life)
+            if item.empty or curve is None:
+                continue
+            values = pass_residual(item, curve, iterated.panel)[item.inside]
+            rest = (values - d[item.used_points])[np.isfinite(d[item.used_points])]
+            sums.journeys[journey].add(rest)
+            sums.lives[item.life].add(rest)
+            if len(rest):
+                sums.parts.setdefault(journey, {}).setdefault(item.life, _MeanSquare()).add(rest)
+    return Residuals(
+        {journey: mean.rms for journey, mean in sums.journeys.items()},
+        {life: mean.rms for life, mean in sums.lives.items()},
+        {journey: sums.usual_wheelset(journey) for journey in sums.journeys},
+    )
+
 
 MOST_DIFFERENCE_ERROR = 0.08  # of rL - rR, by the stiffness ratio: beyond, its stiffness term is as assumed
 MOST_SLOPE_STD = 0.4  # of the curves of all wheelsets together: beyond, nothing is known of them

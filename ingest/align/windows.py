@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import ParameterError
+from estimation.motion.blows import struck
 from estimation.motion.hunting import find_hunting
 from estimation.motion.turn_blows import blows_unless_hunting
-from estimation.values.arrays import BoolArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
-from ingest.align.clipped_seconds import narrowed
 from ingest.align.clock import AlignCounts, TickedValues
 from ingest.align.samples import (
     NO_SECTION,
@@ -34,6 +34,31 @@ from ingest.align.samples import (
 from ingest.align.window_samples import gaps_of, good_samples, gridded, on_section, range_of
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
 from ingest.plausibility.vehicle_place import off_line_m
+
+OF_BOX = [ACCELERATIONS.index(name) for name in ("lateral_acceleration", "yaw_acceleration", "roll_acceleration")]
+LATERAL, _, ROLL = OF_BOX
+
+
+def narrowed(marked: BoolArray, values: FloatArray, interval_s: float) -> BoolArray:
+    """Return the marked samples (n,), of seconds that blows explain only those that the blows have spoilt.
+
+    They do where the largest accelerations of the axle box are in them. What hunts or runs rough clips all the time.
+
+    Args:
+        marked: (n,) samples of the seconds in which the axle box clipped.
+        values: (n, 4) in the order of ``ACCELERATIONS``, at the ends of their ranges too; NaN where not known.
+    """
+    if not marked.any():
+        return marked
+    spoilt = struck(values[:, LATERAL], values[:, ROLL], interval_s)
+    found = marked.copy()
+    for first, behind in runs(marked):
+        part = slice(int(first), int(behind))
+        sizes = np.nan_to_num(np.abs(values[part, :][:, OF_BOX]))
+        if spoilt[part].any() and spoilt[part][np.argmax(sizes, axis=0)].all():
+            found[part] = spoilt[part]
+    return found
+
 
 MIN_PRESENCE = 0.2
 """Share of a window that frames of its node must be there for."""

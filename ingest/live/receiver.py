@@ -7,12 +7,159 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from estimation.errors import StorageError
 from ingest.live.buffer import FrameBuffer
+from ingest.live.drop_count import DropCount
 from ingest.live.listening import BusSource, Listening
+from ingest.live.records import FRAME_BYTES, Record
 from ingest.live.spool import Spool, spool_folder
-from ingest.live.spooling import Spooling
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import Stores, Storing
+
+EVERY_S = 0.5
+"""Between two writes: with the fsync behind it, a frame is on the disk within a second of its reception."""
+
+RECORD_FRAMES = 40_000
+PIECE_BYTES = 1 << 24
+"""A piece is closed early when it is as large: it is held in memory while it is stored."""
+
+REPORT_EVERY_S = 60.0
+"""Drops that go on are reported so often, and at least once a piece."""
+
+
+class Spooling:
+    """Writes what is in the buffer until asked to end, then the rest of it.
+
+    Args:
+        piece_seconds: Length of a piece, s.
+    """
+
+    def __init__(
+        self, spool: Spool, buffer: FrameBuffer, piece_seconds: float, status: LiveStatus, reports: Reports
+    ) -> None:
+        self._spool = spool
+        self._buffer = buffer
+        self._piece_seconds = piece_seconds
+        self._status = status
+        self._reports = reports
+        self._ending = threading.Event()
+        self._ready = threading.Event()
+        self._frames, self._dropped = b"", 0  # taken from the buffer and not on the disk yet
+        self._piece_begun: float | None = None
+        self._piece_bytes = 0
+        self._before = 0  # frames dropped before this process that a record mentions
+        self._recorded = 0
+        self._reported, self._reported_at = 0, -REPORT_EVERY_S
+
+    @property
+    def ready(self) -> bool:
+        """Whether what an earlier process left has been taken over."""
+        return self._ready.is_set()
+
+    def end(self) -> None:
+        """Make :meth:`run` write the rest and return."""
+        self._ending.set()
+
+    def run(self) -> None:
+        """Write."""
+        while not self._take_over():
+            if self._ending.wait(EVERY_S):
+                return
+        self._ready.set()
+        while not self._ending.wait(EVERY_S):
+            self._step()
+        self._step()
+        self._spool.close_piece()
+        self._give_up()
+
+    def _take_over(self) -> bool:
+        try:
+            left = self._spool.take_over()
+        except (OSError, StorageError) as error:
+            self._fault(error)
+            return False
+        count = self._spool.drop_count
+        self._before = self._recorded = count.recorded
+        self._buffer.count_dropped(count.total - count.recorded)  # the next record mentions them
+        self._status.frames_dropped = self._reported = count.total
+        if left.pieces:
+            torn = f", {left.torn_bytes:,} bytes of a torn record were cut" if left.torn_bytes else ""
+            self._reports.say(f"{left.pieces} pieces of an earlier start wait in the spool{torn}")
+        if left.damaged_bytes:
+            self._reports.say(f"{left.damaged_bytes:,} bytes in the spool are damaged and left out", bad=True)
+        return True
+
+    def _step(self) -> None:
+        try:
+            while self._write():
+                continue
+            self._count_dropped()
+        except Exception as error:  # noqa: BLE001 - whatever it is, the frames that come next are to be written
+            self._fault(error)
+        begun = self._piece_begun
+        if begun is not None and (time.monotonic() - begun >= self._piece_seconds or self._piece_bytes >= PIECE_BYTES):
+            self._spool.close_piece()
+            self._piece_begun, self._piece_bytes = None, 0
+        self._status.buffered_bytes = self._buffer.size_bytes + len(self._frames)
+        self._status.spool_bytes = self._spool.size_bytes
+        self._status.pieces_waiting = self._spool.pieces_waiting
+        self._status.pieces_aside = self._spool.pieces_aside
+
+    def _write(self) -> bool:
+        """Write one record; return whether there may be more to write."""
+        if not self._frames:
+            self._frames, self._dropped = self._buffer.take(RECORD_FRAMES * FRAME_BYTES)
+        if not self._frames:
+            return False
+        try:
+            self._spool.append(Record(self._frames, self._dropped, self._recorded + self._dropped))
+        except (OSError, StorageError) as error:
+            self._fault(error)
+            self._spool.close_piece()  # what waits for its receipt makes room
+            self._piece_begun = None
+            return False
+        self._recorded += self._dropped
+        if self._piece_begun is None:
+            self._piece_begun, self._piece_bytes = time.monotonic(), 0
+        self._piece_bytes += len(self._frames)
+        self._status.frames_spooled += len(self._frames) // FRAME_BYTES
+        self._frames, self._dropped = b"", 0
+        if self._status.spool_fault is not None:
+            self._reports.say("frames reach the spool again")
+            self._status.spool_fault = None
+        return True
+
+    def _total(self) -> int:
+        return self._before + self._buffer.dropped
+
+    def _count_dropped(self) -> None:
+        """Put the count of dropped frames on the disk, and report it when it has grown."""
+        total = self._total()
+        self._status.frames_dropped = total
+        try:
+            self._spool.count_dropped(DropCount(total, self._recorded))
+        except OSError as error:
+            self._fault(error)
+        now = time.monotonic()
+        if total > self._reported and now - self._reported_at >= min(REPORT_EVERY_S, self._piece_seconds):
+            why = self._status.spool_fault or "this machine was held up, and the socket was full"
+            self._reports.say(f"{total - self._reported:,} frames dropped: {why}", bad=True)
+            self._reported, self._reported_at = total, now
+
+    def _give_up(self) -> None:
+        """Count what cannot be written before the end as dropped."""
+        left = (len(self._frames) + self._buffer.size_bytes) // FRAME_BYTES
+        if left:
+            self._buffer.count_dropped(left)
+            self._reported_at = -REPORT_EVERY_S
+            self._count_dropped()
+
+    def _fault(self, error: Exception) -> None:
+        fault = str(error)
+        if self._status.spool_fault is None:
+            self._reports.say(f"frames wait in memory, they cannot be written: {fault}", bad=True)
+        self._status.spool_fault = fault
+
 
 WATCH_EVERY_S = 0.2
 

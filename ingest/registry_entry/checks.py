@@ -2,19 +2,162 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import unicodedata
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
-from estimation.jobs.steps.running_mileage import running_mileage
+from estimation.contact.profiles import rail_profile, wheel_profile
+from estimation.errors import ProfileError
+from estimation.jobs.steps.running_mileage import most_km, running_mileage
 from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.values.utc_text import utc_text
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.distances import MOUNTINGS, LifeOnFile, any_windows, lives_on_file, mountings_where, windows_beside
 from ingest.registry_entry.contradiction import Contradiction, Kind, RecordName, Rule
-from ingest.registry_entry.mileages import MILEAGE, ODOMETER, DistancePoint, distance_contradictions
-from ingest.registry_entry.sizes import unknown_profile, unusable_code, unusual_gauge, unusual_radius
+
+LEAST_RADIUS_MM, MOST_RADIUS_MM = 140.0, 650.0
+"""Of usual wheels: of low-floor wagons, worn; of electric locomotives, new."""
+
+GAUGE_TO_CONTACTS_MM = (20.0, 120.0)
+"""Distance between the contact points of a wheelset minus the gauge: about the width of a rail head."""
+
+RESERVED = ("/", "__", "\\")
+_NOT_PRINTED = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
+"""Categories of Unicode: control and formatting characters, halves of characters, separators of lines."""
+
+
+def unusable_code(record: RecordName, field: str) -> list[Contradiction]:
+    """Return what is said against a new code or serial number."""
+    code = record.key
+    wrong = next((mark for mark in RESERVED if mark in code), None)
+    if wrong is not None:
+        why = f"has {wrong!r}, which divides paths" if wrong != "__" else "has '__', which ends the code in a file name"
+    elif any(unicodedata.category(letter) in _NOT_PRINTED for letter in code):
+        why = "has a character that cannot be seen"
+    elif code != code.strip():
+        why = "begins or ends with a blank"
+    else:
+        return []
+    return [Contradiction(Rule.CODE_UNUSABLE, record, field, f"{code!r} {why}: give another")]
+
+
+def unusual_radius(record: RecordName, nominal_radius_m: float) -> list[Contradiction]:
+    """Return what is said against a nominal radius that hardly a railway wheel has.
+
+    Args:
+        nominal_radius_m: Its nominal radius, m.
+    """
+    radius_mm = 1e3 * nominal_radius_m
+    if LEAST_RADIUS_MM - 1e-6 <= radius_mm <= MOST_RADIUS_MM + 1e-6:
+        return []
+    hint = "a diameter? " if radius_mm > MOST_RADIUS_MM else ""
+    reason = f"{radius_mm:g} mm: {hint}radii of wheels are {LEAST_RADIUS_MM:g} to {MOST_RADIUS_MM:g} mm"
+    return [Contradiction(Rule.UNUSUAL_RADIUS, record, "nominal_radius_mm", reason)]
+
+
+def unusual_gauge(record: RecordName, nominal_gauge_m: float, contacts_m: Collection[float]) -> list[Contradiction]:
+    """Return what is said against a track gauge on which no vehicle that is known runs.
+
+    Args:
+        nominal_gauge_m: Its gauge, m.
+        contacts_m: Distances between the contact points of a wheelset, of the classes of all vehicles, m; none says
+            nothing.
+    """
+    gauge_mm = 1e3 * nominal_gauge_m
+    least, most = GAUGE_TO_CONTACTS_MM
+    beyond_mm = [1e3 * one - gauge_mm for one in contacts_m]
+    if not beyond_mm or any(least - 1e-6 <= one <= most + 1e-6 for one in beyond_mm):
+        return []
+    apart = ", ".join(f"{1e3 * one:g}" for one in sorted(set(contacts_m)))
+    reason = f"{gauge_mm:g} mm: no vehicle on file runs on it, their wheels touch the rails {apart} mm apart"
+    return [Contradiction(Rule.UNUSUAL_GAUGE, record, "nominal_gauge_mm", reason)]
+
+
+def unknown_profile(record: RecordName, field: str, name: str) -> list[Contradiction]:
+    """Return what is said against a design profile that is not built in.
+
+    Args:
+        record, field: What names it: ``wheel_profile`` or ``rail_profile``.
+    """
+    try:
+        (rail_profile if field == "rail_profile" else wheel_profile)(name)
+    except ProfileError as error:
+        reason = error.reason.removesuffix("; give any other as a file")
+        return [Contradiction(Rule.UNKNOWN_PROFILE, record, field, reason)]
+    return []
+
+
+TOLERANCE_KM = 1000.0
+"""By which books, odometers and the sums of trips may differ."""
+
+_SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class DistancePoint:
+    """A distance that a record or a window gives for a time.
+
+    Attributes:
+        record: Which one.
+        at_ns: ns UTC on the vehicle's clock.
+        km: Mileage of the wheelset since new, or what the odometer of the vehicle showed.
+        field: In which the record gives it.
+    """
+
+    record: RecordName
+    at_ns: int
+    km: float
+    field: str
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceRules:
+    """The rules of one quantity: its name in sentences, and those that refuse."""
+
+    name: str
+    backwards: Rule
+    jump: Rule
+
+
+MILEAGE = DistanceRules("the mileage", Rule.MILEAGE_BACKWARDS, Rule.MILEAGE_JUMP)
+ODOMETER = DistanceRules("the odometer", Rule.ODOMETER_BACKWARDS, Rule.ODOMETER_JUMP)
+
+
+def distance_contradictions(
+    entered: DistancePoint, known: Sequence[DistancePoint], rules: DistanceRules
+) -> list[Contradiction]:
+    """Return where a distance contradicts those that are known: one contradiction a rule, with all others named.
+
+    Args:
+        known: Of the same wheelset or vehicle, any order; the same record among them is left out.
+    """
+    backwards, jumps = [], []
+    for other in known:
+        if other.record == entered.record:
+            continue
+        forward_km = entered.km - other.km if entered.at_ns >= other.at_ns else other.km - entered.km
+        if forward_km < -TOLERANCE_KM or (entered.at_ns == other.at_ns and forward_km > TOLERANCE_KM):
+            backwards.append(other)
+        elif forward_km > most_km(abs(entered.at_ns - other.at_ns) / _SECOND) + TOLERANCE_KM:
+            jumps.append(other)
+    found = []
+    if backwards:
+        found.append(_contradiction(entered, backwards, rules.backwards, f"{rules.name} would run backwards"))
+    if jumps:
+        found.append(
+            _contradiction(entered, jumps, rules.jump, f"{rules.name} would run faster than any vehicle (metres?)")
+        )
+    return found
+
+
+def _contradiction(entered: DistancePoint, others: list[DistancePoint], rule: Rule, what: str) -> Contradiction:
+    named = "; ".join(f"{other.km:,.0f} km by the {other.record}" for other in others[:3])
+    more = f"; and {len(others) - 3} more" if len(others) > 3 else ""  # noqa: PLR2004 - as many as are named
+    reason = f"{entered.km:,.0f} km: {what}, there is {named}{more}"
+    return Contradiction(rule, entered.record, entered.field, reason, tuple(other.record for other in others))
+
 
 AHEAD_NS = 86_400 * 1_000_000_000
 """By which the clock of a vehicle or of a depot may be ahead of ours."""

@@ -14,9 +14,8 @@ from typer.testing import CliRunner
 
 from api.cli import build
 from api.comparison.report import as_json, nearest, sentences_of
-from api.comparison.study import Example, PairStudy, Score
+from api.comparison.study import AMPLITUDES, Example, PairStudy, Score, TrueWheelset, conicity_errors
 from api.comparison.study import TrackInformation as Track
-from api.comparison.truth import AMPLITUDES, TrueWheelset, conicity_errors
 from api.plots.compare import draw_errors
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import SHIPPED, estimators

@@ -16,8 +16,7 @@ from stored_raw import raw_of
 
 from fleet_db.keeping import stored_bytes as module
 from fleet_db.keeping.retention import Kept, Retention
-from fleet_db.keeping.stored_bytes import OTHER, TABLES, StoredKind, stored_bytes
-from fleet_db.keeping.table_sizes import database_size
+from fleet_db.keeping.stored_bytes import OTHER, TABLES, StoredKind, database_size, stored_bytes
 from fleet_db.migrate import upgrade
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.values.arrays import BoolArray
-from ingest.align.clipped_seconds import narrowed
+from ingest.align.windows import narrowed
 
 SECOND = 250  # samples
 

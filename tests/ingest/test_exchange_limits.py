@@ -9,8 +9,7 @@ import pytest
 
 from estimation.errors import ExchangeError
 from estimation.values.arrays import FloatArray
-from ingest.exchange.run import _check_speed
-from ingest.exchange.sampling import UniformTime, resampled, ticks_of, uniform_time
+from ingest.exchange.run import UniformTime, _check_speed, resampled, ticks_of, uniform_time
 from ingest.exchange.table import ExchangeTable
 from ingest.own_bus.decoding import stamp_clock
 

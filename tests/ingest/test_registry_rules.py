@@ -6,10 +6,22 @@ import pytest
 
 from estimation.jobs.steps.running_mileage import most_km
 from estimation.values.registry import Mounting
-from ingest.registry_entry.checks import AHEAD_NS, before_first_mounting, in_the_future, mounted_after_reprofiling
+from ingest.registry_entry.checks import (
+    AHEAD_NS,
+    MILEAGE,
+    ODOMETER,
+    TOLERANCE_KM,
+    DistancePoint,
+    before_first_mounting,
+    distance_contradictions,
+    in_the_future,
+    mounted_after_reprofiling,
+    unknown_profile,
+    unusable_code,
+    unusual_gauge,
+    unusual_radius,
+)
 from ingest.registry_entry.contradiction import Kind, RecordName, Rule
-from ingest.registry_entry.mileages import MILEAGE, ODOMETER, TOLERANCE_KM, DistancePoint, distance_contradictions
-from ingest.registry_entry.sizes import unknown_profile, unusable_code, unusual_gauge, unusual_radius
 
 DAY = 86_400 * 10**9
 NOW = 20_000 * DAY

@@ -17,9 +17,8 @@ from estimation.track.panel.solution import result
 from estimation.track.panel.stiffness_ratio import Ratio
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
-from estimation.track.residuals import Residuals, _MeanSquare, residuals
 from estimation.track.results import SectionResults, nothing
-from estimation.track.section import _find_outliers
+from estimation.track.section import Residuals, _find_outliers, _MeanSquare, residuals
 from estimation.track.section_parameters import SectionParameters
 from estimation.track.settings import AlignmentSettings
 from estimation.values.quantities import Status

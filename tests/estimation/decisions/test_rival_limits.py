@@ -11,13 +11,12 @@ from smooth_wheelset import ideal, run
 
 from estimation.estimators import block_filters, known_irregularity
 from estimation.estimators.block_filters import Inputs, Posterior, Prior, filtered, start
-from estimation.estimators.cell_means import GROUPS as OF_CELLS
-from estimation.estimators.cell_means import CellMeans
 from estimation.estimators.contact_jumps import stepped
 from estimation.estimators.coverage import CELLS, WIDTH, beside, covered_range
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.known_irregularity import KnownIrregularity, RecursionState
-from estimation.estimators.paper_algorithm import PaperAlgorithm, PaperState
+from estimation.estimators.paper_algorithm import GROUPS as OF_CELLS
+from estimation.estimators.paper_algorithm import CellMeans, PaperAlgorithm, PaperState
 from estimation.estimators.replicates import Replicates, curve_estimate
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.motion import Motion

@@ -12,10 +12,9 @@ from test_agreement_limits import pair, smooth
 from estimation.track.passes import Pass
 from estimation.track.profile_life import ProfileLife
 from estimation.track.screening.agreement import FilteredPass, agreement
-from estimation.track.screening.pairwise import Comparison, _peers, compare_pairs, minority
 from estimation.track.screening.parameters import ScreeningParameters
 from estimation.track.screening.position_jumps import Link, misplaced
-from estimation.track.screening.screen import PassStatus, screen
+from estimation.track.screening.screen import Comparison, PassStatus, _peers, compare_pairs, minority, screen
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import nnls
 
-from estimation.geometry.non_negative import non_negative
+from estimation.geometry.sharpening import non_negative
 from estimation.values.arrays import FloatArray
 
 

@@ -13,7 +13,7 @@ import pytest
 from sqlalchemy import update
 
 from api.comparison import trial
-from api.comparison.truth import TrueWheelset, read_truth
+from api.comparison.study import TrueWheelset, read_truth
 from api.settings import Settings
 from estimation.errors import DamagedError
 from estimation.jobs import refresh_signatures

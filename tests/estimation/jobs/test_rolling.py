@@ -22,9 +22,8 @@ from estimation.jobs.steps.rolling import Part, rolled, sums
 from estimation.jobs.steps.running_mileage import running_mileage
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.tables.bin_table import BinParameters, bin_parameters, init, tabulate_window
+from estimation.tables.bin_table import BinParameters, TableSum, bin_parameters, init, tabulate_window
 from estimation.tables.exact_sum import ExactSum, nothing
-from estimation.tables.table_sum import TableSum
 from estimation.values.exact_table import ExactTable
 from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.reasons import Reason, ReasonCode

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from estimation.motion.bogie_long_waves import BogieYaws, long_waves_in_bogie
 from estimation.motion.fusion_parameters import FusionParameters
+from estimation.motion.rolling_radius_difference import BogieYaws, long_waves_in_bogie
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 

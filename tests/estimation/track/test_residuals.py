@@ -15,8 +15,7 @@ from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
 from estimation.track.profile_life import ProfileLife
-from estimation.track.residuals import LEAST_USUAL, USUAL_FACTOR, Residuals
-from estimation.track.section import SectionEstimate, estimate_section
+from estimation.track.section import LEAST_USUAL, USUAL_FACTOR, Residuals, SectionEstimate, estimate_section
 from estimation.track.section_parameters import SectionParameters
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.trend import recent
-from estimation.trend.recent import fit_recent
+from estimation.trend import trend
+from estimation.trend.trend import fit_recent
 from estimation.trend.wear_curve import WearCurve, fit_wear_curve
 from estimation.values.arrays import FloatArray
 
@@ -76,8 +76,8 @@ def test_three_points_together_disagree_from_two_and_a_half_standard_deviations_
     curve = fit_wear_curve(x, np.full(9, 0.3), std)
     value = np.full(9, 0.3)
     value[-3:] += off * 0.01 / np.sqrt(3.0)
-    assert recent._agrees(curve, x, value, std) is agrees
-    assert recent._agrees(curve, x[1:], value[1:], std[1:]) is True  # of eight points three are too many
+    assert trend._agrees(curve, x, value, std) is agrees
+    assert trend._agrees(curve, x[1:], value[1:], std[1:]) is True  # of eight points three are too many
 
 
 def test_six_points_are_left_at_least() -> None:

@@ -12,8 +12,7 @@ from scipy import integrate
 
 from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.linear_bogie import COORDINATES
-from estimation.vehicle.linear_model import HIGHEST_SPEED, critical_speed, linear_model, modes
+from estimation.vehicle.linear_model import COORDINATES, HIGHEST_SPEED, critical_speed, linear_model, modes
 from estimation.vehicle.linear_wheelset import LinearContact, klingel_wavelength, single_wheelset_model
 from estimation.vehicle.plausibility import UNIT_FACTOR, check_plausible, plausible_ranges
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass

@@ -16,8 +16,7 @@ from ingest.align.samples import node_samples
 from ingest.catalogue import default_catalogue
 from ingest.frames import merge
 from ingest.logs import read_log, write_blf
-from ingest.simulator.bus_frames import vehicle_frames
-from ingest.simulator.bus_timing import bus_timing, frame_ns
+from ingest.simulator.bus_frames import bus_timing, frame_ns, vehicle_frames
 from ingest.simulator.campaign import VehicleRun
 from ingest.simulator.scenario import BusPlan, Scenario
 from ingest.simulator.scenario_file import read_scenario

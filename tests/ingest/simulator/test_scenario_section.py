@@ -11,14 +11,12 @@ from scenario_text import SMALL
 
 from estimation.errors import ScenarioError
 from ingest.registry_file import read_registry
-from ingest.simulator.axle_motion import contact_of, wheelset_motion
+from ingest.simulator.axle_motion import contact_of, displacement_limit, gauge_grid, wheelset_motion
 from ingest.simulator.campaign import scenario_track, vehicle_run
-from ingest.simulator.fleet import prepare
+from ingest.simulator.fleet import prepare, surveyed
 from ingest.simulator.isolated import IsolatedKind
 from ingest.simulator.scenario import PositionErrors, Scenario
 from ingest.simulator.scenario_file import read_scenario
-from ingest.simulator.survey import surveyed
-from ingest.simulator.table_range import displacement_limit, gauge_grid
 
 LONG = SMALL.replace("survey_alignment_std_mm = 0.1\nsurvey_gauge_std_mm = 0.2\n", "").replace("700.0", "1500.0")
 
