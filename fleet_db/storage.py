@@ -36,6 +36,7 @@ from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.corrections import CorrectionStore
 from fleet_db.stores.dampers import DamperStore
+from fleet_db.stores.due_windows import DueWindowStore
 from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
@@ -103,6 +104,7 @@ class SqlUnitOfWork:
     assembled: AssembledWindowStore = field(init=False)
     tables: BinTableStore = field(init=False)
     geometries: GeometryStore = field(init=False)
+    due_windows: DueWindowStore = field(init=False)
     marks: StageMarkStore = field(init=False)
     results: ResultStore = field(init=False)
     trends: TrendStore = field(init=False)
@@ -149,7 +151,8 @@ class SqlUnitOfWork:
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
-        self.marks = StageMarkStore(connection, self.subjects)
+        self.due_windows = DueWindowStore(connection)
+        self.marks = StageMarkStore(connection, self.subjects, self.due_windows)
         self.results = ResultStore(connection, self.changes)
         self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection)

@@ -188,6 +188,7 @@ HIDDEN = frozenset(
     {
         "api_keys",
         "audit_entries",
+        "due_windows",
         "raw_marks",
         "raw_scrubs",
         "section_changes",

@@ -153,6 +153,17 @@ WindowKey = tuple[str, int]
 """Wheelset and start of a window, in vehicle time."""
 
 
+def text_of_key(wheelset: str, start_ns: int) -> str:
+    """Return the key of a window as text."""
+    return f"{wheelset}@{start_ns}"
+
+
+def key_of_text(text: str) -> WindowKey:
+    """Return wheelset and start of a window from its key as text."""
+    wheelset, _, start = text.rpartition("@")
+    return wheelset, int(start)
+
+
 @dataclass(frozen=True, slots=True)
 class WindowRecord:
     """A stored window without its samples. Key: (wheelset, start_ns)."""

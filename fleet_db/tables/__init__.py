@@ -12,6 +12,7 @@ from fleet_db.tables.alerts import (
 )
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
+    DueWindowRow,
     JobOwnerRow,
     JobRunRow,
     LookRow,
@@ -85,6 +86,7 @@ __all__ = [
     "AuditRow",
     "Base",
     "ChunkRow",
+    "DueWindowRow",
     "FeedBranchRow",
     "FleetRow",
     "GearDamperRow",
