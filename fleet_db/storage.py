@@ -141,10 +141,10 @@ class SqlUnitOfWork:
         self.recording_changes = RecordingChangeStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection, self.changes)
-        self.registry_history = RegistryHistoryStore(connection, self.subjects)
+        self.registry_history = RegistryHistoryStore(connection, self.changes)
         self.sensor_changes = SensorChangeStore(connection, self.changes)
         self.corrections = CorrectionStore(
-            connection, self.changes, self.registry, self.tracks, self.registry_history, self.sensor_changes
+            connection, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
         self.epochs = EpochStore(connection, self.changes)
         self.windows = WindowStore(connection, self.changes, self.files)
