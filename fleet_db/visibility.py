@@ -184,6 +184,7 @@ HIDDEN = frozenset(
         "section_changes",
         "section_looks",
         "webhook_secrets",
+        "window_due",
         "work_claims",
         "work_leases",
     }

@@ -73,6 +73,7 @@ from fleet_db.tables.windows import (
     TakenTableRow,
     WheelsetBinRow,
     WindowBinTableRow,
+    WindowDueRow,
     WindowRow,
 )
 
@@ -137,6 +138,7 @@ __all__ = [
     "WindowAdhesionRow",
     "WindowBinTableRow",
     "WindowDamperRow",
+    "WindowDueRow",
     "WindowPositionRow",
     "WindowRow",
     "WorkClaimRow",
