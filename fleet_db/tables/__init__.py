@@ -75,6 +75,7 @@ from fleet_db.tables.windows import (
     TakenTableRow,
     WheelsetBinRow,
     WindowBinTableRow,
+    WindowDueRow,
     WindowRow,
 )
 
@@ -141,6 +142,7 @@ __all__ = [
     "WindowAdhesionRow",
     "WindowBinTableRow",
     "WindowDamperRow",
+    "WindowDueRow",
     "WindowPositionRow",
     "WindowRow",
     "WorkClaimRow",
