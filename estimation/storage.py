@@ -40,6 +40,7 @@ from estimation.values.track import (
 from estimation.values.track_epochs import EpochMember, EpochNews, FoundOfVehicles, TrackEpoch
 from estimation.values.trend import TrendRecord
 from estimation.values.windows import (
+    DueStage,
     MileageReading,
     PassedOver,
     Window,
@@ -173,6 +174,13 @@ class BinTables(Protocol):
     def stream(
         self, wheelset: str, from_ns: int, to_ns: int | None
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]: ...
+
+
+class WindowsDue(Protocol):
+    """Windows that a stage has not made from what they are now."""
+
+    def of_wheelset(self, stage: DueStage, wheelset: str) -> Mapping[int, int]: ...
+    def settle(self, stage: DueStage, wheelset: str, seen: Mapping[int, int]) -> None: ...
 
 
 class RollUps(Protocol):
@@ -467,6 +475,8 @@ class UnitOfWork(Protocol):
     def looks(self) -> Looks: ...
     @property
     def section_looks(self) -> SectionLooks: ...
+    @property
+    def due(self) -> WindowsDue: ...
     @property
     def roll_ups(self) -> RollUps: ...
     @property

@@ -15,6 +15,7 @@ from estimation.values.claims import Claimed
 from estimation.values.runs import JobTrigger
 from fleet_db import locks
 from fleet_db.changes import Changes
+from fleet_db.due import WindowDueStore
 from fleet_db.locks import (
     Lease,
     UnendedLease,
@@ -103,6 +104,7 @@ class SqlUnitOfWork:
     windows: WindowStore = field(init=False)
     assembled: AssembledWindowStore = field(init=False)
     tables: BinTableStore = field(init=False)
+    due: WindowDueStore = field(init=False)
     geometries: GeometryStore = field(init=False)
     due_windows: DueWindowStore = field(init=False)
     marks: StageMarkStore = field(init=False)
@@ -173,6 +175,7 @@ class SqlUnitOfWork:
         self.section_looks = SectionLookStore(connection)
         self.rails = RailsStore(connection)
         self.roll_ups = RollUpStore(connection)
+        self.due = WindowDueStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
 

@@ -196,6 +196,7 @@ HIDDEN = frozenset(
         "stage_marks",
         "subject_versions",
         "webhook_secrets",
+        "window_due",
         "work_claims",
         "work_leases",
     }

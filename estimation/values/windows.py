@@ -132,6 +132,12 @@ class PassedOver(StrEnum):
     RECORD_CHANGED = "record_changed"  # its mounting or mileage: its table is wrong
 
 
+class DueStage(StrEnum):
+    """Stages that list the windows that they have not made from what these are now."""
+
+    SUMS = "sums"
+
+
 @dataclass(frozen=True, slots=True)
 class WindowPosition:
     """Where a window was along its section: true position = measured + offset + scale (measured - middle).

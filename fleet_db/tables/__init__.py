@@ -76,6 +76,7 @@ from fleet_db.tables.windows import (
     TakenTableRow,
     WheelsetBinRow,
     WindowBinTableRow,
+    WindowDueRow,
     WindowRow,
 )
 
@@ -143,6 +144,7 @@ __all__ = [
     "WindowAdhesionRow",
     "WindowBinTableRow",
     "WindowDamperRow",
+    "WindowDueRow",
     "WindowPositionRow",
     "WindowRow",
     "WorkClaimRow",

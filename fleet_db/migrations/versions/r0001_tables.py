@@ -188,6 +188,18 @@ sa.Table(
     ),
 )
 sa.Table(
+    "window_due",
+    TABLES,
+    sa.Column("stage", sa.String(32), primary_key=True),
+    sa.Column("wheelset", CODE, primary_key=True),
+    sa.Column("start_ns", BIG, primary_key=True),
+    required("vehicle", CODE),
+    required("section", CODE),
+    required("version", BIG),
+    sa.Index(None, "stage", "section", "start_ns"),
+    sa.Index(None, "stage", "vehicle", "start_ns"),
+)
+sa.Table(
     "wheelset_bins",
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
