@@ -37,7 +37,6 @@ from fleet_db.stores.bin_tables import BinTableStore
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.corrections import CorrectionStore
 from fleet_db.stores.dampers import DamperStore
-from fleet_db.stores.due_windows import DueWindowStore
 from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
@@ -106,7 +105,6 @@ class SqlUnitOfWork:
     tables: BinTableStore = field(init=False)
     due: WindowDueStore = field(init=False)
     geometries: GeometryStore = field(init=False)
-    due_windows: DueWindowStore = field(init=False)
     marks: StageMarkStore = field(init=False)
     results: ResultStore = field(init=False)
     trends: TrendStore = field(init=False)
@@ -153,8 +151,8 @@ class SqlUnitOfWork:
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
-        self.due_windows = DueWindowStore(connection)
-        self.marks = StageMarkStore(connection, self.subjects, self.due_windows)
+        self.due = WindowDueStore(connection)
+        self.marks = StageMarkStore(connection, self.subjects, self.due)
         self.results = ResultStore(connection, self.changes)
         self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection)
@@ -175,7 +173,6 @@ class SqlUnitOfWork:
         self.section_looks = SectionLookStore(connection)
         self.rails = RailsStore(connection)
         self.roll_ups = RollUpStore(connection)
-        self.due = WindowDueStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
 

@@ -188,7 +188,6 @@ HIDDEN = frozenset(
     {
         "api_keys",
         "audit_entries",
-        "due_windows",
         "raw_marks",
         "raw_scrubs",
         "section_changes",

@@ -19,19 +19,12 @@ class Facet(StrEnum):
     GEOMETRY = "geometry"
 
 
-class WindowFact(StrEnum):
-    """Facts of a window after which stages that work window by window look at it."""
-
-    SAMPLES = "samples"  # it is new, or has other samples
-    TABLE = "table"  # it has another bin table
-
-
 @dataclass(frozen=True, slots=True)
 class StageInputs:
     """What a stage declares that it is made from.
 
     Attributes:
-        facets: Of its subjects; of a stage that works window by window they are facts of a window.
+        facets: Of its subjects; none of a stage that works window by window (``fleet_db.due``).
         common: Digest of what is the same for all subjects: settings and numerics.
         together: Whether it looks at all subjects of the kind together.
     """

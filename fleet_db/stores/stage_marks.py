@@ -25,12 +25,12 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.quarantine import SubjectKind
 from estimation.values.subjects import EVERYTHING, Due, Mark, StageInputs
+from fleet_db.due import WindowDueStore, list_due
 from fleet_db.rows import table_of
-from fleet_db.stores.due_windows import DueWindowStore
 from fleet_db.subjects import VERSIONS, Subjects
-from fleet_db.tables import StageMarkRow
+from fleet_db.tables import StageMarkRow, WindowRow
 
-MARKS = table_of(StageMarkRow)
+MARKS, WINDOWS = table_of(StageMarkRow), table_of(WindowRow)
 SUM = func.sum(VERSIONS.c.version)
 
 
@@ -40,7 +40,7 @@ class StageMarkStore:
 
     connection: Connection
     subjects: Subjects
-    windows: DueWindowStore
+    windows: WindowDueStore
 
     def due(self, inputs: StageInputs, now_ns: int, subjects: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return what a stage has not seen as it is now, by subject, in their order; one statement.
@@ -82,7 +82,7 @@ class StageMarkStore:
 
     def list_again(self, inputs: StageInputs) -> None:
         """Let a stage look at all windows with samples."""
-        self.windows.list_for(inputs.stage)
+        list_due(self.connection, inputs.stage, WINDOWS.c.samples_purged_ns.is_(None))
         self._put(inputs, {EVERYTHING: Mark(0, "", rests=False)})
 
     def _put(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:

@@ -12,7 +12,6 @@ from fleet_db.tables.alerts import (
 )
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
-    DueWindowRow,
     JobOwnerRow,
     JobRunRow,
     LookRow,
@@ -87,7 +86,6 @@ __all__ = [
     "AuditRow",
     "Base",
     "ChunkRow",
-    "DueWindowRow",
     "FeedBranchRow",
     "FleetRow",
     "GearDamperRow",

@@ -6,7 +6,7 @@ from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.runs import JobOutcome, JobTrigger
-from fleet_db.tables.base import Base, Code, Count, Digest, Json, Name, Nanoseconds, Serial, one_of
+from fleet_db.tables.base import Base, Count, Digest, Json, Name, Nanoseconds, Serial, one_of
 
 
 class JobRunRow(Base):
@@ -134,23 +134,6 @@ class StageMarkRow(Base):
     common: Mapped[Digest]
     made_from: Mapped[Digest]
     again_ns: Mapped[Nanoseconds | None]
-
-
-class DueWindowRow(Base):
-    """A window that a stage has not seen as it is now; ``version`` counts how often it was listed meanwhile.
-
-    A row of a window that is gone stays until its stage has seen that. ``section`` is empty where it is on none.
-    """
-
-    __tablename__ = "due_windows"
-    __table_args__ = (Index(None, "stage", "vehicle", "start_ns"), Index(None, "stage", "section", "start_ns"))
-
-    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
-    wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
-    start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
-    vehicle: Mapped[Code]
-    section: Mapped[Code]
-    version: Mapped[Count]
 
 
 class SectionChangeRow(Base):

@@ -608,18 +608,6 @@ sa.Table(
     required("packed", BLOB),
 )
 sa.Table(
-    "due_windows",
-    TABLES,
-    sa.Column("stage", sa.String(32), primary_key=True),
-    sa.Column("wheelset", CODE, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("vehicle", CODE),
-    required("section", CODE),
-    required("version", BIG),
-    sa.Index(None, "stage", "section", "start_ns"),
-    sa.Index(None, "stage", "vehicle", "start_ns"),
-)
-sa.Table(
     "stage_marks",
     TABLES,
     sa.Column("stage", sa.String(32), primary_key=True),

@@ -18,11 +18,10 @@ from estimation.storage import UnitOfWork
 from estimation.values.quantities import Estimate, Status
 from estimation.values.quarantine import SubjectKind
 from estimation.values.results import Result, ResultKind
-from estimation.values.subjects import Facet, WindowFact
+from estimation.values.subjects import Facet
 from estimation.values.windows import text_of_key
+from fleet_db.due import WINDOWS, list_due
 from fleet_db.storage import SqlStorage
-from fleet_db.stores import due_windows
-from fleet_db.stores.due_windows import WINDOWS
 
 
 @dataclass(frozen=True)
@@ -209,10 +208,7 @@ def test_a_stage_of_all_subjects_is_due_where_one_of_them_is(facts: Facts, clock
     assert in_force(facts) == dict.fromkeys(facts.values, 7.0)
 
 
-def test_a_stage_of_windows_does_each_until_it_is_another(
-    facts: Facts, clock: SetClock, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(due_windows, "LISTENERS", {WindowFact.SAMPLES: ("length",)})
+def test_a_stage_of_windows_does_each_until_it_is_another(facts: Facts, clock: SetClock) -> None:
     looked: list[str] = []
 
     def load(_: UnitOfWork, keys: Sequence[str], __: JobContext) -> Mapping[str, str]:
@@ -235,7 +231,7 @@ def test_a_stage_of_windows_does_each_until_it_is_another(
     assert run(stage, context(facts, clock))["quarantined"] == 1  # the one that failed waits
     assert looked == keys
     with facts.storage.write() as unit:
-        unit.due_windows.changed(WindowFact.SAMPLES, WINDOWS.c.wheelset == "W1")
+        list_due(unit.connection, "length", WINDOWS.c.wheelset == "W1")
     assert run(stage, context(facts, clock))["quarantined"] == 0  # another version is tried at once
     assert run(stage, context(facts, clock)) == {"windows": 0, "changed": 0, "quarantined": 0}
     assert looked == [*keys, keys[0]]
