@@ -31,7 +31,6 @@ _PLACES = [math.pi * ((j + 0.5) / _ANGLES - 0.5) for j in range(_ANGLES)]
 _SINES, _COSINES = np.array([math.sin(x) for x in _PLACES]), np.array([math.cos(x) for x in _PLACES])
 _HALVINGS = 60
 _REST = 1e-9  # share by which S is below its running maximum where a wheelset has come to rest before
-_MILLIMETRE = 1e-3
 
 
 def equivalent_conicity(

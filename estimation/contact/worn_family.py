@@ -110,15 +110,6 @@ class WornFamily:
         object.__setattr__(self, "conicity", frozen_array(self.conicity, (m, a), name="conicity"))
         object.__setattr__(self, "pair", frozen_array(self.pair, (m,), np.int64, name="pair"))
 
-    def without(self, wheel: str) -> WornFamily:
-        """Return the family without one of its wheels, on whatever rail.
-
-        Args:
-            wheel: Name, of ``WHEELS``.
-        """
-        others = ~np.isin(self.pair, [i for i, pair in enumerate(PAIRS) if pair.wheel == wheel])
-        return WornFamily(self.amplitude, self.conicity[others], self.pair[others])
-
 
 def conicities_of(pair: Pair) -> FloatArray:
     """Return the conicities (m, a) of a pair, new and worn, at ``AMPLITUDES``, as far as they are usual in service."""

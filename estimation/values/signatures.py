@@ -168,18 +168,6 @@ class Disagreement:
     reason: Reason | None = None
 
 
-LEFT_OUT_CODES = (
-    ReasonCode.OTHER_VEHICLE_CLASS,
-    ReasonCode.OTHER_PROFILES,
-    ReasonCode.SAME_WHEELSET,
-    ReasonCode.JUDGED_TOGETHER,
-    ReasonCode.NEWER_ENTRIES,
-    ReasonCode.SECTION_CHANGED,
-    ReasonCode.WHEELSET_TURNED,
-)
-"""Why entries do not count for an answer."""
-
-
 @dataclass(frozen=True, slots=True)
 class WindowSignatures:
     """What became of a window: its signatures, or why it has none."""

@@ -13,7 +13,7 @@ from smooth_wheelset import alignment, mems_windows, run, track
 from estimation.geometry.rolling_radius import rolling_radius
 from estimation.motion.axle_distance import check_axle_distance
 from estimation.motion.bogie_frame import with_frame_yaw
-from estimation.motion.joined_windows import whole_runs
+from whole_runs import whole_runs
 from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.motion.travel import bogie_runs_backwards, runs_backwards, turned_over

@@ -11,7 +11,7 @@ from smooth_wheelset import SmoothTable, mems_windows, track
 from test_panel import PARAMETERS
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.motion.joined_windows import whole_runs
+from whole_runs import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
 from estimation.track.profile_life import ProfileLife

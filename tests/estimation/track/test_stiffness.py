@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from smooth_wheelset import mems_windows, run
 
-from estimation.motion.joined_windows import whole_runs
+from whole_runs import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
