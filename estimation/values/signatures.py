@@ -15,7 +15,7 @@ import numpy as np
 
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason
 
 SIGNALS = 3  # y, R, roll
 POWERS, CROSSES = 3, 6  # columns of ``Signature.spectra``: powers of the signals, then Re and Im of their products

@@ -9,11 +9,11 @@ import pytest
 from bogie_run import COACH, SOFT, WHEELBASE, joined, of_bogie, parameters, windows
 from paper_class import PAPER_CLASS
 from smooth_wheelset import alignment, mems_windows, run, track
+from whole_runs import whole_runs
 
 from estimation.geometry.rolling_radius import rolling_radius
 from estimation.motion.axle_distance import check_axle_distance
 from estimation.motion.bogie_frame import with_frame_yaw
-from whole_runs import whole_runs
 from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.motion.travel import bogie_runs_backwards, runs_backwards, turned_over

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from smooth_wheelset import SmoothTable, mems_windows, track
 from test_panel import PARAMETERS
+from whole_runs import whole_runs
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from whole_runs import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.passes import Pass, passes
 from estimation.track.profile_life import ProfileLife

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 from smooth_wheelset import mems_windows, run
-
 from whole_runs import whole_runs
+
 from estimation.motion.parameters import SignalParameters
 from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
