@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from estimation.dampers import damper_kernels
+from estimation.dampers.damper_kernels import add_innovation_products
 from estimation.estimators import filter_kernels, hidden_kernels
 from estimation.estimators.block_filters import Inputs
 from estimation.values.arrays import FloatArray, frozen_array
@@ -57,7 +57,7 @@ def _dampers() -> Iterator[FloatArray]:
     source = frozen_array([0, 1], (v,), np.int64, name="source")
     below, above = (frozen_array(rng.standard_normal((3, samples)), (3, samples), name="above") for _ in range(2))
     counted = frozen_array(np.arange(samples) % 3 > 0, (samples,), np.bool_, name="counted")
-    damper_kernels.add_products(fixed[0], fixed[1], fixed[2], fixed[3], source, below, above, counted, products)
+    add_innovation_products(fixed[0], fixed[1], fixed[2], fixed[3], source, below, above, counted, products)
     yield products
 
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.signal
 
-from estimation.adhesion import smoother_kernels as kernels
 from estimation.adhesion.gear_equations import AXLE
 from estimation.adhesion.gear_segments import ROLL, GearSegment, GearSegments, gear_segments
+from estimation.adhesion.smoother_kernels import filter_forward, smooth_back
 from estimation.adhesion.stationary_filter import FilterParameters, StationaryFilter, stationary_filter
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment
@@ -175,7 +175,7 @@ def smoothed_states(
         frozen_array(matrix.T, matrix.T.shape, name="columns")
         for matrix in (made.transition, made.measured, made.gain, made.back)
     )
-    kernels.filter_forward(
+    filter_forward(
         transition,
         measured,
         gain,
@@ -187,7 +187,7 @@ def smoothed_states(
         filtered,
         innovations,
     )
-    kernels.smooth_back(back, predicted, filtered)
+    smooth_back(back, predicted, filtered)
     return filtered * made.scale, innovations
 
 

@@ -50,7 +50,7 @@ def wear_measures(wheel: Profile) -> WearMeasures:
     tread = float(wheel.height(np.zeros(1))[0])
     thick = _face(y[tip:], z[tip:], tread + _FACE_BELOW_TREAD)
     high = _face(y[tip:], z[tip:], float(z[tip]) - _FACE_ABOVE_TIP)
-    return WearMeasures(float(z[tip]) - tread, thick + TREAD_DATUM, thick - high, _hollow(y, z))
+    return WearMeasures(float(z[tip]) - tread, thick + TREAD_DATUM, thick - high, _deepest_hollow(y, z))
 
 
 def _face(y: FloatArray, z: FloatArray, level: float) -> float:
@@ -62,7 +62,7 @@ def _face(y: FloatArray, z: FloatArray, level: float) -> float:
     return float(y[i] - (y[i] - y[i - 1]) * (level - z[i]) / (z[i - 1] - z[i]))
 
 
-def _hollow(y: FloatArray, z: FloatArray) -> float:
+def _deepest_hollow(y: FloatArray, z: FloatArray) -> float:
     """Return the largest amount by which a point further out is deeper than the tread."""
     part = z[(y >= _TREAD_FROM) & (y <= y[-1] - _RIM_MARGIN)]
     deepest_outside = np.maximum.accumulate(part[::-1])[::-1]

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
-from estimation.dampers import damper_kernels as kernels
+from estimation.dampers.damper_kernels import add_innovation_products
 from estimation.dampers.suspension_equations import suspension_equations, uncertain_parameters
 from estimation.dampers.thinning import between_samples, low_pass, stride_of
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
@@ -170,7 +170,7 @@ def add_products(
         counted: (s,) samples whose innovations are summed.
         products: (q - 1, v + 2, v + 2) the lower half of each is added to.
     """
-    kernels.add_products(
+    add_innovation_products(
         filters.transition,
         filters.by_input,
         filters.measured,

@@ -9,7 +9,7 @@ from estimation.values.arrays import BoolArray, FloatArray, IntArray
 
 
 @compiled(nogil=True)
-def add_products(
+def add_innovation_products(
     transition: FloatArray,
     by_input: FloatArray,
     measured: FloatArray,

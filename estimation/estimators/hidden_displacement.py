@@ -17,9 +17,9 @@ import numpy as np
 
 from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
-from estimation.estimators import hidden_kernels as kernels
 from estimation.estimators.contact_jumps import stepped
 from estimation.estimators.coverage import CELLS, REACH, counted, covered_range, usable
+from estimation.estimators.hidden_kernels import add_expected, smooth, weigh
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS
@@ -184,9 +184,9 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
             posterior = np.ones((len(x) // chunk, len(grid)))
             if curve is not None:
                 likelihood = np.empty_like(posterior)
-                kernels.weigh(x, R, chunk, curve, -REACH, CELL, grid, NOISE, SHARE, likelihood)
-                kernels.smooth(likelihood, prior, MOVE, posterior)
-            kernels.add_expected(x, R, chunk, posterior, grid, -REACH, CELL, piece.weight, sums[group], counts[group])
+                weigh(x, R, chunk, curve, -REACH, CELL, grid, NOISE, SHARE, likelihood)
+                smooth(likelihood, prior, MOVE, posterior)
+            add_expected(x, R, chunk, posterior, grid, -REACH, CELL, piece.weight, sums[group], counts[group])
     return sums, counts
 
 

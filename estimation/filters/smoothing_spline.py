@@ -22,7 +22,16 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.filters import spline_kernels as kernels
+from estimation.filters.spline_kernels import (
+    add_band,
+    add_roughness,
+    factorise,
+    multiply,
+    place,
+    project,
+    solve,
+    subtract,
+)
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
 
 ORDER = 3  # of the derivative that is white
@@ -66,7 +75,7 @@ def subtract_smoothing_spline(
     coefficients = spline.solved(wander)
     shares = _solved_definite(gram, _products(weighted, rows) - _products(of_removed, coefficients))
     coefficients -= shares.T @ explained
-    kernels.subtract(rows, spline.interval, spline.pieces, coefficients, removed, shares)
+    subtract(rows, spline.interval, spline.pieces, coefficients, removed, shares)
     return rows
 
 
@@ -82,13 +91,13 @@ class _Spline:
     def projected(self, rows: FloatArray) -> FloatArray:
         """Return the right sides (m, k) of the normal equations."""
         sums = np.zeros((len(rows), len(self.factor)))
-        kernels.project(rows, self.weight, self.interval, self.pieces, sums)
+        project(rows, self.weight, self.interval, self.pieces, sums)
         return sums
 
     def solved(self, right: FloatArray) -> FloatArray:
         """Return the coefficients (m, k) for right sides."""
         found = right.copy()
-        kernels.solve(self.factor, found)
+        solve(self.factor, found)
         return found
 
 
@@ -97,12 +106,12 @@ def _spline(distance: FloatArray, known: BoolArray, cutoff_wavelength: float) ->
     count = max(int(np.ceil(KNOTS_PER_CUT_OFF * length / cutoff_wavelength)), 1)
     step = length / count
     interval, pieces = np.empty(len(distance), np.int64), np.empty((PIECES, len(distance)))
-    kernels.place(distance, length * (1 - 1e-12), 1 / step, interval, pieces, count - 1)
+    place(distance, length * (1 - 1e-12), 1 / step, interval, pieces, count - 1)
     weight, band = np.where(known, np.gradient(distance), 0.0), np.zeros((count + PIECES - 1, PIECES))
-    kernels.add_band(weight, interval, pieces, band)
-    kernels.add_roughness(band, (cutoff_wavelength / (2 * np.pi)) ** (2 * ORDER) * step ** (1 - 2 * ORDER))
+    add_band(weight, interval, pieces, band)
+    add_roughness(band, (cutoff_wavelength / (2 * np.pi)) ** (2 * ORDER) * step ** (1 - 2 * ORDER))
     band[:, 0] *= 1 + REGULARISATION
-    if not kernels.factorise(band):
+    if not factorise(band):
         raise np.linalg.LinAlgError("the samples do not determine the wander")
     return _Spline(weight, interval, pieces, band)
 
@@ -110,7 +119,7 @@ def _spline(distance: FloatArray, known: BoolArray, cutoff_wavelength: float) ->
 def _products(weighted: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the products (k, m) of functions (k, n) with rows (m, n)."""
     products = np.empty((len(weighted), len(rows)))
-    kernels.multiply(weighted, rows, products)
+    multiply(weighted, rows, products)
     return products
 
 

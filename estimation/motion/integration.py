@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.motion import integration_kernels as kernels
+from estimation.motion.integration_kernels import integrate_once, integrate_twice, take_out_mean
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import ACCELERATIONS, Window
@@ -133,17 +133,17 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     if window.frame_yaw_acceleration is not None:
         measured.append(window.frame_yaw_acceleration)
     accelerations = np.stack([bridged(values[part], known) for values in measured])
-    kernels.take_out_mean(accelerations)
+    take_out_mean(accelerations)
     rates, displacements = np.empty_like(accelerations), np.empty_like(accelerations)
-    kernels.integrate_twice(accelerations, dt, rates, displacements)
+    integrate_twice(accelerations, dt, rates, displacements)
     speed = np.array(bridged(window.speed[part], known))
     run = np.empty_like(speed)
-    kernels.integrate_once(speed, dt, run)
+    integrate_once(speed, dt, run)
     if window.measures_gravity:
         (roll,) = remove_wander(displacements[[_ROLL]], run, known, ROLL_CUTOFF)
         lateral = accelerations[_LATERAL] - GRAVITY * roll
         lateral_rates, lateral_displacements = np.empty_like(lateral), np.empty_like(lateral)
-        kernels.integrate_twice(lateral, dt, lateral_rates, lateral_displacements)
+        integrate_twice(lateral, dt, lateral_rates, lateral_displacements)
         accelerations[_LATERAL], rates[_LATERAL] = lateral, lateral_rates
         displacements[_LATERAL] = lateral_displacements
     own = slice(0, len(ACCELERATIONS))

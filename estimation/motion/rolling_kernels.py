@@ -12,7 +12,7 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.vehicle.linear_wheelset import ComplexArray
 
 ROWS = 5  # spectra: y'', V psi', phi'', ym'' and psi_f'' of the bogie frame
-TERMS = 7
+TERMS = 7  # the lateral acceleration, then the unknowns
 
 
 class Equation(NamedTuple):

@@ -20,9 +20,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.motion import rolling_kernels as kernels
 from estimation.motion.integration import bridged, segments
 from estimation.motion.parameters import SignalParameters
+from estimation.motion.rolling_kernels import ROWS, TERMS, Equation, add_spectra, mirror, write_pieces
 from estimation.motion.travel import runs_backwards, turned_over
 from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
@@ -39,7 +39,6 @@ PART_S = 15.0  # of a window: what is left out as one by the jackknife
 USUAL_LATERAL, USUAL_ANGULAR = 1e-3, 2e-3  # m/s2 and rad/s2 per root hertz: MEMS sensors, where nothing is on file
 USUAL_RATE = 1e-4  # rad/s per root hertz, of a gyroscope
 UNKNOWNS = ("scale", "radius", "inertia", "suspension", "gravity", "curve")
-TERMS = 1 + len(UNKNOWNS)  # the lateral acceleration first
 
 
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:
@@ -67,8 +66,8 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     for (first, rows), at in zip(samples, starts, strict=True):
         part = np.searchsorted(numbers, (first + at) // each)
         _add(rows, at, part, window, vehicle_class, size, products, noise)
-    kernels.mirror(products)
-    kernels.mirror(noise)
+    mirror(products)
+    mirror(noise)
     return tuple(RollingSums(*both) for both in zip(products, noise, strict=True))
 
 
@@ -90,9 +89,9 @@ def _add(
     for first in range(0, len(starts), TOGETHER):
         some = slice(first, first + TOGETHER)
         speeds = np.empty(len(starts[some]))
-        pieces = np.empty((len(speeds), kernels.ROWS, size))
-        kernels.write_pieces(rows, starts[some], dt, taper, pieces, speeds)
-        kernels.add_spectra(np.fft.rfft(pieces), speeds, part[some], *place, products, noise)
+        pieces = np.empty((len(speeds), ROWS, size))
+        write_pieces(rows, starts[some], dt, taper, pieces, speeds)
+        add_spectra(np.fft.rfft(pieces), speeds, part[some], *place, products, noise)
 
 
 @lru_cache(maxsize=4)
@@ -100,10 +99,10 @@ def _taper(size: int) -> FloatArray:
     return frozen_array(np.hanning(size), (size,), name="taper")
 
 
-def _equation(vehicle_class: VehicleClass) -> kernels.Equation:
+def _equation(vehicle_class: VehicleClass) -> Equation:
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     half, longitudinal = p.half_contact_distance, p.longitudinal_creep_coefficient
-    return kernels.Equation(
+    return Equation(
         lateral_creep=p.lateral_creep_coefficient,
         spin_creep=p.lateral_spin_creep_coefficient,
         mass=p.wheelset_mass,

@@ -26,7 +26,7 @@ from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import Correction
 
 PARTNERS = 16  # journeys that each is compared with
-REWEIGHTINGS = 20
+NETWORK_REWEIGHTINGS = 20
 LEAST_SPREAD = 0.1  # m, of the shifts about the adjustment
 SHIFT_STD = 0.5  # m, of a shift, against:
 OFFSET_STD = 20.0  # m, of a reported position
@@ -115,7 +115,7 @@ def _adjusted(shifts: Sequence[_Shift], reported: FloatArray, middle: float) -> 
     prior = _prior(reported)
     found: FloatArray = np.zeros(2 * n)
     weights: FloatArray = known
-    for _ in range(REWEIGHTINGS):
+    for _ in range(NETWORK_REWEIGHTINGS):
         normal, right = prior.copy(), np.zeros(2 * n)
         np.add.at(normal, (columns[:, :, None], columns[:, None, :]), weights[:, None, None] * _squares(rows))
         np.add.at(right, columns, (weights * lag / SHIFT_STD)[:, None] * rows)

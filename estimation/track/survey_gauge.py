@@ -50,14 +50,14 @@ def judge_gauge(
     if expected < p.least_expected:
         return None
     if 1.0 - (after / before) ** 2 < p.least_explained * expected:
-        return Reason(ReasonCode.SURVEY_GAUGE_UNRELATED, _unrelated(before, after))
+        return Reason(ReasonCode.SURVEY_GAUGE_UNRELATED, _gauge_unrelated(before, after))
     factor, std = gauge_factor_with_std(contact_samples(iterated.passes, iterated.solution, iterated.panel))
     if abs(np.log(factor)) > np.log(p.most_scale) + p.stds * std:  # never where the std is not known
         return Reason(ReasonCode.SURVEY_GAUGE_UNIT, f"it is {1.0 / factor:.2g} times what the wheelsets show")
     return None
 
 
-def _unrelated(before: float, after: float) -> str:
+def _gauge_unrelated(before: float, after: float) -> str:
     return (
         f"of the {1e3 * before:.2f} mm by which passes disagree {1e3 * after:.2f} mm remain with it;"
         " it is that of another place, or displaced"
