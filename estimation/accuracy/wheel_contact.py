@@ -14,8 +14,7 @@ from estimation.contact.radius_difference import RadiusDifferenceCurve, refined_
 from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.intervals import NORMAL_95, with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m

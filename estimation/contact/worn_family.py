@@ -22,9 +22,8 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.natural_wear import Running, worn_by_contact
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.rail_wear import RailWear, worn_rail
 from estimation.contact.table import ContactMethod
-from estimation.contact.wear import TreadWear, worn
+from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
 

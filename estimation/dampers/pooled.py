@@ -15,8 +15,7 @@ from scipy.special import chdtri, ndtr
 
 from estimation.values.arrays import FloatArray
 from estimation.values.dampers import SHARES, GearDamper, WindowDamper
-from estimation.values.intervals import NORMAL_95, jackknife_std, with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import NORMAL_95, Estimate, Status, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 BETWEEN = 16  # shares at which the posterior is, from one particle to the next

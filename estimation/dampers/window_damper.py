@@ -20,8 +20,7 @@ from estimation.values.arrays import BoolArray, FloatArray, frozen_array
 from estimation.values.dampers import DamperSums, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
-from estimation.vehicle.class_on_file import ClassOnFile
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass
 
 UNKNOWN_S = 6.0  # at the begin of a segment, whose deflections are not known
 MODEL_ERROR = 0.02  # of the acceleration above, that stiff bodies do not explain whatever their parameters

@@ -27,8 +27,8 @@ from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, ad
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 
 STEP_S = 0.012  # between the samples that a filter takes

@@ -13,9 +13,9 @@ from typing import Protocol, TypeVar
 from estimation.geometry.conicity import CurveParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.motion import Motion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 

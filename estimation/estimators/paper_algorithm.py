@@ -27,8 +27,8 @@ from estimation.geometry.sharpening import jumps_displaced
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 

@@ -17,8 +17,8 @@ from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_es
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
 GROUPS = 16

@@ -18,12 +18,10 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.trend.points import conicity_points
 from estimation.trend.steps import behind_step, newest_step, with_step
 from estimation.trend.trend import TrendParameters, refresh
-from estimation.values.identity import IdentityChange, since_change
-from estimation.values.interval_conicities import IntervalConicities
-from estimation.values.look import Look
-from estimation.values.quarantine import SubjectKind
+from estimation.values.geometry import IntervalConicities
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.runs import Look, SubjectKind
+from estimation.values.trend import IdentityChange, TrendRecord, WearTrend, since_change
 
 STAGE = "refresh_trends"
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from estimation.values.quantities import Status
-from estimation.values.quarantine import Quarantined
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.runs import JobOutcome, JobRun
+from estimation.values.runs import JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
 from estimation.values.utc_text import utc_text
 

@@ -10,8 +10,7 @@ from sqlalchemy import Connection, and_, exists, func, select
 
 from estimation.errors import DamagedError
 from estimation.values.windows import WindowState
-from fleet_db.keeping.kept_files import KeptFile, kept_files
-from fleet_db.keeping.kept_recordings import KeptRecording, kept_recordings
+from fleet_db.keeping.kept_files import KeptFile, KeptRecording, kept_files, kept_recordings
 from fleet_db.keeping.orphans import orphaned_recordings, orphaned_samples
 from fleet_db.raw import RawStore
 from fleet_db.rows import table_of

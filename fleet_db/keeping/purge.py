@@ -22,17 +22,15 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import ReasonCode
-from estimation.values.runs import JobOutcome
+from estimation.values.runs import TRIED_AGAIN, JobOutcome
 from estimation.values.windows import WindowState
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.expired_tables import expired_tables, seal
+from fleet_db.keeping.expired_tables import KEYS as ESTIMATES
+from fleet_db.keeping.expired_tables import expired_tables, forget_estimates, replaced_within_a_day, seal
 from fleet_db.keeping.kept_files import SAMPLES
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.keeping.thinned_estimates import KEYS as ESTIMATES
-from fleet_db.keeping.thinned_estimates import forget_estimates, replaced_within_a_day
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import unlink_old
 from fleet_db.rows import table_of

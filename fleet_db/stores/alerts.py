@@ -11,7 +11,7 @@ from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
-from estimation.values.identity import IDENTITY, UNREGISTERED_CHANGE
+from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.session import to_json

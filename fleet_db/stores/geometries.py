@@ -25,8 +25,14 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
-from estimation.values.interval_conicities import IntervalConicities
+from estimation.values.geometry import (
+    COMBINATIONS,
+    BinValues,
+    GeometryRecord,
+    IntervalConicities,
+    IntervalDigest,
+    WheelsetGeometry,
+)
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from fleet_db.changes import CHANGES, Changes

@@ -14,12 +14,11 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.estimators import contact_jumps
 from estimation.estimators.contact_jumps import stepped
-from estimation.estimators.hidden_displacement import GRID, PRIOR_STD, HiddenDisplacement
-from estimation.estimators.hidden_kernels import smooth, steps, weigh
+from estimation.estimators.hidden_displacement import GRID, PRIOR_STD, HiddenDisplacement, smooth, steps, weigh
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
+from estimation.values.windows import Motion
 
 LEVER, V = 2 * 0.7452 * 0.45, 20.0
 BAND_LIMITED = EstimatorParameters(

@@ -24,9 +24,9 @@ from estimation.track.panel.basis import (
     pass_residual,
 )
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, frozen_array
-from estimation.values.intervals import jackknife_std
+from estimation.values.quantities import jackknife_std
 from estimation.values.track import GaugeShift
 
 KNOT_STEP = 0.125e-3  # m

@@ -20,8 +20,7 @@ from estimation.track.gridded_pass import grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters, basis_functions
 from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.solution import PanelSolution, result
-from estimation.track.passes import Pass, gridded, passes
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife, gridded, passes
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.vehicle.equations_of_motion import VehicleParameters

@@ -13,10 +13,9 @@ from whole_runs import whole_runs
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.parameters import SignalParameters
-from estimation.track.passes import Pass, passes
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife, passes
 from estimation.track.section import LEAST_USUAL, USUAL_FACTOR, Residuals, SectionEstimate, estimate_section
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 

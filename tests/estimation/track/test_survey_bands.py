@@ -10,23 +10,23 @@ import pytest
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.passes import Pass
-from estimation.track.position_std import CORRELATED, REPORTED_STD, position_std, shrunk
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
+from estimation.track.placing import CORRELATED, REPORTED_STD, position_std, shrunk
 from estimation.track.section import SectionEstimate, estimate_section
-from estimation.track.section_parameters import SectionParameters
-from estimation.track.survey_bands import (
+from estimation.track.settings import SectionParameters
+from estimation.track.survey_posterior import (
     EDGES,
     FILED_SAMPLES,
     LOCAL,
     LOCAL_STDS,
+    SurveyPosterior,
     _bands_of,
     _learnt,
     _local_excess,
     survey_bands,
+    survey_posterior,
     total_variance,
 )
-from estimation.track.survey_posterior import SurveyPosterior, survey_posterior
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment

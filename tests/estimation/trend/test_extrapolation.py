@@ -12,10 +12,8 @@ from estimation.contact.worn_family import PAIRS, WHEELS, WornFamily, conicities
 from estimation.trend.extrapolation import conicity_at_limit_amplitude, extrapolated
 from estimation.trend.points import conicity_points
 from estimation.trend.trend import refresh
-from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.interval_conicities import KnownConicity, interval_conicities
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.geometry import GeometryRecord, KnownConicity, WheelsetGeometry, interval_conicities
+from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, code_of
 
 FAMILY = worn_family()
