@@ -23,13 +23,14 @@ their friction, are there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.adhesion.pass_sums import PassSums
 from estimation.values.adhesion import INVERSE
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 
 POINTS = 160
 GRID = frozen_array(np.geomspace(1.0, INVERSE[-1], POINTS), (POINTS,), name="GRID")
@@ -40,15 +41,11 @@ LEAST_LIKELIHOOD = 1e-12  # of the largest: no place makes another one impossibl
 
 
 @dataclass(frozen=True, slots=True)
-class Along:
+class Along(FrozenArrays):
     """1/mu of c places."""
 
-    mean: FloatArray  # (c,)
-    std: FloatArray  # (c,)
-
-    def __post_init__(self) -> None:
-        for name in ("mean", "std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.mean),), name=name))
+    mean: Annotated[FloatArray, "n"]
+    std: Annotated[FloatArray, "n"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,14 +165,11 @@ class RailsBefore:
 
 
 @dataclass(frozen=True, slots=True)
-class CreepLevels:
+class CreepLevels(FrozenArrays):
     """b of v vehicles, and the std that what all share leaves to it."""
 
-    creep: FloatArray  # (v,)
+    creep: Annotated[FloatArray, "n"]
     std: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "creep", frozen_array(self.creep, (len(self.creep),), name="creep"))
 
 
 def creep_levels(sums: PassSums, slope: FloatArray, slippery: BoolArray, before: RailsBefore) -> CreepLevels:

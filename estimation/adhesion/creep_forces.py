@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 import scipy.signal
@@ -24,7 +25,7 @@ from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment
 from estimation.motion.parameters import SignalParameters
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -145,22 +146,16 @@ class ForceParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class ContactForces:
+class ContactForces(FrozenArrays):
     """What acts on one wheelset at the samples of a window, in the axes of its sensors; NaN where not known."""
 
-    contact: FloatArray  # (n,) N, lateral, creep and gravitational stiffness
-    moment: FloatArray  # (n,) N m, of the creep forces
-    yaw_rate: FloatArray  # (n,) rad/s
-    roll: FloatArray  # (n,) rad
-    known: BoolArray  # (n,) samples that were measured
+    contact: Annotated[FloatArray, "n"]  # N, lateral, creep and gravitational stiffness
+    moment: Annotated[FloatArray, "n"]  # N m, of the creep forces
+    yaw_rate: Annotated[FloatArray, "n"]  # rad/s
+    roll: Annotated[FloatArray, "n"]  # rad
+    known: Annotated[BoolArray, "n"]  # samples that were measured
     innovation: float  # largest mean square of a channel's innovations over what was expected
     smoothed: bool = False  # without vibration of the axle boxes, and what is as fast
-
-    def __post_init__(self) -> None:
-        n = len(self.known)
-        for name in ("contact", "moment", "yaw_rate", "roll"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "known", frozen_array(self.known, (n,), np.bool_, name="known"))
 
 
 def contact_forces(

@@ -31,11 +31,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 import scipy.linalg
 
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters, SensorLayout, VehicleClass
 
@@ -160,30 +161,17 @@ class FilterParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class StationaryFilter:
+class StationaryFilter(FrozenArrays):
     """Matrices of n scaled states, k accelerations and m measurements, those first; ``scale`` makes states SI."""
 
-    transition: FloatArray  # (n, n) over a sample
-    measured: FloatArray  # (m, n)
-    gain: FloatArray  # (n, m)
-    back: FloatArray  # (n, n) of the smoother
-    innovation_std: FloatArray  # (m,)
-    scale: FloatArray  # (n,)
+    transition: Annotated[FloatArray, "n", "n"]  # over a sample
+    measured: Annotated[FloatArray, "m", "n"]
+    gain: Annotated[FloatArray, "n", "m"]
+    back: Annotated[FloatArray, "n", "n"]  # of the smoother
+    innovation_std: Annotated[FloatArray, "m"]
+    scale: Annotated[FloatArray, "n"]
     axles: int  # a
     states: int  # of the running gear; F and M of each axle come behind them
-
-    def __post_init__(self) -> None:
-        n, m = self.gain.shape
-        shapes = {
-            "transition": (n, n),
-            "measured": (m, n),
-            "gain": (n, m),
-            "back": (n, n),
-            "innovation_std": (m,),
-            "scale": (n,),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen_array(getattr(self, name), shape, name=name))
 
     @property
     def accelerations(self) -> int:

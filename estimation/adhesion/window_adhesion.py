@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cache
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +24,7 @@ from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.parameters import WindowParameters
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array, runs
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
@@ -106,21 +107,15 @@ TRIMMED_S = 1.0  # at each of its ends
 
 
 @dataclass(frozen=True, slots=True)
-class CreepSignals:
+class CreepSignals(FrozenArrays):
     """Creep of one wheelset over one window in the band of its motion, in its own axes; NaN where not known."""
 
-    lateral: FloatArray  # (n,) N, creep force of both wheels; NaN all over without an angle difference
-    contact: FloatArray  # (n,) N, with gravitational stiffness
-    moment: FloatArray  # (n,) N m
-    linear_difference: FloatArray  # (n,) R by linear creep, m
-    spin: FloatArray  # (n,) N, lateral force of a wheel by the spin of its inclined contact, the other's reversed
-    valid: BoolArray  # (n,)
-
-    def __post_init__(self) -> None:
-        n = len(self.valid)
-        for name in ("lateral", "contact", "moment", "linear_difference", "spin"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
+    lateral: Annotated[FloatArray, "n"]  # N, creep force of both wheels; NaN all over without an angle difference
+    contact: Annotated[FloatArray, "n"]  # N, with gravitational stiffness
+    moment: Annotated[FloatArray, "n"]  # N m
+    linear_difference: Annotated[FloatArray, "n"]  # R by linear creep, m
+    spin: Annotated[FloatArray, "n"]  # N, lateral, of a wheel by the spin of its inclined contact, the other's reversed
+    valid: Annotated[BoolArray, "n"]
 
     def resultants(self, half_contact_distance: float, share: float | FloatArray = 1.0) -> FloatArray:
         """Return the resultant creep force of left and right wheel (2, n), N.

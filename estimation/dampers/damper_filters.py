@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 import scipy.linalg
@@ -18,7 +19,7 @@ import scipy.linalg
 from estimation.compiled import compiled
 from estimation.dampers.suspension_equations import suspension_equations, uncertain_parameters
 from estimation.dampers.thinning import between_samples, low_pass, stride_of
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.dampers import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
 
@@ -139,33 +140,22 @@ LATE_STD_S = 1e-3  # half the difference of two nodes' times
 
 
 @dataclass(frozen=True, slots=True)
-class DamperFilters:
+class DamperFilters(FrozenArrays):
     """Filters of q particles and 1 + v variants of each: as on file, then with one thing off by one std.
 
     Masses and springs are off to both sides, so that their effect is known to the second order.
     """
 
-    transition: FloatArray  # (q, 1 + v, n, n) over a sample
-    by_input: FloatArray  # (q, 1 + v, 2, n) by the input at its begin and its end
-    measured: FloatArray  # (q, 1 + v, n)
-    gain: FloatArray  # (q, 1 + v, n)
-    source: IntArray  # (1 + v,) which of ``SOURCES`` each takes
+    transition: Annotated[FloatArray, "q", "v", "n", "n"]  # over a sample
+    by_input: Annotated[FloatArray, "q", "v", 2, "n"]  # by the input at its begin and its end
+    measured: Annotated[FloatArray, "q", "v", "n"]
+    gain: Annotated[FloatArray, "q", "v", "n"]
+    source: Annotated[IntArray, "v"]  # which of ``SOURCES`` each takes
     apart: tuple[float, float]  # std of half the difference of two sensors' scales, below and above
     step_s: float  # between the samples that they take
-    signals: FloatArray  # (m, v + 2) of the innovations of a particle's variants, and of the next particle's first
+    signals: Annotated[FloatArray, "m", "v + 1"]  # innovations of a particle's variants, and the next particle's first
     curved: int  # parameters whose effect has a second order, p
-    noise: FloatArray  # (q - 1, m, m) what the sensors' noise adds to the products of the signals in a sample
-
-    def __post_init__(self) -> None:
-        q, v, n = self.measured.shape
-        object.__setattr__(self, "transition", frozen_array(self.transition, (q, v, n, n), name="transition"))
-        object.__setattr__(self, "by_input", frozen_array(self.by_input, (q, v, 2, n), name="by_input"))
-        object.__setattr__(self, "measured", frozen_array(self.measured, (q, v, n), name="measured"))
-        object.__setattr__(self, "gain", frozen_array(self.gain, (q, v, n), name="gain"))
-        m = len(self.signals)
-        object.__setattr__(self, "signals", frozen_array(self.signals, (m, v + 1), name="signals"))
-        object.__setattr__(self, "noise", frozen_array(self.noise, (q - 1, m, m), name="noise"))
-        object.__setattr__(self, "source", frozen_array(self.source, (v,), np.int64, name="source"))
+    noise: Annotated[FloatArray, "q - 1", "m", "m"]  # what the sensors' noise adds to the products in a sample
 
 
 def damper_filters(vehicle_class: VehicleClass, sample_interval_s: float) -> DamperFilters:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from estimation.estimators.series import GROUPS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
@@ -162,38 +163,26 @@ JUMP_SHARE = 0.3  # of the std that the gauge moves contact jumps by
 
 
 @dataclass(frozen=True, slots=True)
-class HiddenPiece:
+class HiddenPiece(FrozenArrays):
     """The samples of one window, in runs within one block each."""
 
-    displacement: FloatArray  # (n,) m
-    difference: FloatArray  # (n,) m, R
-    start: IntArray  # (r + 1,) first sample of each run, and n
-    group: IntArray  # (r,)
+    displacement: Annotated[FloatArray, "n"]  # m
+    difference: Annotated[FloatArray, "n"]  # m, R
+    start: Annotated[IntArray, "r + 1"]  # first sample of each run, and n
+    group: Annotated[IntArray, "r"]
     chunk: int  # samples
     weight: float
 
-    def __post_init__(self) -> None:
-        n, r = len(self.displacement), len(self.group)
-        object.__setattr__(self, "displacement", frozen_array(self.displacement, (n,), name="displacement"))
-        object.__setattr__(self, "difference", frozen_array(self.difference, (n,), name="difference"))
-        object.__setattr__(self, "start", frozen_array(self.start, (r + 1,), np.int64, name="start"))
-        object.__setattr__(self, "group", frozen_array(self.group, (r,), np.int64, name="group"))
-
 
 @dataclass(frozen=True, slots=True)
-class HiddenState:
+class HiddenState(FrozenArrays):
     """All samples, window by window: states share those of earlier ones, so that a window costs its own samples."""
 
     parameters: EstimatorParameters
     pieces: tuple[HiddenPiece, ...]
-    derivatives: FloatArray  # (CELLS, 6) m, sums of the derivatives of R by the logarithms of the parameters
-    counts: FloatArray  # (CELLS,) effective samples by displacement
+    derivatives: Annotated[FloatArray, CELLS, len(YAW_TARGETS) - 1]  # m, sums, of R by the logarithms of the parameters
+    counts: Annotated[FloatArray, CELLS]  # effective samples by displacement
     stretches: int
-
-    def __post_init__(self) -> None:
-        shape = (CELLS, len(YAW_TARGETS) - 1)
-        object.__setattr__(self, "derivatives", frozen_array(self.derivatives, shape, name="derivatives"))
-        object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
 
     @property
     def samples(self) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from estimation.contact.geometry import WheelsetOnTrack
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
 from estimation.errors import ContactError, ParameterError, ProfileError
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.rails import KnownWheel, RailKey
 from estimation.values.reasons import Reason, ReasonCode
 
@@ -69,16 +70,12 @@ class RailsParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class ReferenceWheel:
+class ReferenceWheel(FrozenArrays):
     """The wheel as designed: what its conicity is, from its drawing and those of rails."""
 
     profile: str  # name
-    on_reference: FloatArray  # (k,) on the rails that all are compared with
+    on_reference: Annotated[FloatArray, "n"]  # on the rails that all are compared with
     on_file: Mapping[str, FloatArray] = field(default_factory=dict)  # (k,) by section, on its rails as on file
-
-    def __post_init__(self) -> None:
-        on_reference = frozen_array(self.on_reference, (len(self.on_reference),), name="on_reference")
-        object.__setattr__(self, "on_reference", on_reference)
 
     def of(self, section: str) -> FloatArray:
         """Return its conicity (k,) on the rails of a section as on file; NaN where it has none."""

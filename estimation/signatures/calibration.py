@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from scipy import stats
@@ -32,7 +33,7 @@ from scipy.special import ndtr
 from estimation.signatures.families import FOLDS, families
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
 from estimation.signatures.parameters import SignatureParameters
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 
@@ -45,20 +46,14 @@ _NONE = np.eye(len(SHARES))[0]  # no share of anything
 
 
 @dataclass(frozen=True, slots=True)
-class OnFile:
+class OnFile(FrozenArrays):
     """Standard deviations of the conicities of some entries."""
 
-    conicity: FloatArray  # (n,)
-    own: FloatArray  # (n,) of errors that are each wheelset's own
-    shared: FloatArray  # (n,) of errors in common
-    claimed: FloatArray  # (n,) of errors of which a share of the variance is each wheelset's own
-    shares: FloatArray  # (k,) probabilities of ``SHARES``
-
-    def __post_init__(self) -> None:
-        n = len(self.conicity)
-        for name in ("conicity", "own", "shared", "claimed"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "shares", frozen_array(self.shares, (len(SHARES),), name="shares"))
+    conicity: Annotated[FloatArray, "n"]
+    own: Annotated[FloatArray, "n"]  # of errors that are each wheelset's own
+    shared: Annotated[FloatArray, "n"]  # of errors in common
+    claimed: Annotated[FloatArray, "n"]  # of errors of which a share of the variance is each wheelset's own
+    shares: Annotated[FloatArray, len(SHARES)]  # probabilities of ``SHARES``
 
     @property
     def alone(self) -> FloatArray:
@@ -150,17 +145,14 @@ class Reach:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class Calibration(FrozenArrays):
     """What the answers of a library need to cover, and how far from it those were."""
 
-    weights: FloatArray  # (k, m) probabilities of shares and factors
+    weights: Annotated[FloatArray, None, len(FACTORS)]  # probabilities of shares and factors
     whole: Reach  # of all features
     roll: Reach  # of roll at short wavelengths
     wheelsets: int
     answers: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", frozen_array(self.weights, (None, len(FACTORS)), name="weights"))
 
     def std(self, posterior: float, shared: FloatArray) -> float:
         """Return half a 95 % interval over that of a normal error.

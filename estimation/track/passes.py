@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from estimation.motion.integration import IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import FusionParameters, SignalParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, fuse, motion_signals
 from estimation.motion.usable_samples import moving_samples
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import Correction
 from estimation.values.windows import Window, WindowRecord
@@ -35,7 +36,7 @@ def profile_life(wheelset: WheelsetRecord, record: WindowRecord, interval_km: fl
 
 
 @dataclass(frozen=True, slots=True)
-class Pass:
+class Pass(FrozenArrays):
     """Lateral displacement and rolling radius difference of a wheelset against distance, slow parts meaningless.
 
     The displacement is the section's, positive to the left of increasing distance; the difference is the wheelset's,
@@ -46,23 +47,18 @@ class Pass:
     life: ProfileLife  # of the wheelset
     vehicle: str
     start_ns: int  # of its window
-    at: FloatArray  # (n,) m along the section, strictly increasing
-    displacement: FloatArray  # (n,) y, m
-    difference: FloatArray  # (n,) R, m, measured without knowledge of the track
+    at: Annotated[FloatArray, "n"]  # m along the section, strictly increasing
+    displacement: Annotated[FloatArray, "n"]  # y, m
+    difference: Annotated[FloatArray, "n"]  # R, m, measured without knowledge of the track
     side: int = 1  # or -1
-    stiffness_term: FloatArray | None = None  # (n,) m, part of R that scales with yaw stiffness over creep coefficient
+    stiffness_term: Annotated[FloatArray, "n"] | None = (
+        None  # m, part of R that scales with yaw stiffness over creep coefficient
+    )
 
     @property
     def wheelset(self) -> str:
         """Serial of the wheelset."""
         return self.life.wheelset
-
-    def __post_init__(self) -> None:
-        n = len(self.at)
-        for name in ("at", "displacement", "difference"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if self.stiffness_term is not None:
-            object.__setattr__(self, "stiffness_term", frozen_array(self.stiffness_term, (n,), name="stiffness_term"))
 
 
 def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:

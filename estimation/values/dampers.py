@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-import numpy as np
-
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason
 
@@ -18,7 +17,7 @@ GEAR = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
-class DamperSums:
+class DamperSums(FrozenArrays):
     """Products of the innovations of q particles, summed over the samples of a window; they add up in any order.
 
     Of a particle there are m signals: its innovations, by how much each of k uncertain parameters changes them (one
@@ -27,13 +26,9 @@ class DamperSums:
     by what is known in them.
     """
 
-    products: FloatArray  # (q - 1, m, m)
+    products: Annotated[FloatArray, len(SHARES) - 1, "m", "m"]
     samples: float  # independent ones
     curved: int  # p
-
-    def __post_init__(self) -> None:
-        q, m = len(SHARES) - 1, self.products.shape[-1]
-        object.__setattr__(self, "products", frozen_array(self.products, (q, m, m), np.float64, name="products"))
 
 
 @dataclass(frozen=True, slots=True)

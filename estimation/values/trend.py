@@ -11,12 +11,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Protocol, TypeVar
-
-import numpy as np
+from typing import Annotated, Protocol, TypeVar
 
 from estimation.values.alerts import Alert
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason
@@ -40,14 +38,14 @@ class TrendStep:
 
 
 @dataclass(frozen=True, slots=True)
-class WearTrend:
+class WearTrend(FrozenArrays):
     """An indicator since the last reprofiling or step, its robust slope, and when it reaches its limit."""
 
     quantity: str  # "equivalent_conicity"
-    mileage_km: FloatArray  # (k,) since the wheelset was new
-    measured_ns: IntArray  # (k,)
-    value: FloatArray  # (k,)
-    std: FloatArray  # (k,)
+    mileage_km: Annotated[FloatArray, "k"]  # since the wheelset was new
+    measured_ns: Annotated[IntArray, "k"]
+    value: Annotated[FloatArray, "k"]
+    std: Annotated[FloatArray, "k"]
     slope_per_1000_km: Estimate
     slope_per_year: Estimate
     fitted: Estimate  # value of the fitted curve at the last point
@@ -61,12 +59,6 @@ class WearTrend:
     not_comparable: Reason | None = None  # why the limit is not held against it; None where it is
     step: TrendStep | None = None  # that its points are behind
     few_behind: Reason | None = None  # why nothing is forecast: too few points behind the step; None where enough are
-
-    def __post_init__(self) -> None:
-        k = len(self.value)
-        for name in ("mileage_km", "value", "std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
-        object.__setattr__(self, "measured_ns", frozen_array(self.measured_ns, (k,), np.int64, name="measured_ns"))
 
 
 @dataclass(frozen=True, slots=True)

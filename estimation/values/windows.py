@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
-import numpy as np
-
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason
 
 
@@ -67,7 +66,7 @@ class WindowQuality:
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class Window(FrozenArrays):
     """A fixed length of running time of one wheelset, on a uniform grid; accelerations are NaN where not ``valid``.
 
     ``start_ns`` is a multiple of the window length on the vehicle's clock, so that windows do not depend on how
@@ -86,32 +85,21 @@ class Window:
     start_ns: int
     length_ns: int
     sample_interval_s: float
-    lateral_acceleration: FloatArray  # (n,) m/s2
-    yaw_acceleration: FloatArray  # (n,) rad/s2
-    roll_acceleration: FloatArray  # (n,) rad/s2
-    mass_lateral_acceleration: FloatArray  # (n,) m/s2
-    speed: FloatArray  # (n,) m/s
-    distance: FloatArray  # (n,) m along the section
-    valid: BoolArray  # (n,)
+    lateral_acceleration: Annotated[FloatArray, "n"]  # m/s2
+    yaw_acceleration: Annotated[FloatArray, "n"]  # rad/s2
+    roll_acceleration: Annotated[FloatArray, "n"]  # rad/s2
+    mass_lateral_acceleration: Annotated[FloatArray, "n"]  # m/s2
+    speed: Annotated[FloatArray, "n"]  # m/s
+    distance: Annotated[FloatArray, "n"]  # m along the section
+    valid: Annotated[BoolArray, "n"]
     resolution: tuple[float, float, float, float]
     track_section: str | None
     odometer_m: float  # vehicle odometer at the start of the window
     quality: WindowQuality
-    frame_yaw_acceleration: FloatArray | None = None  # (n,) rad/s2, of the bogie frame; None without a bogie
+    frame_yaw_acceleration: Annotated[FloatArray, "n"] | None = None  # rad/s2, of the bogie frame; None without a bogie
     measures_gravity: bool = False  # lateral accelerations are specific forces: g times the roll is in them
     backwards: bool = False  # the vehicle runs with its rear end first, and yaw has been turned over
-    bridged: BoolArray | None = None  # (n,); None where none are; not stored
-
-    def __post_init__(self) -> None:
-        n = len(self.valid)
-        for name in (*ACCELERATIONS, "speed", "distance"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if self.frame_yaw_acceleration is not None:
-            frame = frozen_array(self.frame_yaw_acceleration, (n,), name="frame_yaw_acceleration")
-            object.__setattr__(self, "frame_yaw_acceleration", frame)
-        object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
-        if self.bridged is not None:
-            object.__setattr__(self, "bridged", frozen_array(self.bridged, (n,), np.bool_, name="bridged"))
+    bridged: Annotated[BoolArray, "n"] | None = None  # ; None where none are; not stored
 
 
 ACCELERATIONS = ("lateral_acceleration", "yaw_acceleration", "roll_acceleration", "mass_lateral_acceleration")
@@ -214,13 +202,10 @@ class MileageReading:
 
 
 OF_FRAME = ("frame_yaw", "frame_yaw_rate", "frame_displacement")
-NOT_SIGNALS = frozenset(
-    {"valid", "block", "band_limited", "stiffness_ratio", "sample_interval_s", "displacement_noise", *OF_FRAME}
-)
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class Motion(FrozenArrays):
     """Motion of one wheelset and its suspended mass over one window.
 
     With ``band_limited`` every lateral and angular signal has lost its wavelengths beyond the cut-off (all through the
@@ -233,38 +218,26 @@ class Motion:
     wheelset is tied to the frame of its bogie; without one to what does not yaw.
     """
 
-    speed: FloatArray  # (n,) V, m/s
-    displacement: FloatArray  # (n,) y - d where EN 15302 means it, m: ``motion.cross_level``
-    lateral_velocity: FloatArray  # (n,) y', m/s
-    lateral_acceleration: FloatArray  # (n,) y'', m/s2
-    yaw: FloatArray  # (n,) psi, rad
-    yaw_rate: FloatArray  # (n,) psi', rad/s
-    yaw_acceleration: FloatArray  # (n,) psi'', rad/s2
-    roll: FloatArray  # (n,) phi, rad
-    roll_rate: FloatArray  # (n,) phi', rad/s
-    suspension_deflection: FloatArray  # (n,) ym - y, m
-    suspension_deflection_rate: FloatArray  # (n,) ym' - y', m/s
-    valid: BoolArray  # (n,)
-    block: IntArray  # (n,)
+    speed: Annotated[FloatArray, "n"]  # V, m/s
+    displacement: Annotated[FloatArray, "n"]  # y - d where EN 15302 means it, m: ``motion.cross_level``
+    lateral_velocity: Annotated[FloatArray, "n"]  # y', m/s
+    lateral_acceleration: Annotated[FloatArray, "n"]  # y'', m/s2
+    yaw: Annotated[FloatArray, "n"]  # psi, rad
+    yaw_rate: Annotated[FloatArray, "n"]  # psi', rad/s
+    yaw_acceleration: Annotated[FloatArray, "n"]  # psi'', rad/s2
+    roll: Annotated[FloatArray, "n"]  # phi, rad
+    roll_rate: Annotated[FloatArray, "n"]  # phi', rad/s
+    suspension_deflection: Annotated[FloatArray, "n"]  # ym - y, m
+    suspension_deflection_rate: Annotated[FloatArray, "n"]  # ym' - y', m/s
+    valid: Annotated[BoolArray, "n"]
+    block: Annotated[IntArray, "n"]
     band_limited: bool
     stiffness_ratio: float = 1.0
-    frame_yaw: FloatArray | None = None  # (n,) rad, of the bogie frame; None without a bogie
-    frame_yaw_rate: FloatArray | None = None  # (n,) rad/s
-    frame_displacement: FloatArray | None = None  # (n,) m, lateral, of the frame above the axle
+    frame_yaw: Annotated[FloatArray, "n"] | None = None  # rad, of the bogie frame; None without a bogie
+    frame_yaw_rate: Annotated[FloatArray, "n"] | None = None  # rad/s
+    frame_displacement: Annotated[FloatArray, "n"] | None = None  # m, lateral, of the frame above the axle
     sample_interval_s: float = math.nan  # between samples; what filters over time needs it
     displacement_noise: float = 0.0  # m2, variance of ``displacement`` by the sensors; mean over the valid samples
-
-    def __post_init__(self) -> None:
-        n = len(self.valid)
-        for item in fields(self):
-            if item.name not in NOT_SIGNALS:
-                array = frozen_array(getattr(self, item.name), (n,), name=item.name)
-                object.__setattr__(self, item.name, array)
-        for name in OF_FRAME:
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
-        object.__setattr__(self, "block", frozen_array(self.block, (n,), np.int64, name="block"))
 
     def __len__(self) -> int:
         return len(self.valid)
