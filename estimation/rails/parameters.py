@@ -28,7 +28,6 @@ class RailsParameters:
         slope_std: Standard deviation, known beforehand, of how much more the rails of a section change the conicity of
             a wheel whose conicity is higher by 1.
         interaction: What neither wheel nor rail explains of a conicity, known beforehand as a standard deviation.
-        interaction_weight: How many degrees of freedom that knowledge counts.
         farthest: By how much the conicity of the wheel as designed may be outside the range of the wheels that run on a
             section: next to contact jumps a conicity does not go on as it does between those that are known.
         steepest: Most that the conicity of the wheel as designed may change within 0.25 mm of amplitude, where it is
@@ -43,17 +42,11 @@ class RailsParameters:
             are spread.
         most_interaction: Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is
             published.
-        least_wheelsets: Different wheelsets that must connect a section to its reference.
-        period_days: Length of a period, in which rails hardly wear.
-        known_days: How long rails that are as on file on a day are taken to be so.
-        least_periods: Fewest periods of a trend.
-        limit: On the excess of the reference wheel's conicity.
-        limit_amplitude: m, at which the limit is looked at, or the largest amplitude below that is known.
     """
 
     slope_std: float = 0.3
     interaction: float = 0.005
-    interaction_weight: float = 4.0
+    interaction_weight: float = 4.0  # how many degrees of freedom that knowledge counts
     farthest: float = 0.03
     steepest: float = 0.03
     known_apart: float = 1.7
@@ -61,12 +54,12 @@ class RailsParameters:
     uneven_slope: float = 0.6
     spread_open: float = 0.1
     most_interaction: float = 0.01
-    least_wheelsets: int = 2
-    period_days: float = 180.0
-    known_days: float = 365.0
-    least_periods: int = 3
-    limit: float = 0.05
-    limit_amplitude: float = 3.0e-3
+    least_wheelsets: int = 2  # different wheelsets that must connect a section to its reference
+    period_days: float = 180.0  # length of a period, in which rails hardly wear
+    known_days: float = 365.0  # how long rails that are as on file on a day are taken to be so
+    least_periods: int = 3  # fewest periods of a trend
+    limit: float = 0.05  # on the excess of the reference wheel's conicity
+    limit_amplitude: float = 3.0e-3  # m, at which the limit is looked at, or the largest amplitude below that is known
 
 
 @dataclass(frozen=True, slots=True)

@@ -158,15 +158,10 @@ class _Alike:
 
 @dataclass(frozen=True, slots=True)
 class Libraries:
-    """The libraries that some entries make, each made once.
+    """The libraries that some entries make, each made once."""
 
-    Attributes:
-        entries: Those that were retired left out.
-        parameters: What a library must hold.
-    """
-
-    entries: Sequence[LibraryEntry]
-    parameters: SignatureParameters
+    entries: Sequence[LibraryEntry]  # those that were retired left out
+    parameters: SignatureParameters  # what a library must hold
     _alike: dict[_Key, _Alike] = field(default_factory=dict)
     _made: dict[tuple[_Key, frozenset[str]], Library | Reason] = field(default_factory=dict)
 

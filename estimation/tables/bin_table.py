@@ -44,12 +44,9 @@ class TableSum:
     """What has been added so far, the newest with weight 1.
 
     Adding and forgetting in turn gives the same bits as ``estimation.tables.bin_table.merge`` table by table.
-
-    Attributes:
-        empty: The table of the same parameters without samples.
     """
 
-    empty: BinTable
+    empty: BinTable  # the table of the same parameters without samples
     _weight: FloatArray = field(init=False)
     _lateral: FloatArray = field(init=False)
     _yaw: FloatArray = field(init=False)

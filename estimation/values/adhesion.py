@@ -40,29 +40,25 @@ class WindowAdhesion:
 
     Attributes:
         wheelset, start_ns, vehicle, track_section: Of the window.
-        content_digest: Of the samples it was made from.
         contact_force, lateral_creep, yaw_creep: Rms over the window, N and N m, in the band of wavelengths up to the
             cut-off; the std of each is that of the filter and of the load.
         used_adhesion: Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at
             least that.
-        sums: None where nothing can be said of friction.
-        reason: Why there are no forces, or no sums.
-        smoothed: The forces are without vibration of the axle boxes, and without what is as fast.
     """
 
     wheelset: str
     start_ns: int
     vehicle: str
     track_section: str | None
-    content_digest: str
+    content_digest: str  # of the samples it was made from
     status: Status
     contact_force: Estimate
     lateral_creep: Estimate
     yaw_creep: Estimate
     used_adhesion: Estimate
-    sums: FrictionSums | None = None
-    reason: Reason | None = None
-    smoothed: bool = False
+    sums: FrictionSums | None = None  # None where nothing can be said of friction
+    reason: Reason | None = None  # why there are no forces, or no sums
+    smoothed: bool = False  # the forces are without vibration of the axle boxes, and without what is as fast
 
     @property
     def key(self) -> WindowKey:

@@ -49,15 +49,13 @@ class Claimed:
     """What came of asking for some things.
 
     Attributes:
-        keys: Of those that may be worked on under the lease.
         ended: Of those at which workers have ended: by key, how many. They are free, and to be asked for one by one.
-        elsewhere: How many are worked on under other leases.
         begun_ns: When work on each of ``keys`` was begun, ns by the clock of the claims.
     """
 
-    keys: tuple[str, ...]
+    keys: tuple[str, ...]  # of those that may be worked on under the lease
     ended: tuple[tuple[str, int], ...] = ()
-    elsewhere: int = 0
+    elsewhere: int = 0  # how many are worked on under other leases
     begun_ns: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -123,10 +121,7 @@ class Quarantined:
     Attributes:
         kind, key, stage: What, and in which job (``ingest`` for recordings).
         code, error: Why: a stable code and the first line of the error.
-        inputs: Digest or counter of what it was made from; with another one it is tried at once.
         first_ns, last_ns, due_ns: First and last failure and begin of the next attempt, ns UTC of our clock.
-        attempts: Failures in a row.
-        state: Held, or resolved by a later success.
     """
 
     kind: SubjectKind
@@ -134,12 +129,12 @@ class Quarantined:
     stage: str
     code: ReasonCode
     error: str
-    inputs: str
+    inputs: str  # digest or counter of what it was made from; with another one it is tried at once
     first_ns: int
     last_ns: int
     due_ns: int
-    attempts: int
-    state: QuarantineState = QuarantineState.HELD
+    attempts: int  # failures in a row
+    state: QuarantineState = QuarantineState.HELD  # held, or resolved by a later success
 
     def waits(self, inputs: str, now_ns: int) -> bool:
         """Whether it is too early for another attempt; never once the clock is behind the last failure."""

@@ -210,17 +210,11 @@ OPEN_NS = (1 << 63) - 1
 
 @dataclass(frozen=True, slots=True)
 class FoldState:
-    """What is known of a section after some of its epochs.
+    """What is known of a section after some of its epochs."""
 
-    Attributes:
-        version: Of the alignment in force; None where there is none.
-        same_since: Oldest version of the chain from which it does not differ materially.
-        survey: What the fleet has found of the survey; None where it was not checked.
-    """
-
-    version: int | None
-    same_since: int | None
-    survey: Reason | None = None
+    version: int | None  # of the alignment in force; None where there is none
+    same_since: int | None  # oldest version of the chain from which it does not differ materially
+    survey: Reason | None = None  # what the fleet has found of the survey; None where it was not checked
 
     def key(self, given: str) -> str:
         """Return what distinguishes this state as the start of an epoch; ``given`` is what all epochs rest on."""
@@ -233,25 +227,19 @@ class TrackEpoch:
     """One epoch of a section as it was computed last. Key: (section, number), from 1 in vehicle time.
 
     Attributes:
-        before: Key of the state that it started from.
-        input_digest: Of the windows that it rests on, with what is assumed of each.
-        horizon_ns: Up to when another window would change which windows are its own.
-        waits: It identified nothing: its windows are looked at again together with those of the next.
-        after: What is known after it.
         estimated_on: Version that its own windows are estimated on, as long as the last one does not differ materially.
-        report: Number of its report.
     """
 
     section: str
     number: int
-    before: str
-    input_digest: str
-    horizon_ns: int
+    before: str  # key of the state that it started from
+    input_digest: str  # of the windows that it rests on, with what is assumed of each
+    horizon_ns: int  # up to when another window would change which windows are its own
     windows: int
-    waits: bool
-    after: FoldState
+    waits: bool  # it identified nothing: its windows are looked at again together with those of the next
+    after: FoldState  # what is known after it
     estimated_on: int | None
-    report: int
+    report: int  # number of its report
     recorded_ns: int
 
 
@@ -260,11 +248,10 @@ class FoundOfVehicles:
     """Of which vehicles an epoch has found what matters for their windows alone.
 
     Attributes:
-        version: That holds it: windows of these vehicles are estimated on no older one.
         stiffness_ratio: By vehicle, as that version has it; 1 where it has none.
     """
 
-    version: int
+    version: int  # that holds it: windows of these vehicles are estimated on no older one
     stiffness_ratio: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -279,15 +266,10 @@ class EpochMember:
 
 @dataclass(frozen=True, slots=True)
 class EpochNews:
-    """What has changed under the epochs of a section since they were computed.
+    """What has changed under the epochs of a section since they were computed."""
 
-    Attributes:
-        from_ns: Start of the first window that is new, changed or gone; None where none is.
-        unplaced: Epochs with windows whose positions have been forgotten.
-    """
-
-    from_ns: int | None
-    unplaced: frozenset[int]
+    from_ns: int | None  # start of the first window that is new, changed or gone; None where none is
+    unplaced: frozenset[int]  # epochs with windows whose positions have been forgotten
 
 
 def evidence_of_measurement(name: str) -> str:

@@ -187,16 +187,14 @@ class MileageReading:
     """The mileage of a wheelset at the start of a window, and what speaks against it by itself.
 
     Attributes:
-        start_ns: Vehicle time.
-        mileage_km: Of the wheelset since new.
         odometer_excess_m: By how much the change of the odometer within the window differs from the integral of the
             speed beyond what is allowed, m; 0 where it does not.
         off_line_m: How far the vehicle was from the line of the section that it reported, by GNSS, m; 0 within the
             limit.
     """
 
-    start_ns: int
-    mileage_km: float
+    start_ns: int  # vehicle time
+    mileage_km: float  # of the wheelset since new
     odometer_excess_m: float = 0.0
     off_line_m: float = 0.0
 

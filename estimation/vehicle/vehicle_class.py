@@ -167,17 +167,11 @@ _CHANNELS = ("lateral", "yaw", "roll", "mass_lateral")
 
 @dataclass(frozen=True, slots=True)
 class ClassOnFile:
-    """A version of a vehicle class.
+    """A version of a vehicle class."""
 
-    Attributes:
-        vehicle_class: Its value.
-        version: From 1, as registered; ``SHIPPED_VERSION`` for a class of the package.
-        recorded_ns: When this version was registered, ns UTC; None for a class of the package.
-    """
-
-    vehicle_class: VehicleClass
-    version: int = SHIPPED_VERSION
-    recorded_ns: int | None = None
+    vehicle_class: VehicleClass  # its value
+    version: int = SHIPPED_VERSION  # from 1, as registered; ``SHIPPED_VERSION`` for a class of the package
+    recorded_ns: int | None = None  # when this version was registered, ns UTC; None for a class of the package
 
     @property
     def digest(self) -> str:

@@ -43,10 +43,6 @@ class WorklistInputs:
         wheelset, vehicle, vehicle_class: Its records; no vehicle where it is not mounted, no class where that is not on
             file.
         geometry, trend: The current geometry and the latest trend.
-        last_window_ns: End of its newest window that was estimated or waits for it.
-        mileage: Last reading that is believed.
-        alerts: Open ones, in any order.
-        failure: Why its geometry or trend cannot be read or understood; None where they can.
         refused: How many of its newest windows are refused, by reason, the most frequent first; where it has no
             geometry.
     """
@@ -56,10 +52,10 @@ class WorklistInputs:
     vehicle_class: VehicleClass | None
     geometry: GeometryRecord | None
     trend: TrendRecord | None
-    last_window_ns: int | None
-    mileage: MileageNow | None
-    alerts: Sequence[OpenAlert] = ()
-    failure: Reason | None = None
+    last_window_ns: int | None  # end of its newest window that was estimated or waits for it
+    mileage: MileageNow | None  # last reading that is believed
+    alerts: Sequence[OpenAlert] = ()  # open ones, in any order
+    failure: Reason | None = None  # why its geometry or trend cannot be read or understood; None where they can
     refused: Mapping[ReasonCode, int] = field(default_factory=dict)
 
 

@@ -46,12 +46,11 @@ class BackupPlan:
     """What a backup holds beside the database.
 
     Attributes:
-        windows: Whether window files; without them a restore makes them again from the recordings.
         recordings: Whether recordings; None: where the store has no copies of its own. Of others their digests are
             kept.
     """
 
-    windows: bool = True
+    windows: bool = True  # whether window files; without them a restore makes them again from the recordings
     recordings: bool | None = None
 
 

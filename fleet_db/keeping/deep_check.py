@@ -35,15 +35,12 @@ class Finding:
 
     Attributes:
         kind: What was compared: ``recording``, ``window file``, ``rows``, ``packed values``, ``database``, ``orphan``.
-        subject: What it is about.
-        detail: What is wrong.
-        harmless: Whether nothing is lost by it: a file that nothing refers to.
     """
 
     kind: str
-    subject: str
-    detail: str
-    harmless: bool = False
+    subject: str  # what it is about
+    detail: str  # what is wrong
+    harmless: bool = False  # whether nothing is lost by it: a file that nothing refers to
 
 
 @dataclass(frozen=True, slots=True)

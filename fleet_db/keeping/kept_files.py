@@ -25,19 +25,12 @@ SAMPLES = "windows"
 
 @dataclass(frozen=True, slots=True)
 class KeptFile:
-    """A file that a row refers to.
+    """A file that a row refers to."""
 
-    Attributes:
-        digest: That the window in it must have.
-        size: In bytes.
-        path: Relative to the data folder.
-        owner: Whose it is, for messages.
-    """
-
-    digest: str
-    size: int
-    path: Path
-    owner: str
+    digest: str  # that the window in it must have
+    size: int  # in bytes
+    path: Path  # relative to the data folder
+    owner: str  # whose it is, for messages
 
     def fault(self, folder: Path) -> str | None:
         """Return what is wrong with this file in a data folder or backup; None where nothing is.
@@ -127,13 +120,12 @@ class KeptRecording:
 
     Attributes:
         digest, suffix, size: Of its bytes.
-        owner: Whose it is, for messages.
     """
 
     digest: str
     suffix: str
     size: int
-    owner: str
+    owner: str  # whose it is, for messages
 
     @property
     def name(self) -> str:

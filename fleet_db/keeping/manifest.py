@@ -25,30 +25,24 @@ class Manifest:
     """One backup in a backup folder; recordings and windows are shared with the others of the folder.
 
     Attributes:
-        name: The time of the backup, which is in the names of its files.
-        migration: Of the database.
         database_sha256, database_bytes: Of its database file.
-        rows: By table.
         raw_files, window_files, file_bytes: That the rows refer to; the bytes are those of what the backup is to hold.
-        missing: Files that the rows refer to and that were not there, or damaged.
-        windows_kept: Whether window files are in the backup; if not, they are made again from the recordings.
         recordings_kept: Whether recordings are in the backup; if not, their digests are in a file beside it, and their
             bytes are in the store.
-        raw_store: Where the recordings were.
     """
 
-    name: str
-    migration: str
+    name: str  # the time of the backup, which is in the names of its files
+    migration: str  # of the database
     database_sha256: str
     database_bytes: int
-    rows: Mapping[str, int]
+    rows: Mapping[str, int]  # by table
     raw_files: int
     window_files: int
     file_bytes: int
-    windows_kept: bool
-    missing: tuple[str, ...]
+    windows_kept: bool  # whether window files are in the backup; if not, they are made again from the recordings
+    missing: tuple[str, ...]  # files that the rows refer to and that were not there, or damaged
     recordings_kept: bool
-    raw_store: str
+    raw_store: str  # where the recordings were
 
     def database_file(self, folder: Path) -> Path:
         """Return where the database of this backup is."""

@@ -45,21 +45,13 @@ CAUSE = "restored without the files of its windows"
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """What a restore did.
+    """What a restore did."""
 
-    Attributes:
-        manifest: Of the backup.
-        rows: By table, as they are now.
-        files: Number of files that are there.
-        missing: Files that the backup does not hold, or only damaged; each with whose it is.
-        stale_vehicles: Vehicles whose windows are made again from their recordings.
-    """
-
-    manifest: Manifest
-    rows: dict[str, int]
-    files: int
-    missing: tuple[str, ...]
-    stale_vehicles: tuple[str, ...]
+    manifest: Manifest  # of the backup
+    rows: dict[str, int]  # by table, as they are now
+    files: int  # number of files that are there
+    missing: tuple[str, ...]  # files that the backup does not hold, or only damaged; each with whose it is
+    stale_vehicles: tuple[str, ...]  # vehicles whose windows are made again from their recordings
 
 
 @dataclass(frozen=True, slots=True)
