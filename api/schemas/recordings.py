@@ -12,8 +12,8 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, Request
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.values.quarantine import TRIED_AGAIN, Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import TRIED_AGAIN, Quarantined, QuarantineState, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction
 from fleet_db.receipts import RecordingChange as Change

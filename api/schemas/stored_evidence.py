@@ -11,10 +11,9 @@ from estimation.alerts.fleet_alerts import MEMBER_COUNT, OPEN_MEMBER_COUNT, WHEE
 from estimation.alerts.life_cycle import DELAYS
 from estimation.alerts.rules.identity import MOUNTED
 from estimation.values.alerts import Alert, AlertScope
-from estimation.values.identity import AFTER, BEFORE
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason
-from estimation.values.step_causes import StepCause
+from estimation.values.trend import AFTER, BEFORE, StepCause
 
 _INDICATORS: tuple[Literal["offset", "shape"], ...] = ("offset", "shape")
 _MOUNTED_PARTS = 4

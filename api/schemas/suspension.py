@@ -9,8 +9,8 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, Uncertain, uncertain
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.values.intervals import with_interval
-from estimation.values.suspension import SuspensionChange, SuspensionFinding
+from estimation.values.quantities import with_interval
+from estimation.values.trend import SuspensionChange, SuspensionFinding
 
 
 class SuspensionResult(Representation):

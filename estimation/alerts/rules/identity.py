@@ -8,10 +8,10 @@ from typing import ClassVar
 from estimation.alerts.identity import IdentityEvent, IdentityParameters, Mistake
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts, number_evidence
 from estimation.values.alerts import Alert, Finding, Severity
-from estimation.values.identity import AFTER, BEFORE, IDENTITY
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
+from estimation.values.trend import AFTER, BEFORE, IDENTITY
 
 MOUNTED = "mounted"
 _EXPLANATIONS = {

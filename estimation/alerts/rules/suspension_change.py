@@ -12,8 +12,8 @@ from scipy.special import ndtr
 from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, estimate_evidence, number_evidence
 from estimation.trend.suspension import SuspensionParameters
 from estimation.values.alerts import Alert, Finding, Severity
-from estimation.values.intervals import with_interval
-from estimation.values.suspension import SuspensionChange
+from estimation.values.quantities import with_interval
+from estimation.values.trend import SuspensionChange
 
 Change = Annotated[float, Interval(ge=0.01, le=10.0)]
 

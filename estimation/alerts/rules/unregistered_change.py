@@ -10,11 +10,9 @@ from annotated_types import Interval
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts, estimate_evidence, number_evidence
 from estimation.alerts.step_causes import StepSurroundings, explanations
 from estimation.values.alerts import Alert, Finding, Severity
-from estimation.values.identity import AFTER, BEFORE, UNREGISTERED_CHANGE
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import ReasonCode
-from estimation.values.step_causes import StepCause, StepExplanation
-from estimation.values.trend import TrendStep
+from estimation.values.trend import AFTER, BEFORE, UNREGISTERED_CHANGE, StepCause, StepExplanation, TrendStep
 
 DAY_NS = 86_400 * 10**9
 _WORDS = {

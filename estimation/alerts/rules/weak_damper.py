@@ -21,7 +21,7 @@ from estimation.alerts.rules.rule import (
 )
 from estimation.values.alerts import Finding, Severity
 from estimation.values.dampers import GearDamper
-from estimation.values.intervals import NORMAL_95
+from estimation.values.quantities import NORMAL_95
 
 DampingShare = Annotated[float, Interval(ge=0.05, le=1.5)]
 

@@ -11,9 +11,9 @@ from estimation.alerts.rules.identity import MOUNTED
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert
 from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import AFTER, IDENTITY, IdentityChange, latest_identity_change, since_change
-from estimation.values.look import Look
 from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.runs import Look
+from estimation.values.trend import AFTER, IDENTITY, IdentityChange, latest_identity_change, since_change
 
 _ALL = 1000
 STAGE = "identity"
