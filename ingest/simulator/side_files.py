@@ -22,7 +22,8 @@ from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.simulator.campaign import failed
 from ingest.simulator.class_on_file import ClassOnFile
-from ingest.simulator.scenario import Scenario, SectionPlan, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.section import SectionPlan
 from ingest.simulator.sensors import Channel
 from ingest.simulator.track import TrackTruth, write_track
 from ingest.simulator.wear import GeometryTruth, WearState, wear_at, worn_profiles

@@ -11,6 +11,7 @@ import pytest
 from pydantic import BaseModel
 
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.file_value import table_of
 from ingest.registry_schema import RegistryObject
 from ingest.simulator.scenario_file import ScenarioTable
 
@@ -43,7 +44,7 @@ def undocumented(keys: set[str], documents: tuple[str, ...]) -> set[str]:
     ("schema", "documents"),
     [
         (
-            ScenarioTable,
+            table_of(ScenarioTable),
             ("scenarios.md", "scenario-section.md", "scenario-fleet.md", "scenario-running.md", "scenario-sensors.md"),
         ),
         (RegistryObject, ("registry.md", "registry-changes.md")),
