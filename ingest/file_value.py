@@ -13,25 +13,50 @@ returns the value, completed where it follows from which keys were given.
 
 from __future__ import annotations
 
+import re
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from datetime import UTC, datetime
 from enum import StrEnum
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import pydantic
 from annotated_types import Interval
-from pydantic import AfterValidator, GetPydanticSchema, PrivateAttr, ValidationInfo, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    GetPydanticSchema,
+    PrivateAttr,
+    ValidationInfo,
+    create_model,
+    model_validator,
+)
 from pydantic_core import core_schema
 
 from estimation.errors import ParameterError
-from estimation.values.file_units import FileUnit, Key
-from ingest.input_file import InputFile, InputTable, Location, NotNegative, Text, field_error, increasing
+from estimation.values.file_units import FileDefault, FileForm, FileUnit, Key
+from estimation.values.json_value import JsonValue
+from estimation.values.utc_text import utc_text
+from ingest.input_file import (
+    Code,
+    FreeText,
+    InputFile,
+    InputTable,
+    Location,
+    NotNegative,
+    Text,
+    field_error,
+    increasing,
+)
 
 T = TypeVar("T")
+FIRST_YEAR, LAST_YEAR = 1900, 2200  # ns since 1970 end in 2262
+_DECIMALS = re.compile(r"[.,](\d+)")  # of a second
+_TEXTS: Mapping[object, Any] = {FileForm.TEXT: Text, FileForm.FREE_TEXT: FreeText, FileForm.CODE: Code}
 
 
 def between(lowest: float, highest: float) -> Interval:
@@ -54,13 +79,6 @@ class Inline:
     """
 
     table: type
-
-
-@dataclass(frozen=True, slots=True)
-class FileDefault:
-    """What a field is where a file does not have it; whoever makes the value must say it."""
-
-    value: object
 
 
 def written(file_type: Any, read: Callable[[Any], Any]) -> GetPydanticSchema:  # noqa: ANN401 - any type of a field
@@ -104,6 +122,28 @@ def table_of(value_type: type) -> type[ValueTable]:
     table: type[ValueTable] = create_model(value_type.__name__, __base__=ValueTable, **_columns(value_type))
     table.value_type = value_type
     return table
+
+
+def entry_of(value: Any) -> dict[str, JsonValue]:  # noqa: ANN401 - a dataclass
+    """Return a frozen value as a table of a JSON file; read again it is the same value."""
+    hints, entry = get_type_hints(type(value), include_extras=True), dict[str, JsonValue]()
+    for item in fields(value):
+        metadata = _metadata(hints[item.name])
+        key = _key(item.name, metadata)
+        if key is not None:
+            entry[key] = _written(getattr(value, item.name), metadata)
+    return entry
+
+
+def _written(value: Any, metadata: tuple[object, ...]) -> JsonValue:  # noqa: ANN401 - of any field
+    if value is None:
+        return None
+    if FileForm.MOMENT in metadata:
+        return utc_text(value)
+    unit = next((one for one in metadata if isinstance(one, FileUnit)), None)
+    if unit is not None:
+        return unit.write(value)
+    return list(value) if isinstance(value, tuple) else value.value if isinstance(value, StrEnum) else value
 
 
 def taken(value_type: type[T], wider: object, **changes: object) -> T:
@@ -153,9 +193,7 @@ def _in_file(hint: Any) -> Any:  # noqa: ANN401 - any type of a field
     """Return the type of a field as a table has it: lists for tuples, texts for names, tables for values."""
     origin, args = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        table = next((one.table for one in args[1:] if isinstance(one, As)), None)
-        inner = _in_file(args[0]) if table is None else Annotated[table_of(table), AfterValidator(_plan)]
-        return Annotated[(inner, *(_validator(one) for one in args[1:]))]
+        return Annotated[(_inner(args[0], args[1:]), *map(_validator, args[1:]))]
     if origin in {Union, types.UnionType}:
         return Union[tuple(map(_in_file, args))]  # noqa: UP007 - of as many as there are
     if origin is tuple:
@@ -167,12 +205,41 @@ def _in_file(hint: Any) -> Any:  # noqa: ANN401 - any type of a field
     return hint
 
 
-def _plan(table: ValueTable) -> Any:  # noqa: ANN401 - whatever it stands for
-    return table.value.plan()
+def _inner(hint: Any, metadata: tuple[object, ...]) -> Any:  # noqa: ANN401 - any type of a field
+    for one in metadata:
+        if isinstance(one, As):
+            return Annotated[table_of(one.table), AfterValidator(_plan)]
+        if one is FileForm.CHOICE:
+            return Annotated[Literal[tuple(map(str, hint))], AfterValidator(hint)]
+        if one in _TEXTS:
+            return _TEXTS[one]
+    return _in_file(hint)
 
 
 def _validator(metadata: object) -> object:
+    if metadata is FileForm.MOMENT:
+        return BeforeValidator(nanoseconds)
     return AfterValidator(metadata.read) if isinstance(metadata, FileUnit) else metadata
+
+
+def nanoseconds(value: object) -> int:
+    """Return a time in ISO 8601 with its offset from UTC as ns since 1970."""
+    try:
+        moment = datetime.fromisoformat(value) if isinstance(value, str) else None
+    except ValueError:
+        moment = None
+    if moment is None or moment.tzinfo is None:
+        raise field_error(f"{value!r} is not a time with its offset from UTC, as in 2024-01-08T05:30:00Z")
+    since = moment.replace(microsecond=0) - datetime(1970, 1, 1, tzinfo=UTC)
+    if not FIRST_YEAR <= moment.year <= LAST_YEAR:
+        raise field_error(f"{value!r} is outside the years {FIRST_YEAR} to {LAST_YEAR}")
+    decimals = _DECIMALS.search(str(value))
+    rest_ns = int(decimals[1][:9].ljust(9, "0")) if decimals else 0
+    return (since.days * 86_400 + since.seconds) * 1_000_000_000 + rest_ns
+
+
+def _plan(table: ValueTable) -> Any:  # noqa: ANN401 - whatever it stands for
+    return table.value.plan()
 
 
 def _member(names: type[StrEnum]) -> Callable[[str], StrEnum]:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from enum import Enum
+
+NEAREST = 4  # neighbours of the quotient that are tried, either way
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +21,18 @@ class FileUnit:
         """Return the value of a number of a file."""
         return number * self.factor / self.divisor
 
+    def write(self, value: float) -> float:
+        """Return the number of a file that is read as a value, to the last bit where there is such a number."""
+        tried = above = below = value * (self.divisor / self.factor)
+        if self.read(tried) == value:
+            return tried
+        for _ in range(NEAREST):
+            above, below = math.nextafter(above, math.inf), math.nextafter(below, -math.inf)
+            for candidate in (above, below):
+                if self.read(candidate) == value:
+                    return candidate
+        return tried
+
 
 @dataclass(frozen=True, slots=True)
 class Key:
@@ -25,7 +41,24 @@ class Key:
     name: str | None
 
 
-M, S, N, KG = FileUnit("_m"), FileUnit("_s"), FileUnit("_n"), FileUnit("_kg")
+@dataclass(frozen=True, slots=True)
+class FileDefault:
+    """What a field is where a file does not have it; whoever makes the value must say it."""
+
+    value: object
+
+
+class FileForm(Enum):
+    """How a field stands in files that is no number, or no number there."""
+
+    TEXT = "text"
+    FREE_TEXT = "text that may be empty"
+    CODE = "short text of one line"
+    MOMENT = "time in ISO 8601; ns since 1970"
+    CHOICE = "one of some words"
+
+
+M, S = FileUnit("_m"), FileUnit("_s")
 MM, KM = FileUnit("_mm", 1e-3), FileUnit("_km", 1e3)
 US, MS, MINUTES = FileUnit("_us", 1e-6), FileUnit("_ms", 1e-3), FileUnit("_minutes", 60.0)
 M_S, KM_H, M_S2 = FileUnit("_m_s"), FileUnit("_km_h", 1.0 / 3.6), FileUnit("_m_s2")

@@ -14,8 +14,8 @@ import numpy as np
 from annotated_types import Interval
 
 from estimation.values.arrays import FloatArray
-from estimation.values.file_units import Key, M
-from ingest.file_value import Counted, FileDefault, between, written
+from estimation.values.file_units import FileDefault, Key, M
+from ingest.file_value import Counted, between, written
 from ingest.input_file import Text, field_error
 from ingest.simulator.motion import WheelsetMotion
 

@@ -14,12 +14,12 @@ from pydantic import AfterValidator
 from estimation.contact.profiles import wheel_profile
 from estimation.errors import ProfileError
 from estimation.values.file_units import KM_H, MM, PERCENT, Key
+from estimation.values.registry import MAX_AXLES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 from ingest.file_value import As, FileBeside, between
 from ingest.input_file import Text, field_error
 from ingest.simulator.section import Inclination, RailFiles, RailName, SideFiles
 
-MAX_AXLES = 8
 MAX_VEHICLES = 64
 Wear = Annotated[float, between(0.0, 5.0), MM]
 
