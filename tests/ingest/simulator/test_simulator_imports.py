@@ -22,6 +22,7 @@ ALLOWED = (
     "ingest.simulator",
     "ingest.track_file",
     "ingest.vehicle_class_file",
+    "ingest.vehicle_class_schema",
 )
 
 
