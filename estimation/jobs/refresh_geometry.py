@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from estimation.errors import ConflictError, TreadwatchError
 from estimation.jobs.hand_out import hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone, inputs_of
-from estimation.jobs.job import Job, JobContext, Stage
+from estimation.jobs.job import Job, JobContext, Work
 from estimation.jobs.steps.membership import membership
 from estimation.jobs.steps.rolled_geometries import SUMS_IN_MEMORY, RolledGeometries
 from estimation.jobs.steps.rolling import Part, rolled
@@ -107,7 +107,7 @@ def _set_aside(context: JobContext, serial: str, error: TreadwatchError) -> None
 
 
 JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=900.0, run=run)
-STAGE = Stage(JOB.name, _work, _set_aside)
+STAGE = Work(JOB.name, _work, _set_aside)
 STORED_TOGETHER = 4  # wheelsets in a transaction, of each some sums of 3 MB
 _MOST_TOGETHER = 16  # wheelsets that are claimed together
 

@@ -10,7 +10,9 @@ import numpy as np
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
+from estimation.values.results import ResultKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,10 @@ class WearTrend:
         for name in ("mileage_km", "value", "std"):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
         object.__setattr__(self, "measured_ns", frozen_array(self.measured_ns, (k,), np.int64, name="measured_ns"))
+
+
+TREND = ResultKind("trend", SubjectKind.WHEELSET, WearTrend, one_in_force=True)
+"""Trends of wheelsets; their parts are baselines."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -132,6 +132,12 @@ class PassedOver(StrEnum):
     RECORD_CHANGED = "record_changed"  # its mounting or mileage: its table is wrong
 
 
+class DueStage(StrEnum):
+    """Stages that list the windows that they have not made from what these are now."""
+
+    SUMS = "sums"
+
+
 @dataclass(frozen=True, slots=True)
 class WindowPosition:
     """Where a window was along its section: true position = measured + offset + scale (measured - middle).
@@ -151,6 +157,17 @@ class WindowPosition:
 
 WindowKey = tuple[str, int]
 """Wheelset and start of a window, in vehicle time."""
+
+
+def text_of_key(wheelset: str, start_ns: int) -> str:
+    """Return the key of a window as text."""
+    return f"{wheelset}@{start_ns}"
+
+
+def key_of_text(text: str) -> WindowKey:
+    """Return wheelset and start of a window from its key as text."""
+    wheelset, _, start = text.rpartition("@")
+    return wheelset, int(start)
 
 
 @dataclass(frozen=True, slots=True)

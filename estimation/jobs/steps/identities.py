@@ -34,6 +34,19 @@ def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
     return latest_identity_change([alert for alert in alerts if _still_there(alert, mountings)])
 
 
+def identity_changes(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, IdentityChange]:
+    """Return the last identity change of each of some wheelsets that has one on record, by serial."""
+    alerts: dict[str, list[Alert]] = {}
+    for alert in unit.alerts.of_kind(IDENTITY, serials):
+        alerts.setdefault(str(alert.wheelset), []).append(alert)
+    mountings = unit.registry.mountings_of(list(alerts)) if alerts else {}
+    changes = {
+        serial: latest_identity_change([one for one in own if _still_there(one, mountings.get(serial, ()))])
+        for serial, own in alerts.items()
+    }
+    return {serial: change for serial, change in changes.items() if change is not None}
+
+
 def suspected(unit: UnitOfWork) -> frozenset[str]:
     """Return the wheelsets with an identity alert, open or closed: all others have had no identity change."""
     found: set[str] = set()
