@@ -69,6 +69,8 @@ def field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
     if get_origin(hint) in {Union, types.UnionType}:
         parts = [part for part in get_args(hint) if part is not types.NoneType]
         nullable, hint = True, parts[0]
+    if get_origin(hint) is Annotated:  # metadata of files inside of a type that may be None
+        hint = get_args(hint)[0]
     return FieldOf(key, hint, nullable, served)
 
 
