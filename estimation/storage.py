@@ -7,37 +7,53 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition
-from estimation.values.claims import Claimed
 from estimation.values.dampers import GearDamper, WindowDamper
-from estimation.values.exact_table import ExactTable, RolledPart
-from estimation.values.geometry import BinTable, FilledCells, GeometryRecord, IntervalDigest, TableKey, WindowTable
-from estimation.values.interval_conicities import IntervalConicities
-from estimation.values.look import Look, SectionLook
-from estimation.values.quarantine import Quarantined
+from estimation.values.geometry import (
+    BinTable,
+    FilledCells,
+    GeometryRecord,
+    IntervalConicities,
+    IntervalDigest,
+    TableKey,
+    WindowTable,
+)
 from estimation.values.rails import RailKey, SectionRailsRecord, StoredCell, WheelKey, WheelsetRailsRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.roll_up import RollUp, RollUpState, TabledWindow, TakenTable
-from estimation.values.rolling_sums import RollingSums, WindowRollingSums
-from estimation.values.runs import JobOutcome, JobRun, JobTrigger
+from estimation.values.results import AnyResult, Result, ResultKind
+from estimation.values.roll_up import (
+    ExactTable,
+    RolledPart,
+    RollingSums,
+    RollUp,
+    RollUpState,
+    TabledWindow,
+    TakenTable,
+    WindowRollingSums,
+)
+from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger, Look, Quarantined, SectionLook
 from estimation.values.signatures import SignatureRecord, StoredSignatures, WindowSignatures
-from estimation.values.suspension import SuspensionFinding
+from estimation.values.subjects import Due, Mark, StageInputs
 from estimation.values.track import (
     AlignmentRecord,
+    EpochMember,
+    EpochNews,
+    FoundOfVehicles,
     SectionStanding,
     TrackAlignment,
+    TrackEpoch,
     TrackLayout,
     TrackReport,
     TrackSectionRecord,
 )
-from estimation.values.track_epochs import EpochMember, EpochNews, FoundOfVehicles, TrackEpoch
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import SuspensionFinding, TrendRecord
 from estimation.values.windows import (
+    DueStage,
     MileageReading,
     PassedOver,
     Window,
@@ -47,7 +63,9 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
-from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.vehicle.vehicle_class import ClassOnFile
+
+V = TypeVar("V")
 
 
 class Registry(Protocol):
@@ -64,6 +82,8 @@ class Registry(Protocol):
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None: ...
     def mountings_on(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]: ...
     def mountings(self, wheelset: str) -> Sequence[Mounting]: ...
+    def mountings_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[Mounting]]: ...
+    def vehicles_of(self, codes: Collection[str]) -> Mapping[str, VehicleRecord]: ...
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]: ...
     def newest_measurement(self, wheelset: str) -> tuple[int, float] | None: ...
 
@@ -169,6 +189,13 @@ class BinTables(Protocol):
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]: ...
 
 
+class WindowsDue(Protocol):
+    """Windows that a stage has not made from what they are now."""
+
+    def of_wheelset(self, stage: DueStage, wheelset: str) -> Mapping[int, int]: ...
+    def settle(self, stage: DueStage, wheelset: str, seen: Mapping[int, int]) -> None: ...
+
+
 class RollUps(Protocol):
     """Sums of bin tables by mileage interval, to which a window is added once."""
 
@@ -225,6 +252,31 @@ class Trends(Protocol):
 
     def put(self, record: TrendRecord) -> bool: ...
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None: ...
+
+
+class Results(Protocol):
+    """Results of the stages; ``put_all`` returns those that are made from other inputs than the ones before."""
+
+    def in_force(
+        self, kind: ResultKind[V], subjects: Collection[str], as_of_ns: int | None = None
+    ) -> Sequence[Result[V]]: ...
+    def latest(self, kind: ResultKind[V], subject: str, as_of_ns: int | None = None) -> Result[V] | None: ...
+    def put_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Sequence[AnyResult]: ...
+
+
+class Marks(Protocol):
+    """What each stage has seen of its subjects.
+
+    ``due`` reads versions in the snapshot in which the inputs are read. ``note`` is of the transaction that stores what
+    was made of them: what was raised meanwhile leaves the subject due.
+    """
+
+    def due(self, inputs: StageInputs, now_ns: int, subjects: Collection[str] | None = None) -> Mapping[str, Due]: ...
+    def count(self, stage: str) -> int: ...
+    def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None: ...
+    def forget(self, stage: str, subjects: Collection[str]) -> None: ...
+    def has_settings(self, inputs: StageInputs) -> bool: ...
+    def list_again(self, inputs: StageInputs) -> None: ...
 
 
 class Suspensions(Protocol):
@@ -286,6 +338,7 @@ class Alerts(Protocol):
     """
 
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]: ...
+    def of_kind(self, kind: str, wheelsets: Collection[str]) -> Sequence[Alert]: ...
     def open_of_fleets(self) -> Sequence[Alert]: ...
     def open_of_section(self, section: str, kind: str) -> Sequence[Alert]: ...
     def open_in_fleet(self, fleet: str) -> Sequence[Alert]: ...
@@ -408,6 +461,10 @@ class UnitOfWork(Protocol):
     @property
     def trends(self) -> Trends: ...
     @property
+    def results(self) -> Results: ...
+    @property
+    def marks(self) -> Marks: ...
+    @property
     def suspensions(self) -> Suspensions: ...
     @property
     def alerts(self) -> Alerts: ...
@@ -431,6 +488,8 @@ class UnitOfWork(Protocol):
     def looks(self) -> Looks: ...
     @property
     def section_looks(self) -> SectionLooks: ...
+    @property
+    def due(self) -> WindowsDue: ...
     @property
     def roll_ups(self) -> RollUps: ...
     @property

@@ -13,8 +13,8 @@ from api.parameters import CODE
 from api.problems import described
 from api.schemas import recordings
 from api.schemas.common import Page
-from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
 from fleet_db.stores.quarantine import Place
 
 router = APIRouter(prefix="/v1/quarantine", tags=["quarantine"])

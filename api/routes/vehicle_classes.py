@@ -12,7 +12,7 @@ from api.problems import described
 from api.schemas import vehicle_classes
 from api.schemas.common import Page
 from estimation.errors import NotFoundError
-from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.vehicle.vehicle_class import ClassOnFile
 from ingest.vehicle_class_file import shipped_class, shipped_classes
 
 router = APIRouter(prefix="/v1/vehicle-classes", tags=["vehicles"])

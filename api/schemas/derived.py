@@ -62,14 +62,14 @@ def fields_of(kind: type) -> tuple[FieldOf, ...]:
 
 def field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
     """Return what a type with its metadata says of a field."""
-    served = PLAIN
-    if get_origin(hint) is Annotated:
-        hint, *metadata = get_args(hint)
-        served = next((one for one in metadata if isinstance(one, Served)), PLAIN)
-    nullable = False
-    if get_origin(hint) in {Union, types.UnionType}:
-        parts = [part for part in get_args(hint) if part is not types.NoneType]
-        nullable, hint = True, parts[0]
+    served, nullable = PLAIN, False
+    while get_origin(hint) in {Annotated, Union, types.UnionType}:
+        if get_origin(hint) is Annotated:
+            hint, *metadata = get_args(hint)
+            served = next((one for one in metadata if isinstance(one, Served)), served)
+        else:
+            (hint,) = (part for part in get_args(hint) if part is not types.NoneType)
+            nullable = True
     return FieldOf(key, hint, nullable, served)
 
 

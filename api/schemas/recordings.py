@@ -13,8 +13,8 @@ from api.schemas.common import Links, Representation, Request
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.values.quarantine import TRIED_AGAIN, Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import ReasonCode, code_of
+from estimation.values.runs import TRIED_AGAIN, Quarantined, QuarantineState, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.receipts import RecordingChange as Change

@@ -18,7 +18,7 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import TreadwatchError
 from estimation.values.registry import Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from estimation.vehicle.class_on_file import ClassOnFile, class_of_document
+from estimation.vehicle.vehicle_class import ClassOnFile, class_of_document
 from fleet_db.packed_values import unpack_wheel_pair
 from fleet_db.registry_events import RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.sensor_changes import sensor_change_of

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from api.schemas.common import Links, Representation
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
-from estimation.values.suspension import SuspensionChange, SuspensionFinding
+from estimation.values.trend import SuspensionChange, SuspensionFinding
 
 
 class SuspensionResult(

@@ -13,7 +13,7 @@ from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.times import Timestamp, to_rfc3339
-from estimation.plans.values import Candidate, Cause, DiameterLimits, PlanLine, Radii
+from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii
 from estimation.values.alerts import Severity
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

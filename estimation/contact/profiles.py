@@ -17,12 +17,11 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from estimation.contact.en13715 import NAMES as EN13715_NAMES
 from estimation.contact.en13715 import en13715_wheel
-from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import Segment, sample
-from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.served import MM, Served
+from estimation.values.served import MILLI, Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +40,7 @@ class MeasuredProfiles:
     std: Annotated[
         float,
         Served(
-            "How well the lateral displacement at a rolling radius difference follows from them.", "std_mm", MM, 0.1
+            "How well the lateral displacement at a rolling radius difference follows from them.", "std_mm", MILLI, 0.1
         ),
     ]
 

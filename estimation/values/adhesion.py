@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
 from estimation.values.served import Served
@@ -22,24 +22,17 @@ INVERSE = frozen_array(1.0 / np.array(FRICTIONS), (len(FRICTIONS),), name="INVER
 
 
 @dataclass(frozen=True, slots=True)
-class FrictionSums:
+class FrictionSums(FrozenArrays):
     """Sums over the samples of c places of a section, mergeable: the regression of e = h(y - d) - R on saturation.
 
     e is by how much the rolling radius difference of linear creep falls short of the wheelset's curve, q the part of
     R that its creep moment makes, x the displacement, g_k = q (1/share - 1) what e would be at 1/``INVERSE``[k].
     """
 
-    cells: IntArray  # (c,) place: distance along the section over ``CELL_LENGTH``, rounded down
-    samples: FloatArray  # (c,)
-    squares: FloatArray  # (c, 6) sums of e e, e q, q q, e x, q x and x x, m2
-    saturated: FloatArray  # (c, 4, k) sums of g_k e, g_k g_k, g_k q and g_k x, m2
-
-    def __post_init__(self) -> None:
-        c, k = len(self.cells), len(INVERSE)
-        object.__setattr__(self, "cells", frozen_array(self.cells, (c,), np.int64, name="cells"))
-        object.__setattr__(self, "samples", frozen_array(self.samples, (c,), name="samples"))
-        object.__setattr__(self, "squares", frozen_array(self.squares, (c, 6), name="squares"))
-        object.__setattr__(self, "saturated", frozen_array(self.saturated, (c, 4, k), name="saturated"))
+    cells: Annotated[IntArray, "c"]  # place: distance along the section over ``CELL_LENGTH``, rounded down
+    samples: Annotated[FloatArray, "c"]
+    squares: Annotated[FloatArray, "c", 6]  # sums of e e, e q, q q, e x, q x and x x, m2
+    saturated: Annotated[FloatArray, "c", 4, len(INVERSE)]  # sums of g_k e, g_k g_k, g_k q and g_k x, m2
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,14 +41,10 @@ class WindowAdhesion:
 
     Attributes:
         wheelset, start_ns, vehicle, track_section: Of the window.
-        content_digest: Of the samples it was made from.
         contact_force, lateral_creep, yaw_creep: Rms over the window, N and N m, in the band of wavelengths up to the
             cut-off; the std of each is that of the filter and of the load.
         used_adhesion: Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at
             least that.
-        sums: None where nothing can be said of friction.
-        reason: Why there are no forces, or no sums.
-        smoothed: The forces are without vibration of the axle boxes, and without what is as fast.
     """
 
     wheelset: Annotated[str, Served(example="WS-0001")]

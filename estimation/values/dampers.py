@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
-
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason
 from estimation.values.served import Served
@@ -20,7 +18,7 @@ GEAR = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
-class DamperSums:
+class DamperSums(FrozenArrays):
     """Products of the innovations of q particles, summed over the samples of a window; they add up in any order.
 
     Of a particle there are m signals: its innovations, by how much each of k uncertain parameters changes them (one
@@ -29,13 +27,9 @@ class DamperSums:
     by what is known in them.
     """
 
-    products: FloatArray  # (q - 1, m, m)
+    products: Annotated[FloatArray, len(SHARES) - 1, "m", "m"]
     samples: float  # independent ones
     curved: int  # p
-
-    def __post_init__(self) -> None:
-        q, m = len(SHARES) - 1, self.products.shape[-1]
-        object.__setattr__(self, "products", frozen_array(self.products, (q, m, m), np.float64, name="products"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,24 +38,19 @@ class WindowDamper:
 
     Attributes:
         vehicle, first_axle, wheelset, start_ns: Which running gear, the wheelset of its first axle, and when.
-        odometer_km: Of the vehicle.
-        content_digest: Of the samples of that wheelset.
-        class_digest: Of the class that it was judged by: sums of another one do not add up with these.
-        mass_std: Relative, of the mass above the wheelsets on file. Accelerations show damping over mass.
         innovation: Mean square of the innovations over the largest that is believed; None without a filter.
-        sums: None with ``reason``.
     """
 
     vehicle: str
     first_axle: int
     wheelset: str
     start_ns: int
-    odometer_km: float
-    content_digest: str
-    class_digest: str
-    mass_std: float
+    odometer_km: float  # of the vehicle
+    content_digest: str  # of the samples of that wheelset
+    class_digest: str  # of the class that it was judged by: sums of another one do not add up with these
+    mass_std: float  # relative, of the mass above the wheelsets on file. Accelerations show damping over mass
     innovation: float | None = None
-    sums: DamperSums | None = None
+    sums: DamperSums | None = None  # None with ``reason``
     reason: Reason | None = None
 
     @property

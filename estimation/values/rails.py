@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Annotated
 
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.served import MM, Served
+from estimation.values.served import MILLI, Served
 
 TONNAGE_NOT_ON_FILE = Estimate.unknown(Reason(ReasonCode.TONNAGE_UNKNOWN, "the traffic of the section is not on file"))
 
@@ -33,7 +33,7 @@ class RailKey:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SectionConicity:
+class SectionConicity(FrozenArrays):
     """What the windows of a wheelset in one mileage interval, on one section in one period, give: a cell.
 
     NaN where an amplitude is not estimated.
@@ -41,19 +41,14 @@ class SectionConicity:
 
     wheel: WheelKey
     rail: RailKey
-    amplitude: FloatArray  # (k,) m
-    conicity: FloatArray  # (k,)
-    sampled: FloatArray  # (k,) std from the spread of the data, widened to that of a normal distribution
-    systematic: FloatArray  # (k,) std that more data of the same kind do not lessen
+    amplitude: Annotated[FloatArray, "k"]  # m
+    conicity: Annotated[FloatArray, "k"]
+    sampled: Annotated[FloatArray, "k"]  # std from the spread of the data, widened to that of a normal distribution
+    systematic: Annotated[FloatArray, "k"]  # std that more data of the same kind do not lessen
     scale_std: float  # relative, of a scale of y - d that the alignment of the section leaves open
     windows: int
     from_ns: int
     to_ns: int
-
-    def __post_init__(self) -> None:
-        k = len(self.amplitude)
-        for name in ("amplitude", "conicity", "sampled", "systematic"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
 
     @property
     def key(self) -> tuple[WheelKey, RailKey]:
@@ -62,17 +57,12 @@ class SectionConicity:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KnownWheel:
+class KnownWheel(FrozenArrays):
     """A wheelset whose conicity on the reference rails follows from its measured profiles; NaN where it has none."""
 
     wheel: WheelKey
-    conicity: FloatArray  # (k,)
-    std: FloatArray  # (k,)
-
-    def __post_init__(self) -> None:
-        k = len(self.conicity)
-        for name in ("conicity", "std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
+    conicity: Annotated[FloatArray, "k"]
+    std: Annotated[FloatArray, "k"]
 
 
 class RailsReference(StrEnum):
@@ -116,7 +106,7 @@ class RailTrend:
     """How fast the excess of a section changes, from its periods."""
 
     per_year: Annotated[Estimate, Served("Growth of the excess in a year.", "excess_per_year_1")]
-    amplitude: Annotated[float, Served(name="amplitude_mm", scale=MM)]  # m
+    amplitude: Annotated[float, Served(name="amplitude_mm", scale=MILLI)]  # m
     periods: Annotated[int, Served("Number of periods behind it.", "n_periods")]
     per_100_mgt: Annotated[
         Estimate,
@@ -144,22 +134,17 @@ def _scaled(one: Estimate, factor: float) -> Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class RailsApart:
+class RailsApart(FrozenArrays):
     """Wheel and rail apart, for all cells that were looked at together."""
 
-    amplitude: FloatArray  # (k,) m
+    amplitude: Annotated[FloatArray, "k"]  # m
     rails: tuple[RailPart, ...]  # in the order of their keys
     wheels: tuple[WheelPart, ...]
     trends: Mapping[str, RailTrend]  # by section
     no_trends: Mapping[str, Reason]  # why the other sections have none
-    interaction: FloatArray  # (k,) std of what neither wheel nor rail explains; NaN where nothing was parted
+    interaction: Annotated[FloatArray, "k"]  # std of what neither wheel nor rail explains; NaN where nothing was parted
     refused: Mapping[str, Reason] = field(default_factory=dict)  # why sections named as known hold no level
     refused_wheels: Mapping[str, Reason] = field(default_factory=dict)  # why measured wheelsets hold none, by serial
-
-    def __post_init__(self) -> None:
-        k = len(self.amplitude)
-        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (k,), name="amplitude"))
-        object.__setattr__(self, "interaction", frozen_array(self.interaction, (k,), name="interaction"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +190,7 @@ class SectionRailsRecord:
         ),
     ]
     reported_amplitude: Annotated[
-        float | None, Served("3 mm, or the largest amplitude below that is known.", "limit_amplitude_mm", MM)
+        float | None, Served("3 mm, or the largest amplitude below that is known.", "limit_amplitude_mm", MILLI)
     ]
     input_digest: str
     code_version: str

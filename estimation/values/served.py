@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-MM = 1e3
+MILLI = 1e3
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,9 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason
 from estimation.values.served import Served
 
 SIGNALS = 3  # y, R, roll
@@ -40,7 +40,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Signature:
+class Signature(FrozenArrays):
     """Spectra of one wheelset over one place, or over as long a stretch that nobody knows the place of.
 
     Columns of ``spectra``: powers of y, R and roll (m2, m2, rad2), then real and imaginary part of the cross-spectra
@@ -55,11 +55,8 @@ class Signature:
     order: int  # of the stretch within its window
     place: Place | None
     speed: float  # m/s, mean
-    spectra: FloatArray  # (b, 9)
+    spectra: Annotated[FloatArray, None, POWERS + CROSSES]
     peak_wavelength: float  # m, of R: Klingel's, shifted by the track
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "spectra", frozen_array(self.spectra, (None, POWERS + CROSSES), name="spectra"))
 
     @property
     def finite(self) -> bool:
@@ -169,18 +166,6 @@ class Disagreement:
     std: Annotated[float, Served("Standard deviation of the difference.", "difference_std_1")]
     disagrees: Annotated[bool, Served("Whether their 95 % intervals are apart: a finding.", "disagree")]
     reason: Reason | None = None
-
-
-LEFT_OUT_CODES = (
-    ReasonCode.OTHER_VEHICLE_CLASS,
-    ReasonCode.OTHER_PROFILES,
-    ReasonCode.SAME_WHEELSET,
-    ReasonCode.JUDGED_TOGETHER,
-    ReasonCode.NEWER_ENTRIES,
-    ReasonCode.SECTION_CHANGED,
-    ReasonCode.WHEELSET_TURNED,
-)
-"""Why entries do not count for an answer."""
 
 
 @dataclass(frozen=True, slots=True)

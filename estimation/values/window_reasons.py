@@ -13,16 +13,9 @@ from estimation.values.windows import WindowState
 
 @dataclass(frozen=True, slots=True)
 class WindowsOfReason:
-    """Windows of one wheelset with one state and one reason.
+    """Windows of one wheelset with one state and one reason."""
 
-    Attributes:
-        state: Of all of them.
-        reason: Why they were refused or what they wait for, as it is of the newest; None of estimated ones.
-        windows: How many.
-        newest_ns: End of the newest, ns UTC on the vehicle's clock.
-    """
-
-    state: WindowState
+    state: WindowState  # of all of them
     reason: Annotated[Reason | None, Served("Why they wait, are refused or give no number, as of the newest of them.")]
     windows: Annotated[int, Served("How many.")]
     newest_ns: Annotated[int, Served("End of the newest of them, on the vehicle's clock.")]
@@ -33,15 +26,11 @@ class WithoutEstimate:
     """Why nothing is estimated of a wheelset, and what to do.
 
     Attributes:
-        reason: In one sentence.
-        what_to_do: In sentences; empty where there is nothing to do but to wait.
-        windows: Its newest windows by state and reason, the most frequent first.
         from_ns: Begin of the oldest window that was counted, ns UTC on the vehicle's clock; None where there is none.
-        last_ns: End of its newest window, whatever became of it; None where there is none.
     """
 
-    reason: Reason
-    what_to_do: str
+    reason: Reason  # in one sentence
+    what_to_do: str  # in sentences; empty where there is nothing to do but to wait
     windows: Annotated[
         tuple[WindowsOfReason, ...], Served("The windows that are counted, the most frequent reason first.", "reasons")
     ]

@@ -25,10 +25,18 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
-from estimation.values.interval_conicities import IntervalConicities
+from estimation.values.geometry import (
+    COMBINATIONS,
+    BinValues,
+    GeometryRecord,
+    IntervalConicities,
+    IntervalDigest,
+    WheelsetGeometry,
+)
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_geometry, unpack_geometry
@@ -71,6 +79,7 @@ class GeometryStore:
             values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
         self.connection.execute(insert(GEOMETRIES).values(**values))
         self.changes.touch(record.wheelset)
+        self.changes.subjects.raised(SubjectKind.WHEELSET, record.wheelset, Facet.GEOMETRY)
         if record.interval is None:
             self._show_bins(record.wheelset)
             self.changes.show(record.wheelset)

@@ -25,7 +25,7 @@ from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
@@ -108,11 +108,11 @@ class TrackStore:
             )
         was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
         line = None if record.line is None else [list(point) for point in record.line]  # as JSON has it
-        if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}) and was is not None and was["number"] > 0:
-            key = RecordKey(RecordKind.SECTION, record.code)
-            RegistryHistoryStore(self.connection).note(
-                key, RecordAction.CHANGED, dict(was), Decision(recorded_ns=recorded_ns)
-            )
+        if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}):
+            history = RegistryHistoryStore(self.connection, self.changes)
+            before = None if was is None or was["number"] <= 0 else was
+            key, decision = RecordKey(RecordKind.SECTION, record.code), Decision(recorded_ns=recorded_ns)
+            history.note_change(key, before, None, decision)
         if was is None or was["number"] != record.number:
             make_stale(self.connection, record.code, f"number of track section {record.code}", elsewhere=True)
         elif was["line"] != line:

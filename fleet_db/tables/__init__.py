@@ -17,7 +17,9 @@ from fleet_db.tables.jobs import (
     LookRow,
     SectionChangeRow,
     SectionLookRow,
+    StageMarkRow,
     StoredSettingRow,
+    SubjectVersionRow,
     WorkClaimRow,
     WorkLeaseRow,
 )
@@ -53,7 +55,7 @@ from fleet_db.tables.registry import (
     WheelsetChangeRow,
     WheelsetRow,
 )
-from fleet_db.tables.results import GeometryRow, TrendRow, WorklistAlertRow, WorklistEntryRow
+from fleet_db.tables.results import GeometryRow, ResultRow, WorklistAlertRow, WorklistEntryRow
 from fleet_db.tables.track import (
     SuspensionFindingRow,
     TrackAlignmentRow,
@@ -73,6 +75,7 @@ from fleet_db.tables.windows import (
     TakenTableRow,
     WheelsetBinRow,
     WindowBinTableRow,
+    WindowDueRow,
     WindowRow,
 )
 
@@ -101,6 +104,7 @@ __all__ = [
     "RecordingChangeRow",
     "RegistryEventRow",
     "ReprofilingRow",
+    "ResultRow",
     "RollUpRow",
     "RollUpStateRow",
     "RollingSumsRow",
@@ -110,8 +114,10 @@ __all__ = [
     "SectionRailsRow",
     "SensorChangeRow",
     "SignatureAnswerRow",
+    "StageMarkRow",
     "StaleSpanRow",
     "StoredSettingRow",
+    "SubjectVersionRow",
     "SuspensionFindingRow",
     "TakenTableRow",
     "TrackAlignmentRow",
@@ -122,7 +128,6 @@ __all__ = [
     "TrackReportRow",
     "TrackSectionRow",
     "TrackVersionRow",
-    "TrendRow",
     "VehicleClassRow",
     "VehicleRow",
     "WearSignatureRow",
@@ -137,6 +142,7 @@ __all__ = [
     "WindowAdhesionRow",
     "WindowBinTableRow",
     "WindowDamperRow",
+    "WindowDueRow",
     "WindowPositionRow",
     "WindowRow",
     "WorkClaimRow",

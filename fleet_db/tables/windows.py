@@ -132,6 +132,20 @@ class WindowBinTableRow(Base):
     packed: Mapped[Packed]
 
 
+class WindowDueRow(Base):
+    """A window that a stage has not made from what it is now (``fleet_db.due``); ``section`` is empty on none."""
+
+    __tablename__ = "window_due"
+    __table_args__ = (Index(None, "stage", "section", "start_ns"), Index(None, "stage", "vehicle", "start_ns"))
+
+    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
+    wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
+    start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    vehicle: Mapped[Code]
+    section: Mapped[Code]
+    version: Mapped[Count]
+
+
 class WheelsetBinRow(Base):
     """One bin of the current geometry of a wheelset; null where nothing is known."""
 

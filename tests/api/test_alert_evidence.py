@@ -40,8 +40,7 @@ from estimation.values.alerts import AlertEventKind, Finding
 from estimation.values.dampers import GearDamper
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import Mounting, WheelsetRecord
-from estimation.values.suspension import SuspensionChange
-from estimation.values.trend import TrendStep, WearTrend
+from estimation.values.trend import SuspensionChange, TrendStep, WearTrend
 
 AT = 1_767_225_600_123_456_789
 WHOLE = AT - AT % 10**9

@@ -15,12 +15,10 @@ from estimation.alerts.step_causes import StepSurroundings
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
 from estimation.values.dampers import GearDamper
-from estimation.values.geometry import GeometryRecord
-from estimation.values.interval_conicities import IntervalConicities, interval_conicities
+from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.suspension import SuspensionShown
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import SuspensionShown, TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
 
 # ranges of what a rules file may set; a number without one is from 0 to 1e9

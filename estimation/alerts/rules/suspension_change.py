@@ -13,10 +13,9 @@ from estimation.alerts.rules.evidence import Evidence, number_evidence
 from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
 from estimation.trend.suspension import SuspensionParameters
 from estimation.values.alerts import Alert, Finding, Severity
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.served import Served
-from estimation.values.suspension import SuspensionChange
+from estimation.values.trend import SuspensionChange
 
 Change = Annotated[float, Interval(ge=0.01, le=10.0)]
 

@@ -11,12 +11,10 @@ from estimation.alerts.rules.evidence import Evidence, number_evidence
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.alerts.step_causes import StepSurroundings, explanations
 from estimation.values.alerts import Alert, Finding, Severity
-from estimation.values.identity import UNREGISTERED_CHANGE
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import ReasonCode
 from estimation.values.served import Served
-from estimation.values.step_causes import StepCause, StepExplanation
-from estimation.values.trend import TrendStep
+from estimation.values.trend import UNREGISTERED_CHANGE, StepCause, StepExplanation, TrendStep
 
 DAY_NS = 86_400 * 10**9
 _WORDS = {

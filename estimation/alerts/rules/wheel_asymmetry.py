@@ -26,9 +26,8 @@ from estimation.alerts.rules.standing import Standing
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.intervals import with_interval
 from estimation.values.json_value import JsonValue
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.served import Served
 

@@ -11,9 +11,9 @@ from estimation.alerts.rules.identity import MOUNTED
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert
 from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import AFTER, IDENTITY, IdentityChange, latest_identity_change, since_change
-from estimation.values.look import Look
 from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.runs import Look
+from estimation.values.trend import AFTER, IDENTITY, IdentityChange, latest_identity_change, since_change
 
 _ALL = 1000
 STAGE = "identity"
@@ -32,6 +32,19 @@ def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
     )
     mountings = unit.registry.mountings(serial) if alerts else ()
     return latest_identity_change([alert for alert in alerts if _still_there(alert, mountings)])
+
+
+def identity_changes(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, IdentityChange]:
+    """Return the last identity change of each of some wheelsets that has one on record, by serial."""
+    alerts: dict[str, list[Alert]] = {}
+    for alert in unit.alerts.of_kind(IDENTITY, serials):
+        alerts.setdefault(str(alert.wheelset), []).append(alert)
+    mountings = unit.registry.mountings_of(list(alerts)) if alerts else {}
+    changes = {
+        serial: latest_identity_change([one for one in own if _still_there(one, mountings.get(serial, ()))])
+        for serial, own in alerts.items()
+    }
+    return {serial: change for serial, change in changes.items() if change is not None}
 
 
 def suspected(unit: UnitOfWork) -> frozenset[str]:
