@@ -17,6 +17,7 @@ from api.services import ServicesDep
 from api.times import Moment
 from estimation.errors import NotFoundError
 from estimation.values.json_value import JsonValue
+from estimation.values.rails import SECTION_RAILS
 from estimation.values.track import TrackReport
 from fleet_db.storage import SqlUnitOfWork
 
@@ -119,7 +120,7 @@ def get_section_rails(request: Request, services: ServicesDep, code: Code, _held
     """Return what belongs to the rails of the section, in the conicities of the wheelsets that ran on it."""
     with services.storage.read() as unit:
         unit.tracks.section(code)
-        found = unit.rails.of_section(code)
+        found = unit.results.latest(SECTION_RAILS, code)
     if found is None:
         raise NotFoundError("rails yet of track section", code)
     return answer(request, rails.section_rails(found))

@@ -12,8 +12,9 @@ from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Status
-from estimation.values.rails import RailPart, RailsReference, SectionRailsRecord, WheelsetRailsRecord
+from estimation.values.rails import RailPart, RailsFinding, RailsReference, WheelsFinding
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.results import Result
 
 MM = 1000.0
 NO_GEOMETRY = Estimate.unknown(Reason(ReasonCode.NO_GEOMETRY, "there is no geometry at this amplitude yet"))
@@ -124,12 +125,13 @@ class WheelsetRails(Representation):
     links: Links
 
 
-def section_rails(record: SectionRailsRecord) -> SectionRails:
+def section_rails(found: Result[RailsFinding]) -> SectionRails:
     """Return the representation of what was found of a section's rails."""
-    own, trend = f"/v1/track-sections/{segment(record.section)}", record.trend
+    assert found.value is not None
+    record, own, trend = found.value, f"/v1/track-sections/{segment(found.subject)}", found.value.trend
     no_trend = record.no_trend if trend is None else None
     return SectionRails(
-        section=record.section,
+        section=found.subject,
         reference_wheel_profile=record.reference_wheel_profile,
         limit_1=record.limit,
         limit_exceeded=record.exceeded,
@@ -147,20 +149,21 @@ def section_rails(record: SectionRailsRecord) -> SectionRails:
         trend_reason_code=code_of(no_trend),
         reason=text_of(record.refused),
         reason_code=code_of(record.refused),
-        code_version=record.code_version,
-        input_digest=record.input_digest,
-        recorded_at=to_rfc3339(record.recorded_ns),
+        code_version=found.numerics,
+        input_digest=found.made_from,
+        recorded_at=to_rfc3339(found.recorded_ns),
         links={"self": f"{own}/rails", "track_section": own},
     )
 
 
-def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None) -> WheelsetRails:
+def wheelset_rails(found: Result[WheelsFinding], geometry: GeometryRecord | None) -> WheelsetRails:
     """Return the representation of a wheelset's wheels, beside its geometry.
 
     Args:
         geometry: The current one; None without.
     """
-    part, own = record.part, f"/v1/wheelsets/{segment(record.wheelset)}"
+    assert found.value is not None
+    record, part, own = found.value, found.value.part, f"/v1/wheelsets/{segment(found.subject)}"
     rows = []
     for amplitude, apart in zip(record.amplitude, part.conicity, strict=True):
         beside = ((ConicityMethod.WHEEL_AND_RAIL_APART, apart), (ConicityMethod.GEOMETRY, _at(geometry, amplitude)))
@@ -168,7 +171,7 @@ def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None)
         rows.append(ConicitiesAtAmplitude(amplitude_mm=amplitude * MM, conicities=conicities))
     known = any(one.status is Status.ESTIMATED for one in part.conicity)
     return WheelsetRails(
-        wheelset=record.wheelset,
+        wheelset=found.subject,
         baseline=part.wheel.baseline,
         geometry_baseline=None if geometry is None else geometry.baseline,
         interval=part.wheel.interval,
@@ -181,9 +184,9 @@ def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None)
         status=Status.ESTIMATED if known else Status.UNESTIMATED,
         reason=text_of(record.refused),
         reason_code=code_of(record.refused),
-        code_version=record.code_version,
-        input_digest=record.input_digest,
-        recorded_at=to_rfc3339(record.recorded_ns),
+        code_version=found.numerics,
+        input_digest=found.made_from,
+        recorded_at=to_rfc3339(found.recorded_ns),
         links={
             "self": f"{own}/rails",
             "wheelset": own,

@@ -8,7 +8,9 @@ from enum import StrEnum
 
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.quantities import Estimate
+from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import History, ResultKind
 
 TONNAGE_NOT_ON_FILE = Estimate.unknown(Reason(ReasonCode.TONNAGE_UNKNOWN, "the traffic of the section is not on file"))
 
@@ -166,6 +168,7 @@ class StoredCell:
     windows: int = 0  # that it was made from
     from_ns: int = 0
     to_ns: int = 0
+    interval_digest: str = ""  # of what all cells of its mileage interval are made from
 
     @property
     def usable(self) -> SectionConicity | None:
@@ -179,10 +182,9 @@ class StoredCell:
 
 
 @dataclass(frozen=True, slots=True)
-class SectionRailsRecord:
-    """What the last run found of the rails of a section, with its provenance; superseded by a later one."""
+class RailsFinding:
+    """What was found of the rails of a section."""
 
-    section: str
     amplitude: tuple[float, ...]  # m
     reference_wheel_profile: str
     periods: tuple[RailPart, ...]  # oldest first
@@ -190,25 +192,20 @@ class SectionRailsRecord:
     limit: float  # on the excess
     exceeded: bool | None  # whether the excess is above the limit by its interval; None where it is not known
     reported_amplitude: float | None  # m, at which the limit was looked at
-    input_digest: str
-    code_version: str
-    recorded_ns: int
     refused: Reason | None = None  # why it holds no level though it is named as known
     no_trend: Reason | None = None  # why there is no trend
 
 
 @dataclass(frozen=True, slots=True)
-class WheelsetRailsRecord:
-    """The conicity of a wheelset without what belongs to rails, in its newest interval; superseded by a later one."""
+class WheelsFinding:
+    """The conicity of a wheelset without what belongs to rails, in its newest interval."""
 
     amplitude: tuple[float, ...]  # m
     part: WheelPart
-    input_digest: str
-    code_version: str
-    recorded_ns: int
     refused: Reason | None = None  # why it holds no level though its profiles were measured
 
-    @property
-    def wheelset(self) -> str:
-        """Serial."""
-        return self.part.wheel.wheelset
+
+CELLS = "cells"
+"""The stage of cells, and the facet that a wheelset with other cells has raised."""
+SECTION_RAILS = ResultKind("section_rails", SubjectKind.SECTION, RailsFinding, History.NEWEST)
+WHEELSET_RAILS = ResultKind("wheelset_rails", SubjectKind.WHEELSET, WheelsFinding, History.NEWEST)
