@@ -7,21 +7,20 @@ versions of the facets that it declares with the sum that it has seen (``fleet_d
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
 
-from sqlalchemy import Connection, Insert, Select, bindparam, select
+from sqlalchemy import ColumnElement, Connection, Insert, bindparam, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from fleet_db.rows import table_of
-from fleet_db.tables import MountingRow, SubjectVersionRow, VehicleRow, WindowRow
+from fleet_db.tables import MountingRow, SubjectVersionRow, TrackEpochWindowRow, WindowRow
 
 VERSIONS, MOUNTINGS = table_of(SubjectVersionRow), table_of(MountingRow)
-VEHICLES, WINDOWS = table_of(VehicleRow), table_of(WindowRow)
+MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)
 
 
 @dataclass(slots=True)
@@ -47,22 +46,20 @@ class Subjects:
             count for (kind, name, facet), count in grown.items() if facet in facets and subject in {None, (kind, name)}
         )
 
-    def wheelset_on_file(self, serial: str) -> None:
-        """Something on file of a wheelset has changed: sections with its windows follow."""
+    def wheelset_on_file(self, serial: str) -> Sequence[str]:
+        """Something on file of a wheelset has changed: sections with its windows follow, and are returned."""
         self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
-        self._sections(select(WINDOWS.c.track_section).where(WINDOWS.c.wheelset == serial))
+        return self._sections(WINDOWS.c.wheelset == serial, MEMBERS.c.wheelset == serial)
 
-    def vehicle_on_file(self, code: str) -> None:
-        """Something on file of a vehicle has changed: what has ever been mounted there follows, and its sections."""
+    def vehicle_on_file(self, code: str) -> Sequence[str]:
+        """Something on file of a vehicle has changed: what has ever been mounted there follows, and its sections.
+
+        These are returned.
+        """
         self.raised(SubjectKind.VEHICLE, code, Facet.REGISTRY)
         for serial in self.connection.scalars(select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == code)):
             self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
-        self._sections(select(WINDOWS.c.track_section).where(WINDOWS.c.vehicle == code))
-
-    def class_on_file(self, code: str) -> None:
-        """A class has another version: its vehicles follow."""
-        for vehicle in self.connection.scalars(select(VEHICLES.c.code).where(VEHICLES.c.vehicle_class == code)).all():
-            self.vehicle_on_file(vehicle)
+        return self._sections(WINDOWS.c.vehicle == code, MEMBERS.c.vehicle == code)
 
     def flush(self) -> None:
         """Write the versions, in one order in all transactions: they wait for each other and never in a circle."""
@@ -72,10 +69,13 @@ class Subjects:
         self._written.update(self._raised)
         self._raised.clear()
 
-    def _sections(self, windows: Select[Any]) -> None:
-        sections: Iterable[str | None] = self.connection.scalars(windows.distinct())
+    def _sections(self, windows: ColumnElement[bool], members: ColumnElement[bool]) -> Sequence[str]:
+        """Raise the sections that windows are on, or were when their epoch was computed; return them."""
+        on = select(func.coalesce(WINDOWS.c.track_section, "")).where(windows)
+        sections = list(self.connection.scalars(on.union(select(MEMBERS.c.section).where(members))))
         for section in sections:
             self.raised(SubjectKind.SECTION, section, Facet.REGISTRY)
+        return sections
 
 
 @cache

@@ -14,7 +14,7 @@ from estimation.values.json_value import JsonValue
 from estimation.values.registry import Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.values.utc_text import utc_text
-from estimation.vehicle.class_on_file import class_document
+from estimation.vehicle.vehicle_class import class_document
 from fleet_db.atomic_files import write_atomically
 from fleet_db.storage import SqlUnitOfWork
 from ingest.exact_units import in_unit, thousandths

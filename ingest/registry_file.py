@@ -19,8 +19,7 @@ from estimation.errors import InputError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
-from estimation.vehicle.class_on_file import class_of_document
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, class_of_document
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import InputFile, Location, read_json

@@ -20,11 +20,10 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
 from estimation.rails.apart import exceeds, init, reported, result, update
+from estimation.rails.cell import with_refused
 from estimation.rails.parameters import RailsParameters
-from estimation.rails.refused_cells import with_refused
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
-from estimation.values.quarantine import SubjectKind
 from estimation.values.rails import (
     CELLS,
     SECTION_RAILS,
@@ -38,6 +37,7 @@ from estimation.values.rails import (
     WheelsFinding,
 )
 from estimation.values.results import Result
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import EVERYTHING, Facet
 from estimation.values.trend import TREND
 

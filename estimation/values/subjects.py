@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 
 EVERYTHING = "all"
 """The one subject of a stage that looks at all subjects of its kind together."""
@@ -25,7 +25,7 @@ class StageInputs:
     """What a stage declares that it is made from.
 
     Attributes:
-        facets: Of its subjects.
+        facets: Of its subjects; none of a stage that works window by window (``fleet_db.due``).
         common: Digest of what is the same for all subjects: settings and numerics.
         together: Whether it looks at all subjects together, of whatever kind a facet is.
     """

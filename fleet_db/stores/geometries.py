@@ -25,10 +25,16 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.values.geometry import COMBINATIONS, BinValues, GeometryRecord, IntervalDigest, WheelsetGeometry
-from estimation.values.interval_conicities import IntervalConicities
+from estimation.values.geometry import (
+    COMBINATIONS,
+    BinValues,
+    GeometryRecord,
+    IntervalConicities,
+    IntervalDigest,
+    WheelsetGeometry,
+)
 from estimation.values.quantities import Status
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise

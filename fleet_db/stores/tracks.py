@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, s
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.quantities import Status
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.track import (
     AlignmentRecord,
@@ -111,7 +111,7 @@ class TrackStore:
         was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
         line = None if record.line is None else [list(point) for point in record.line]  # as JSON has it
         if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}):
-            history = RegistryHistoryStore(self.connection, self.changes.subjects)
+            history = RegistryHistoryStore(self.connection, self.changes)
             before = None if was is None or was["number"] <= 0 else was
             key, decision = RecordKey(RecordKind.SECTION, record.code), Decision(recorded_ns=recorded_ns)
             history.note_change(key, before, None, decision)

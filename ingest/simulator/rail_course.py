@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from estimation.contact.rail_wear import RailWear
+from estimation.contact.wear import RailWear
 from ingest.simulator.scenario import Scenario, SectionPlan
 
 DAYS_PER_YEAR = 365.25

@@ -15,7 +15,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 
 from estimation.contact.profiles import Profile
-from estimation.contact.rail_wear import DEEPEST_BAND
+from estimation.contact.wear import DEEPEST_BAND
 from estimation.errors import ProfileError, ScenarioError
 from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN

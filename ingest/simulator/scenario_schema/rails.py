@@ -7,7 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from estimation.contact.rail_wear import DEEPEST_BAND, RailWear
+from estimation.contact.wear import DEEPEST_BAND, RailWear
 from ingest.input_file import InputTable, NotNegative, Positive, Text, field_error
 from ingest.simulator.rail_course import MGT_OF_GROWTH
 from ingest.simulator.scenario import SideFiles, SideMirrors

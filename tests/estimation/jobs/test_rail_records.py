@@ -25,7 +25,6 @@ from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anch
 from estimation.jobs.steps.rail_cells import LOST, wheelset_cells
 from estimation.jobs.steps.rolling import Part
 from estimation.values.geometry import IntervalDigest
-from estimation.values.identity import IdentityChange
 from estimation.values.rails import (
     SECTION_RAILS,
     WHEELSET_RAILS,
@@ -39,6 +38,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.roll_up import RollUp, RollUpKey, Side
 from estimation.values.subjects import EVERYTHING, Mark
 from estimation.values.track import TrackSectionRecord
+from estimation.values.trend import IdentityChange
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.rails import CELLS
 
