@@ -494,23 +494,10 @@ sa.Table(
     sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
     sa.Column("period", INTEGER, primary_key=True),
     required("digest", CODE),
+    required("interval_digest", CODE),
     required("document", JSON),
     sa.CheckConstraint("baseline >= 0", name="baseline_counted"),
     sa.CheckConstraint("period >= 0", name="period_counted"),
-)
-sa.Table(
-    "section_rails",
-    TABLES,
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("document", JSON),
-)
-sa.Table(
-    "wheelset_rails",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("document", JSON),
 )
 sa.Table(
     "raw_scrubs",
