@@ -21,7 +21,7 @@ from estimation.contact.segments import Segment, sample
 from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.served import MILLI, Served
+from estimation.values.served import MM, Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class MeasuredProfiles:
     std: Annotated[
         float,
         Served(
-            "How well the lateral displacement at a rolling radius difference follows from them.", "std_mm", MILLI, 0.1
+            "How well the lateral displacement at a rolling radius difference follows from them.", "std_mm", MM, 0.1
         ),
     ]
 

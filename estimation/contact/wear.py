@@ -34,7 +34,7 @@ import numpy as np
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
-from estimation.values.served import MILLI, Served
+from estimation.values.served import MM, Served
 
 DEEPEST_HOLLOW = 6e-3
 """Largest depth that the form is meant for, m."""
@@ -152,7 +152,7 @@ class WearMeasures:
         Served(
             "Sh: tip of the flange over the tread 70 mm from the flange back.",
             "flange_height_mm",
-            MILLI,
+            MM,
             28.0,
             finite=False,
         ),
@@ -160,7 +160,7 @@ class WearMeasures:
     flange_thickness: Annotated[
         float,
         Served(
-            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", MILLI, 32.5, finite=False
+            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", MM, 32.5, finite=False
         ),
     ]
     flange_gradient: Annotated[
@@ -168,7 +168,7 @@ class WearMeasures:
         Served(
             "qR: lateral distance of the face 10 mm beyond the tread from that 2 mm short of the tip.",
             "flange_gradient_mm",
-            MILLI,
+            MM,
             10.8,
             finite=False,
         ),
@@ -178,7 +178,7 @@ class WearMeasures:
         Served(
             "Depth of the tread below the highest point farther out; 0 for a new wheel.",
             "hollow_mm",
-            MILLI,
+            MM,
             0.0,
             finite=False,
         ),

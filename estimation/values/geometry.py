@@ -14,7 +14,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_cen
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
-from estimation.values.served import MILLI, Served
+from estimation.values.served import MM, Served
 from estimation.values.windows import WindowKey
 
 
@@ -148,7 +148,7 @@ class Centre:
         Served(
             "Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left.",
             "displacement_mm",
-            MILLI,
+            MM,
             finite=False,
         ),
     ]
@@ -158,7 +158,7 @@ class Centre:
             "Standard deviation of where both rolling radii are equal, against that: a bogie holds wheels "
             "of different diameters off it. What it changes is part of the intervals.",
             "rolling_line_std_mm",
-            MILLI,
+            MM,
             finite=False,
         ),
     ]
@@ -205,14 +205,14 @@ class WheelsetGeometry(FrozenArrays):
     conicity: Annotated[tuple[Estimate, ...], "n"]  # equivalent conicity at each amplitude
     reported_amplitude: Annotated[
         float,
-        Served("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm", MILLI, finite=False),
+        Served("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm", MM, finite=False),
     ]
     equivalent_conicity: Annotated[Estimate, Served(name="equivalent_conicity_1")]  # at reported_amplitude
     nonlinearity: Annotated[
         Estimate, Served(name="nonlinearity_parameter_per_mm")
     ]  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
     zero_crossing: Annotated[
-        Estimate, Served("Lateral displacement at which both rolling radii are equal.", "zero_crossing_mm", MILLI)
+        Estimate, Served("Lateral displacement at which both rolling radii are equal.", "zero_crossing_mm", MM)
     ]
     windows: Annotated[int, Served(name="n_windows")]
     parameter_key: str
@@ -315,10 +315,11 @@ class GeometryRecord:
 
 @dataclass(frozen=True, slots=True)
 class IntervalDigest:
-    """What the newest geometry of an interval was made from, and of how many windows."""
+    """What the newest geometry of an interval was made from, of how many windows, and why it holds no number."""
 
     input_digest: str
     windows: int
+    reason: Reason | None = None
 
 
 class KnownConicity(NamedTuple):

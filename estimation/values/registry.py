@@ -11,7 +11,8 @@ from annotated_types import Interval
 
 from estimation.errors import ParameterError
 from estimation.values.file_units import MM, FileDefault, FileForm, FileUnit, Key
-from estimation.values.served import MILLI, Served
+from estimation.values.served import MM as IN_MM
+from estimation.values.served import Served
 
 MAX_AXLES = 8
 MOST_KM = 1e8
@@ -124,7 +125,7 @@ class WheelsetRecord:
         Interval(ge=100.0, le=1000.0),
         MM,
         Key("nominal_radius_mm"),
-        Served(name="nominal_radius_mm", scale=MILLI, example=460.0),
+        Served(name="nominal_radius_mm", scale=IN_MM, example=460.0),
     ]
     mounting: Annotated[Mounting | None, Key(None)] = None
     reprofilings: Annotated[tuple[Reprofiling, ...], Key(None)] = ()

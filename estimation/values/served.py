@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-MILLI = 1e3
+MM = 1e3
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ from estimation.values.file_units import MM, FileForm, Key
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.served import MILLI, Served
+from estimation.values.served import MM as IN_MM
+from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
 
 MOST_TONNAGE_MGT = 1000.0  # a year, on one section
@@ -139,7 +140,7 @@ class TrackSectionRecord:
         Interval(ge=500.0, le=2000.0),
         MM,
         Key("nominal_gauge_mm"),
-        Served(name="nominal_gauge_mm", scale=MILLI, example=1435.0),
+        Served(name="nominal_gauge_mm", scale=IN_MM, example=1435.0),
     ]
     length_m: Annotated[float, Interval(ge=1.0)]
     line: Annotated[SectionLine | None, Key(None)] = None
@@ -174,7 +175,7 @@ class AlignmentRecord:
     gauge_known: bool
     alignment_std_m: Annotated[
         float | None,
-        Served("Median along the section; null of a recording as registered.", "alignment_std_mm", MILLI),
+        Served("Median along the section; null of a recording as registered.", "alignment_std_mm", IN_MM),
     ]
     points: int
     recorded_ns: int | None

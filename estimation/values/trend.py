@@ -20,7 +20,7 @@ from estimation.values.quantities import Estimate, Forecast, Status, with_interv
 from estimation.values.reasons import Reason
 from estimation.values.results import ResultKind
 from estimation.values.runs import SubjectKind
-from estimation.values.served import MILLI, Served
+from estimation.values.served import MM, Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class TrendStep:
     found_ns: int  # end of the data that showed it first
     size: Annotated[Estimate, Served("By how much the indicator has changed, at `amplitude_mm`.", "size_1")]
     level_before: Annotated[float, Served("The indicator before it.", "level_before_1", finite=False)]
-    amplitude: Annotated[float, Served("Amplitude that size and level are of.", "amplitude_mm", MILLI, finite=False)]
+    amplitude: Annotated[float, Served("Amplitude that size and level are of.", "amplitude_mm", MM, finite=False)]
     probability: Annotated[float, Served("That there is a step there.", "probability_1", finite=False)]
     before: Annotated[int, Served("Intervals before it.", "intervals_before")]
     behind: Annotated[int, Served("Intervals behind it.", "intervals_behind")]

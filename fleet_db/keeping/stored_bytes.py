@@ -177,7 +177,7 @@ OTHER = "other"
 TABLES: Mapping[str, tuple[str, ...]] = {
     "windows": ("windows", "window_positions"),
     "bin tables": ("window_bin_tables",),
-    "roll-ups": ("roll_ups", "window_due", "taken_tables", "roll_up_states", "rolling_sums"),
+    "roll-ups": ("roll_ups", "window_due", "roll_up_states", "rolling_sums"),
     "geometries": ("geometry_estimates", "wheelset_bins"),
     "results": ("results",),
     "signatures": ("wear_signatures", "signature_answers"),
