@@ -45,7 +45,6 @@ def estimate_of_date(
     within an interval of the measurement: in that distance a profile hardly wears.
 
     Args:
-        intervals: Geometries of its mileage intervals, of all baselines.
         change: Its last identity change: estimates of the other side are of another wheelset.
     """
     baseline, begin_km = baseline_at(wheelset, measurement.at_ns)

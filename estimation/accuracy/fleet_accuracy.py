@@ -119,9 +119,6 @@ def covers(estimated: Estimate, measured: Estimate) -> bool | None:
 
     The measurement errs too: the half of the interval on its side and 1.96 of its standard deviations are added as
     squares.
-
-    Args:
-        measured: With its standard deviation, of the same quantity in the same unit.
     """
     if estimated.value is None or estimated.low is None or estimated.high is None:
         return None

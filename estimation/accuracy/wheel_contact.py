@@ -65,7 +65,6 @@ def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact
     """Return the contact geometry of two wheels on rails, or why there is none.
 
     Args:
-        wheels: Profiles, radius and their standard deviation.
         rails: Rails with the share of the running on each; shares need not add up to one.
     """
     if not rails:

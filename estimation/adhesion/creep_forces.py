@@ -122,8 +122,6 @@ def without_vibration(
 
     Args:
         accelerations: (k, n) without means, 0 where not known; m/s2 and rad/s2.
-        known: (n,) samples that were measured.
-        sample_interval_s: Between samples, s.
     """
     rate = 1.0 / sample_interval_s
     weights = scipy.signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)

@@ -315,7 +315,6 @@ def conicity_std(
     cover. Errors of an instrument that are alike along the whole profile (scale, tilt) are not in it.
 
     Args:
-        shapes: The same profiles with their uncertainty.
         lateral_displacement: (n,) m, strictly increasing: the grid of the contact search.
         amplitudes: (k,) m, positive.
 

@@ -89,10 +89,6 @@ def filtered(
 ) -> FilterState:
     """Return the state with the blocks of ``motion`` added.
 
-    Args:
-        motion: Motion of the wheelset relative to the track over one window.
-        basis: Functions of y - d in m whose coefficients are estimated.
-
     Raises:
         ParameterError: The interval between samples is not known.
     """
@@ -166,12 +162,7 @@ def _slip(motion: Motion, parameters: EstimatorParameters) -> FloatArray:
 
 
 def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
-    """Return the curve that all blocks tell; nothing where too many have diverged.
-
-    Args:
-        state: After all windows.
-        basis: Functions of y - d in m.
-    """
+    """Return the curve that all blocks tell; nothing where too many have diverged."""
     series = state.series
     span = covered_range(series.counts)
     if span is None:

@@ -71,7 +71,6 @@ class Estimator(Protocol[State]):
         """Return the state with ``motion`` added; ``state`` is not touched.
 
         Args:
-            motion: Motion of the wheelset relative to the track over one window, band-limited where it was measured.
             weight: Above 0, at most 1: how much the samples of ``motion`` count beside those of weight 1. The current
                 geometry forgets by mileage so: half the weight after each half-life. An estimator that cannot weight
                 ignores it, and its current geometry forgets nothing; its docstring states that.

@@ -124,11 +124,7 @@ class KnownIrregularity:
 
 
 def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, FloatArray]:
-    """Return regressors (n, 3) of f11, f11 R0 and f11 2 lambda, and the moments (n, 5) with their derivatives, N m.
-
-    Args:
-        motion: (n,) samples relative to the track.
-    """
+    """Return regressors (n, 3) of f11, f11 R0 and f11 2 lambda, and the moments (n, 5) with their derivatives, N m."""
     half, r0 = vehicle.half_contact_distance, vehicle.nominal_radius
     rate = 2 * half**2 * motion.yaw_rate / motion.speed
     ones = np.full(len(motion), half / r0 * MILLIMETRE)

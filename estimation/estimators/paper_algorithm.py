@@ -51,12 +51,7 @@ class CellMeans(FrozenArrays):
         return cls(nothing, nothing, np.zeros((len(YAW_TARGETS) - 1, CELLS)))
 
     def added(self, motion: Motion, vehicle: VehicleParameters, weight: float) -> Self:
-        """Return the sums with ``motion`` added.
-
-        Args:
-            motion: Motion of the wheelset relative to the track over one window.
-            weight: Of every sample.
-        """
+        """Return the sums with ``motion`` added."""
         keep = usable(motion)
         equations = regression(motion, vehicle)
         R, x = equations.yaw_targets[keep] / equations.yaw[keep, -1:], motion.displacement[keep]

@@ -52,7 +52,6 @@ def geometry_from_curve(
     inside its range. The others are marked ``UNOBSERVABLE``.
 
     Args:
-        parameters: What it assumed; its amplitudes decide which conicity is reported first.
         samples: (b,) effective number of samples in each bin.
     """
     best, amplitude = at_reference_amplitude(curve.amplitude, curve.conicity, parameters.curve)

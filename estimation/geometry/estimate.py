@@ -69,10 +69,6 @@ class _Replicates:
 def estimate_geometry(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> WheelsetGeometry:
     """Return the geometry of the wheelset that ``table`` gives.
 
-    Args:
-        table: Statistics made with ``bins``.
-        bins: Parameters of the table; its vehicle scales the residuals.
-
     Raises:
         ValueError: ``table`` was made with other parameters than ``bins``.
     """
@@ -113,11 +109,7 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
 def contradictions(
     table: BinTable, bins: BinParameters, uncertainty: ParameterUncertainty
 ) -> tuple[Contradiction, ...]:
-    """Return what the samples of a table contradict of the vehicle's class and the track; nothing where they are few.
-
-    Args:
-        table: Statistics made with ``bins``.
-    """
+    """Return what the samples contradict of the vehicle's class and the track; nothing where they are few."""
     fit = model_fit(table, bins, _expected_noise(table, bins, uncertainty))
     stds = (uncertainty.stiffness, uncertainty.creep)
     if fit is None:

@@ -31,7 +31,6 @@ def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Rea
     """Return why a window of this quality is not looked at; None where it is.
 
     Args:
-        quality: What was counted of the window.
         track_section: Code of its section; None where it is not known.
     """
     refused = _too_poor(quality, gates)
@@ -76,12 +75,7 @@ class Jump:
 
 
 def check_moving(window: Window, signals: SignalParameters) -> Reason | None:
-    """Return that the vehicle stands, runs too slowly, or has no position; None where it runs.
-
-    Args:
-        window: Speed and distance, (n,) each.
-        signals: The least speed.
-    """
+    """Return that the vehicle stands, runs too slowly, or has no position; None where it runs."""
     known = window.valid & np.isfinite(window.distance)
     if not known.any():
         return Reason(ReasonCode.POSITION_UNKNOWN, "no sample has a position on the section")
@@ -101,9 +95,6 @@ def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
     """Return where the position does not go with the speed.
 
     Over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %.
-
-    Args:
-        integrated: Segments of a window, with positions at all samples that can be used.
     """
     window = integrated.window
     found: list[Jump] = []
@@ -206,11 +197,7 @@ def high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
 
 
 def direction(window: Window) -> int:
-    """Return 1 where the vehicle runs along the section, -1 where it runs against it, 0 where it does both.
-
-    Args:
-        window: Distance along the section, (n,) m.
-    """
+    """Return 1 where the vehicle runs along the section, -1 where it runs against it, 0 where it does both."""
     with np.errstate(invalid="ignore"):
         known = window.valid & np.isfinite(window.distance)
         steps = np.diff(window.distance[known])

@@ -18,7 +18,6 @@ def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], 
     """Return the items in groups that follow each other without a break.
 
     Args:
-        items: In any order.
         keys: Of each item: what it must share with the one before, its start and its end, ns.
     """
     groups: list[list[Item]] = []

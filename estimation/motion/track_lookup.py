@@ -207,7 +207,6 @@ def gauge_shift(
     Args:
         window: In the axes of the wheelset, at true positions.
         track: Alignment with the gauge deviation and what was found of wheelsets.
-        vehicle: Parameters of Eq. 1 and Eq. 2, which turn motion into rL - rR.
         earlier: The same accelerations and speeds, integrated before.
     """
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)

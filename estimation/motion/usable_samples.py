@@ -82,7 +82,6 @@ def detect_uncompensated_acceleration(
     """Return that the window shows a curve; None where it does not.
 
     Args:
-        window: Measured accelerations, (n,) each.
         usable: (n,) samples that count.
         max_cant_deficiency_change: m/s2, largest :func:`cant_deficiency_acceleration_range` of straight track.
     """
@@ -133,12 +132,7 @@ def straight_part(window: Window, layout: TrackLayout | None, parameters: Signal
 
 
 def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:
-    """Return the valid samples (n,) at known positions at which the vehicle runs fast enough.
-
-    Args:
-        window: Speed and distance, (n,) each.
-        parameters: The least speed.
-    """
+    """Return the valid samples (n,) at known positions at which the vehicle runs fast enough."""
     with np.errstate(invalid="ignore"):
         fast_enough = window.speed >= parameters.least_speed_m_s
     return np.asarray(window.valid & np.isfinite(window.distance) & fast_enough)

@@ -53,7 +53,6 @@ def motion(
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
     Args:
-        window: Measured accelerations, speed and distance, (n,) each.
         track: Alignment of the window's section; samples outside it are left out. Wavelengths that it does not hold are
             taken out of the motion too.
         layout: Curves of the section, which are left out; None where none is on file.

@@ -194,9 +194,7 @@ def calibrated(
     """Return the calibration of a library by basis of its answers, or why it has none.
 
     Args:
-        known: What the conicities on file may be off by.
         groups: Of every entry the wheelsets whose data are in it: what shares one is left out together.
-        parameters: What a library must hold.
     """
     apart = _folds(rows, groups)
     judged = partial(_judged, rows, known, apart, margin=parameters.margin)
@@ -215,11 +213,7 @@ def calibrated(
 
 
 def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], margin: float) -> Differences:
-    """Return how far wheelsets are judged by the others from what is on file of them, on places that these have.
-
-    Args:
-        known: What these may be off by.
-    """
+    """Return how far wheelsets are judged by the others from what is on file of them, on places that these have."""
     found = list(_judged(rows, known, _folds(rows, groups), Basis.SAME_PLACES, margin))
     answers = np.unique([one.wheelset for one in found], return_counts=True)[1].astype(np.float64)
     return Differences(

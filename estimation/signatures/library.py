@@ -50,7 +50,6 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
 
     Args:
         entries: That may be learned from (``admission``), with places.
-        parameters: What a library must hold.
     """
     ordered = sorted((entry for entry in entries if entry.signature.place is not None), key=_order)
     wheelsets = {entry.wheelset: entry for entry in ordered}

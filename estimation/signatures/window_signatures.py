@@ -89,7 +89,6 @@ def window_signatures(
     Where section or position are not known every stretch of that length has one, without a place.
 
     Args:
-        window: Measured accelerations of one wheelset, (n,) each.
         layout: Curves of the section, which are left out; None where none is on file.
     """
     placed = gate(window.quality, window.track_section, parameters.gates)

@@ -178,12 +178,7 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
-    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`.
-
-    Args:
-        motion: Motion of one wheelset relative to the track, (n,) samples.
-        parameters: Bins, groups, and the vehicle of Eq. 1 and Eq. 2.
-    """
+    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`."""
     return fill_cells(motion, parameters).table()
 
 
@@ -251,7 +246,6 @@ def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTabl
     """Return ``forgetting * first + second``; associative, and commutative without forgetting.
 
     Args:
-        first, second: Tables of the same parameters.
         forgetting: Weight of the first table, 0 to 1; that of the second is 1.
 
     Raises:
@@ -275,7 +269,6 @@ def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameter
 
     Args:
         tables: Of the same parameters; one is in memory at a time where they come one by one.
-        parameters: Those of the tables; of the empty table where there are none.
 
     Raises:
         ValueError: A table was made with other parameters.
@@ -294,7 +287,6 @@ def merge_with_mileage(
     Args:
         tables: (mileage in km, table), ascending; one is in memory at a time where they come one by one.
         half_life_km: Distance after which an observation counts half.
-        parameters: Those of the tables; of the empty table where there are none.
 
     Raises:
         ValueError: A table was made with other parameters.
@@ -346,11 +338,7 @@ def cells_of_window(
 
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:
-    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion.
-
-    Args:
-        parameters: Class of the vehicle and filters, which go into the key of the tables.
-    """
+    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion."""
     bogie = parameters.vehicle_class.bogie
     return BinParameters(
         source=parameters.signals.source,

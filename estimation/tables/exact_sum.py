@@ -79,12 +79,7 @@ class ExactSum:
 
 
 def nothing(empty: BinTable, parameters: BinParameters) -> ExactTable:
-    """Return the sum of no table.
-
-    Args:
-        empty: The table of the parameters without samples.
-        parameters: Whose axle load sets the unit.
-    """
+    """Return the sum of no table."""
     groups, bins = empty.weight.shape
     columns = 1 + empty.lateral.shape[2] + empty.yaw.shape[2]
     return ExactTable(

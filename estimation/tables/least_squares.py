@@ -23,11 +23,7 @@ SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction
 
 
 def packed_size(regressors: int, targets: int) -> int:
-    """Return the length of the packed moments of one cell.
-
-    Args:
-        targets: Number t of targets.
-    """
+    """Return the length of the packed moments of one cell."""
     return regressors * (regressors + 1) // 2 + regressors * targets + 1
 
 
@@ -120,7 +116,6 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
     Args:
         packed: (c, packed_size) moments.
         weight: (c,) sums of weights.
-        targets: Number t of targets.
     """
     p, t = regressors, targets
     c = len(packed)
@@ -149,7 +144,6 @@ def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArra
 
     Args:
         packed: (c, packed_size) moments.
-        targets: Number t of targets.
     """
     p, t = regressors, targets
     c = len(packed)

@@ -76,7 +76,6 @@ def merged_alignment(
 
     Args:
         prior: What was known before; None where nothing was.
-        p: Cut-off of the alignment, and the standard deviations that blocks of data cannot show.
     """
     grid = iterated.panel.grid
     found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)

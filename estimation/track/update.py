@@ -103,7 +103,6 @@ def update_alignment(
     Args:
         in_force: Its alignment so far; None where there is none.
         survey_checked: Whether the survey in force has been confirmed: then it is not refused any more.
-        measured: Curves of measured profiles, by profile life.
     """
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))

@@ -142,11 +142,7 @@ def with_member(roll_up: RollUp, member: Member) -> RollUp:
 
 
 def of_members(roll_up: RollUp, members: Sequence[Member]) -> RollUp:
-    """Return the roll-up of the same key and number with just these windows.
-
-    Args:
-        members: In any order.
-    """
+    """Return the roll-up of the same key and number with just these windows."""
     found = RollUp(roll_up.key, roll_up.number, sealed=roll_up.sealed)
     for member in members:
         found = with_member(found, member)

@@ -19,7 +19,6 @@ def difference_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> f
     integrated once, n^2 / ((2 pi)^2 f_c), which is taken at 20 m/s. In a bogie the two sensors of the frame add theirs.
 
     Args:
-        vehicle_class: Yaw spring, creep coefficient and sensors; a noise density that is not on file is zero.
         cutoff_wavelength: L, m, of the high-pass of the motion.
     """
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
@@ -66,7 +65,6 @@ def displacement_noise(vehicle_class: VehicleClass, cutoff_wavelength: float, sp
     of g times the roll with the seventh.
 
     Args:
-        vehicle_class: Sensors and radius; a noise density that is not on file is zero.
         cutoff_wavelength: m, of the high-pass of the motion.
         speed: (n,) m/s.
     """

@@ -100,7 +100,6 @@ def judged(
     """Return how urgent a wheelset is.
 
     Args:
-        ahead: What is known of its limit.
         last_ns: End of its newest usable data, ns UTC; None where there are none.
     """
     standing = [alert for alert in alerts if alert.condition in {Condition.ACTIVE, Condition.UNKNOWN}]

@@ -68,7 +68,6 @@ def back_up(
 
     Args:
         folder: Of the backups; made if it is not there.
-        now_ns: Our time, ns UTC.
         progress: Called with (done, total) files.
 
     Raises:

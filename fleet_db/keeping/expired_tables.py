@@ -60,9 +60,6 @@ def seal(connection: Connection, roll_up: int, now_ns: int) -> int:
     """Delete the tables of a roll-up, which holds their sums from now on alone; return how many.
 
     Where its windows were, and of which epochs, goes with them: no alignment is computed from them again.
-
-    Args:
-        now_ns: Our time, ns UTC.
     """
     span = select(func.min(TABLES.c.start_ns), func.max(TABLES.c.start_ns)).where(TABLES.c.roll_up == roll_up)
     first_ns, last_ns = connection.execute(span).one()

@@ -55,11 +55,7 @@ def digests_file(folder: Path, name: str) -> Path:
 
 
 def backup_name(now_ns: int) -> str:
-    """Return the name of a backup of this time, in the order of time.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
+    """Return the name of a backup of this time, in the order of time."""
     seconds, rest = divmod(now_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1_000_000:03d}Z"
 

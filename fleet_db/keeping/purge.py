@@ -90,11 +90,7 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
 
 
 def mark_purged(connection: Connection, windows: Sequence[Row[Any, Any, Any, Any]], now_ns: int) -> None:
-    """Store that the samples of windows are gone, in the transaction that found them.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
+    """Store that the samples of windows are gone, in the transaction that found them."""
     same = (WINDOWS.c.wheelset == bindparam("of_wheelset"), WINDOWS.c.start_ns == bindparam("of_start_ns"))
     keys = [{"of_wheelset": one.wheelset, "of_start_ns": one.start_ns} for one in windows]
     connection.execute(update(WINDOWS).where(*same).values(samples_purged_ns=now_ns), keys)
@@ -138,8 +134,6 @@ def purge(
     Every batch is a transaction of its own with its record, so that a purge which ends early has done a part.
 
     Args:
-        retention: Days by kind.
-        now_ns: Our time, ns UTC.
         checkpoint: Called between batches; it may raise to end the purge.
 
     Raises:
@@ -190,7 +184,6 @@ def record_purge(connection: Connection, purged: Purged, before_ns: int, now_ns:
 
     Args:
         before_ns: Everything of its kind that is older is gone.
-        now_ns: Our time, ns UTC.
     """
     values = {"kind": purged.kind.value, "items": purged.items, "item_bytes": purged.item_bytes}
     connection.execute(insert(PURGES).values(**values, before_ns=before_ns, purged_ns=now_ns))

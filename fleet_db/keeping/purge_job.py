@@ -15,11 +15,7 @@ EVERY_S = 86_400.0
 
 
 def purge_job(retention: Retention, raw: RawStore, storage_of: Callable[[JobContext], SqlStorage]) -> Job:
-    """Return the job.
-
-    Args:
-        retention: Days by kind.
-    """
+    """Return the job."""
     run = partial(_run, retention, raw, storage_of)
     return Job("purge", "Delete what has been kept long enough", every_s=EVERY_S, run=run)
 

@@ -245,7 +245,6 @@ def stored_bytes(
     """Return where the bytes are.
 
     Args:
-        retention: Days by kind.
         hours_per_day: Running of a wheelset to reckon with; None: as in the last days of data.
 
     Raises:

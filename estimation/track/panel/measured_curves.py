@@ -55,7 +55,6 @@ def measured_curve(
     """Return the curve of the measured profiles of a wheelset on a track.
 
     Args:
-        left, right: Wheels, in the axes of ``estimation.contact.profiles``.
         std: Of the displacement that follows, m.
         rail, inclination, gauge: Name of the rail's profile; tangent; nominal gauge, m.
         at_rails: Whether passes have their displacement at rail level, as EN 15302, or that of the axle, which rolls.
