@@ -4,33 +4,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Self
 
 from estimation.values.alerts import Condition, Severity
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason
+from estimation.values.reasons import MeaningEnum, Reason
 from estimation.values.registry import WheelsetRecord
 
 
-class Urgency(StrEnum):
+class Urgency(MeaningEnum):
     """How soon somebody has to look at a wheelset, the most urgent first; ``meaning`` is what puts it there."""
 
-    meaning: str
-
-    def __new__(cls, code: str, meaning: str = "") -> Self:
-        """Return the member of a code with its meaning."""
-        member = str.__new__(cls, code)
-        member._value_ = code
-        member.meaning = meaning
-        return member
-
-    OVER_LIMIT = "over_limit", "The conicity limit is exceeded, or was when that could be assessed last."
-    CRITICAL_ALERT = "critical_alert", "A critical alert of another kind is open, hunting for one."
-    DUE = "due", "The limit may be reached within 30,000 km (p10), or the alert on its forecast is open."
-    WARNING_ALERT = "warning_alert", "A warning of another kind is open."
-    UNKNOWN = "unknown", "No number of it can be trusted; the reason says why."
-    NOT_DUE = "not_due", "The limit is further away, and no alert is open."
-    NOT_MOUNTED = "not_mounted", "It runs under no vehicle."
+    OVER_LIMIT = "The conicity limit is exceeded, or was when that could be assessed last."
+    CRITICAL_ALERT = "A critical alert of another kind is open, hunting for one."
+    DUE = "The limit may be reached within 30,000 km (p10), or the alert on its forecast is open."
+    WARNING_ALERT = "A warning of another kind is open."
+    UNKNOWN = "No number of it can be trusted; the reason says why."
+    NOT_DUE = "The limit is further away, and no alert is open."
+    NOT_MOUNTED = "It runs under no vehicle."
 
     @property
     def rank(self) -> int:
