@@ -19,10 +19,10 @@ from estimation.contact.table import ContactMethod
 from estimation.values.arrays import FloatArray
 
 STEP = 0.2e-3  # m of depth between two searches for contact
-DISPLACEMENT = np.arange(-45, 46) * 0.2e-3  # m
+SERVICE_DISPLACEMENT = np.arange(-45, 46) * 0.2e-3  # m
 CURVING_FROM = 4e-3  # m of displacement, of curves
-GAUGES = (-1e-3, 0.0, 1e-3, 3e-3)  # m, deviation from 1435 mm
-GAUGE_SHARES = np.array([0.2, 0.4, 0.25, 0.15])
+SERVICE_GAUGES = (-1e-3, 0.0, 1e-3, 3e-3)  # m, deviation from 1435 mm
+SERVICE_GAUGE_SHARES = np.array([0.2, 0.4, 0.25, 0.15])
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,8 @@ def worn_by_contact(
     Raises:
         ContactError: The profiles never touch.
     """
-    shares = np.exp(-0.5 * (DISPLACEMENT / running.spread) ** 2)
-    curving = DISPLACEMENT > CURVING_FROM
+    shares = np.exp(-0.5 * (SERVICE_DISPLACEMENT / running.spread) ** 2)
+    curving = SERVICE_DISPLACEMENT > CURVING_FROM
     shares = shares / shares.sum() + running.curving * curving / curving.sum()
     done = 0
     for depth in depths:
@@ -59,8 +59,8 @@ def worn_by_contact(
 def _one_step(wheel: Profile, rail: Profile, inclination: float, patch: float, shares: FloatArray) -> Profile:
     """Return the wheel after it has lost ``STEP`` where it is touched most; shares (n,) of displacements."""
     on_track = WheelsetOnTrack.symmetric(wheel, rail, inclination, 1.435)
-    table = contact_table(on_track, DISPLACEMENT, GAUGES, method=ContactMethod.EN15302, outside="hold")
-    share = (np.outer(shares, GAUGE_SHARES) * table.exists).ravel()
+    table = contact_table(on_track, SERVICE_DISPLACEMENT, SERVICE_GAUGES, method=ContactMethod.EN15302, outside="hold")
+    share = (np.outer(shares, SERVICE_GAUGE_SHARES) * table.exists).ravel()
     apart = (wheel.y[:, np.newaxis] - table.contact_position_left.ravel()) / patch
     touched = np.where(np.abs(apart) < 1.0, (1.0 - apart**2) ** 2, 0.0) @ share
     return profile_from_points("wheel", f"{wheel.name} worn", wheel.y, wheel.z - STEP * touched / touched.max())
