@@ -20,8 +20,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.estimators.coverage import covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters, covered_range, usable
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.estimators.coverage import REACH
 from estimation.estimators.extended_kalman import ExtendedKalman
 from estimation.estimators.hidden_displacement import HiddenDisplacement
-from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
+from estimation.estimators.interface import REACH, CurveEstimate, Estimator, EstimatorParameters
 from estimation.estimators.known_irregularity import KnownIrregularity
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.particle_filter import ParticleFilter

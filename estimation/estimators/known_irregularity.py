@@ -17,8 +17,15 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.estimators.coverage import CELLS, beside, counted, covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    CurveEstimate,
+    EstimatorParameters,
+    beside,
+    counted,
+    covered_range,
+    usable,
+)
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS, SPACING
 from estimation.geometry.conicity import too_few_blocks

@@ -18,8 +18,16 @@ import numpy as np
 from estimation.compiled import compiled
 from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
-from estimation.estimators.coverage import CELLS, REACH, WIDTH, beside, counted, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    REACH,
+    WIDTH,
+    CurveEstimate,
+    EstimatorParameters,
+    beside,
+    counted,
+    usable,
+)
 from estimation.estimators.paper_equations import REGRESSORS, yaw_output
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from estimation.estimators.coverage import usable
-from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
+from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters, usable
 from estimation.geometry.conicity import NO_AMPLITUDE, at_reference_amplitude
 from estimation.values.arrays import FloatArray, bin_centres
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry

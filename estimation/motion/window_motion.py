@@ -36,7 +36,7 @@ from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import OF_FRAME, Motion, Window
-from estimation.vehicle.sensor_noise import displacement_noise
+from estimation.vehicle.vehicle_class import displacement_noise
 
 NANOSECONDS = 1_000_000_000
 

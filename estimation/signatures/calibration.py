@@ -30,9 +30,8 @@ from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from estimation.signatures.families import FOLDS, families
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.parameters import FOLDS, SignatureParameters, families
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry

@@ -35,8 +35,7 @@ from estimation.vehicle.regressors import (
     coefficients,
     signals_of,
 )
-from estimation.vehicle.sensor_noise import difference_noise
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, difference_noise
 
 
 @dataclass(slots=True)

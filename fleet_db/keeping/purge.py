@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from sqlalchemy import (
@@ -22,6 +23,7 @@ from sqlalchemy import (
     update,
 )
 
+from estimation.jobs.job import Job, JobContext
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import TRIED_AGAIN, JobOutcome
 from estimation.values.windows import WindowState
@@ -330,3 +332,19 @@ def _purge_orphans(storage: SqlStorage, raw: RawStore, before_ns: int, now_ns: i
         with storage.write() as unit:
             record_purge(unit.connection, purged, before_ns, now_ns)
     return purged
+
+
+EVERY_S = 86_400.0
+
+
+def purge_job(retention: Retention, raw: RawStore, storage_of: Callable[[JobContext], SqlStorage]) -> Job:
+    """Return the job."""
+    run = partial(_run, retention, raw, storage_of)
+    return Job("purge", "Delete what has been kept long enough", every_s=EVERY_S, run=run)
+
+
+def _run(
+    retention: Retention, raw: RawStore, storage_of: Callable[[JobContext], SqlStorage], context: JobContext
+) -> Mapping[str, int]:
+    done = purge(storage_of(context), raw, retention, context.clock.now_ns(), partial(context.checkpoint, 0, 0))
+    return {one.kind.value: one.items for one in done}
