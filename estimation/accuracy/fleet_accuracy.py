@@ -148,11 +148,7 @@ class Comparison:
 
 
 def compared(
-    measurement: MeasuredProfiles,
-    contact: WheelContact | Reason,
-    estimate: EstimateOfDate,
-    *,
-    independent: bool | None,
+    measurement: MeasuredProfiles, contact: WheelContact | Reason, estimate: EstimateOfDate, *, independent: bool | None
 ) -> Comparison:
     """Return a measurement beside the estimate that belongs to it.
 

@@ -163,9 +163,6 @@ def contact_forces(
 
     Args:
         windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
-
-    Raises:
-        ValueError: The windows are not those of a running gear of the class.
     """
     segments = gear_segments(windows, vehicle_class, signals)
     return segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, parameters)

@@ -20,12 +20,7 @@ from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinStatus, BinTable, BinValues, Contradiction, WheelsetGeometry
 from estimation.values.quantities import jackknife_std, leave_one_out, normal_equivalent
-from estimation.vehicle.regressors import (
-    LATERAL_TARGETS,
-    REGRESSORS,
-    YAW_TARGETS,
-    angle_difference_derivatives,
-)
+from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, angle_difference_derivatives
 
 FEWEST_GROUPS = 4
 
@@ -67,11 +62,7 @@ class _Replicates:
 
 
 def estimate_geometry(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> WheelsetGeometry:
-    """Return the geometry of the wheelset that ``table`` gives.
-
-    Raises:
-        ValueError: ``table`` was made with other parameters than ``bins``.
-    """
+    """Return the geometry of the wheelset that ``table`` gives."""
     if table.parameter_key != bins.key:
         raise ValueError(f"table of parameters {table.parameter_key}, expected {bins.key}")
     replicates = _replicates(table, bins, parameters)

@@ -79,10 +79,7 @@ class _Stretch:
 
 
 def window_signatures(
-    window: Window,
-    parameters: WindowParameters,
-    signature: SignatureParameters,
-    layout: TrackLayout | None = None,
+    window: Window, parameters: WindowParameters, signature: SignatureParameters, layout: TrackLayout | None = None
 ) -> tuple[Signature, ...] | Reason:
     """Return the signatures of a window, one for each cell of the section that it passed whole.
 

@@ -72,9 +72,6 @@ class TableSum:
 
         Args:
             table: Whole, or its filled cells.
-
-        Raises:
-            ValueError: It was made with other parameters.
         """
         if table.parameter_key != self.empty.parameter_key:
             both = f"{self.empty.parameter_key} and {table.parameter_key}"
@@ -246,9 +243,6 @@ def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTabl
 
     Args:
         forgetting: Weight of the first table, 0 to 1; that of the second is 1.
-
-    Raises:
-        ValueError: The tables were made with different parameters.
     """
     if first.parameter_key != second.parameter_key:
         raise ValueError(f"bin tables of parameters {first.parameter_key} and {second.parameter_key} do not merge")
@@ -268,9 +262,6 @@ def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameter
 
     Args:
         tables: Of the same parameters; one is in memory at a time where they come one by one.
-
-    Raises:
-        ValueError: A table was made with other parameters.
     """
     merged = TableSum(init(parameters))
     for table in tables:
@@ -286,9 +277,6 @@ def merge_with_mileage(
     Args:
         tables: (mileage in km, table), ascending; one is in memory at a time where they come one by one.
         half_life_km: Distance after which an observation counts half.
-
-    Raises:
-        ValueError: A table was made with other parameters.
     """
     merged, before = TableSum(init(parameters)), None
     for mileage, table in tables:
@@ -359,9 +347,6 @@ def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
 
     Args:
         tables: Weight and table, at least one; all of the same parameters.
-
-    Raises:
-        ValueError: The tables were made with different parameters.
     """
     total: BinTable | None = None
     for weight, table in tables:

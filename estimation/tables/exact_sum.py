@@ -44,11 +44,7 @@ class ExactSum:
         self._put(cells, weight, take=False)
 
     def take(self, cells: FilledCells, weight: float = 1.0) -> None:
-        """Take away what :meth:`add` added with the same arguments, to the last bit.
-
-        Raises:
-            ValueError: It was made with other parameters.
-        """
+        """Take away what :meth:`add` added with the same arguments, to the last bit."""
         self._put(cells, weight, take=True)
 
     def _put(self, cells: FilledCells, weight: float, *, take: bool) -> None:

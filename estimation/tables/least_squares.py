@@ -44,13 +44,7 @@ class Moments:
 
 
 @compiled(nogil=True)
-def _collect(
-    features: FloatArray,
-    targets: FloatArray,
-    cell: IntArray,
-    packed: FloatArray,
-    weight: FloatArray,
-) -> None:
+def _collect(features: FloatArray, targets: FloatArray, cell: IntArray, packed: FloatArray, weight: FloatArray) -> None:
     n, p = features.shape
     t = targets.shape[1]
     for i in range(n):
@@ -80,9 +74,6 @@ def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: in
         features: (n, p) regressors.
         targets: (n, t) targets; column 0 is the measurement.
         cell: (n,) cell of each sample, 0..cells-1; negative: the sample belongs nowhere.
-
-    Raises:
-        ValueError: Lengths differ, or a cell is out of range.
     """
     if not len(features) == len(targets) == len(cell):
         raise ValueError(f"lengths differ: {len(features)}, {len(targets)}, {len(cell)}")

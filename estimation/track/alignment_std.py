@@ -163,10 +163,5 @@ def _profile_uncertainty(iterated: IterationResult) -> _ProfileUncertainty:
 def _nothing_known(grid: SectionGrid) -> PriorAlignment:
     zero = np.zeros(grid.points)
     return PriorAlignment(
-        alignment=zero,
-        std=np.full_like(zero, np.inf),
-        passes=zero,
-        gauge=zero,
-        gauge_std=zero,
-        gauge_known=False,
+        alignment=zero, std=np.full_like(zero, np.inf), passes=zero, gauge=zero, gauge_std=zero, gauge_known=False
     )

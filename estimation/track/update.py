@@ -32,12 +32,7 @@ from estimation.track.survey_verdict import (
     place_of,
     survey_verdict,
 )
-from estimation.track.versions import (
-    carry_over_findings,
-    changed_vehicles,
-    gauge_shift_changed,
-    requires_reestimation,
-)
+from estimation.track.versions import carry_over_findings, changed_vehicles, gauge_shift_changed, requires_reestimation
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, combined, prefixed
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord

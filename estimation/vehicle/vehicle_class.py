@@ -90,12 +90,7 @@ class SensorLayout:
     @property
     def channels(self) -> Mapping[str, SensorChannel]:
         """Channels under their names."""
-        return {
-            "lateral": self.lateral,
-            "yaw": self.yaw,
-            "roll": self.roll,
-            "mass_lateral": self.mass_lateral,
-        }
+        return {"lateral": self.lateral, "yaw": self.yaw, "roll": self.roll, "mass_lateral": self.mass_lateral}
 
 
 @dataclass(frozen=True, slots=True)

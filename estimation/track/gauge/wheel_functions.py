@@ -16,14 +16,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from estimation.track.gridded_pass import GriddedPass
-from estimation.track.panel.basis import (
-    Panel,
-    curve_displacement,
-    gauge_at,
-    gauge_curves,
-    known_shift,
-    pass_residual,
-)
+from estimation.track.panel.basis import Panel, curve_displacement, gauge_at, gauge_curves, known_shift, pass_residual
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays

@@ -172,11 +172,7 @@ def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, w
         chosen.setdefault(int(journey_of[others[k]]), int(others[k]))
     chosen.pop(int(journey_of[i]), None)
     best = list(chosen.values())[:wanted]
-    beyond = np.where(
-        (journey_of[others] != journey_of[i]) & (shared >= MIN_CHAIN_OVERLAP),
-        last - filtered[i].last,
-        0,
-    )
+    beyond = np.where((journey_of[others] != journey_of[i]) & (shared >= MIN_CHAIN_OVERLAP), last - filtered[i].last, 0)
     following = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[:CHAIN_NEIGHBOURS] if beyond[k] > 0]
     return list(dict.fromkeys([*best, *following]))
 
