@@ -213,9 +213,8 @@ def _summed(values: FloatArray, index: npt.NDArray[np.intp], count: int) -> Floa
 def _on_curve(displacement: FloatArray, centres: FloatArray, values: FloatArray) -> FloatArray:
     """Return the curve (n,) at displacements (n,), NaN outside and where one of both neighbours is not known."""
     width = centres[1] - centres[0]
-    with np.errstate(invalid="ignore"):
-        place = (displacement - centres[0]) / width
-        inside = (place >= 0.0) & (place < len(centres) - 1)
+    place = (displacement - centres[0]) / width
+    inside = (place >= 0.0) & (place < len(centres) - 1)
     cell = np.where(inside, place, 0.0).astype(np.int64)
     part = np.where(inside, place, np.nan) - cell
     return np.asarray((1.0 - part) * values[cell] + part * values[cell + 1])

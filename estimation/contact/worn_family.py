@@ -163,8 +163,7 @@ def conicities_of(pair: Pair) -> FloatArray:
     found = [conicities_on_track(*wheels, rail, pair.inclination) for wheels, rail in wheelsets(pair)]
     rows = np.concatenate(found)
     low, high = USUAL_CONICITY
-    with np.errstate(invalid="ignore"):
-        usual = (rows[:, -1] >= low) & (rows[:, -1] <= high) & (rows.max(axis=1) <= MOST_CONICITY)
+    usual = (rows[:, -1] >= low) & (rows[:, -1] <= high) & (rows.max(axis=1) <= MOST_CONICITY)
     return np.asarray(rows[usual])
 
 

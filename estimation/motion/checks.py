@@ -13,6 +13,7 @@ from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.integration import IntegratedWindow, bridged, mirrored
 from estimation.motion.parameters import Gates, SignalParameters
 from estimation.motion.track_lookup import TRACKS
+from estimation.motion.usable_samples import fast_enough
 from estimation.values.arrays import FloatArray, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
@@ -79,8 +80,7 @@ def check_moving(window: Window, signals: SignalParameters) -> Reason | None:
     known = window.valid & np.isfinite(window.distance)
     if not known.any():
         return Reason(ReasonCode.POSITION_UNKNOWN, "no sample has a position on the section")
-    with np.errstate(invalid="ignore"):
-        running = known & (window.speed >= signals.least_speed_m_s)
+    running = known & fast_enough(window, signals)
     if not running.any():
         fastest = float(np.nanmax(np.where(known, window.speed, np.nan), initial=0.0))
         return Reason(
@@ -198,9 +198,8 @@ def high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
 
 def direction(window: Window) -> int:
     """Return 1 where the vehicle runs along the section, -1 where it runs against it, 0 where it does both."""
-    with np.errstate(invalid="ignore"):
-        known = window.valid & np.isfinite(window.distance)
-        steps = np.diff(window.distance[known])
+    known = window.valid & np.isfinite(window.distance)
+    steps = np.diff(window.distance[known])
     moving = steps[steps != 0.0]
     if not len(moving):
         return 1

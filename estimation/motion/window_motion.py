@@ -65,8 +65,7 @@ def motion(
     d = alignment_at(window.distance, track, cutoff_wavelength)
     if gauge_shift is not None:
         d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
-    limits = parameters.curve_limits
-    usable = usable_samples(window, np.isfinite(d), layout, parameters.least_speed_m_s, limits)
+    usable = usable_samples(window, np.isfinite(d), layout, parameters)
     refusal = _unusable(window, usable, layout, parameters)
     if refusal is not None:
         return refusal
