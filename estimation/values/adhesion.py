@@ -36,15 +36,7 @@ class FrictionSums(FrozenArrays):
 
 @dataclass(frozen=True, slots=True)
 class WindowAdhesion:
-    """Creep forces of one wheelset over one window, and what they say of the friction along its way.
-
-    Attributes:
-        wheelset, start_ns, vehicle, track_section: Of the window.
-        contact_force, lateral_creep, yaw_creep: Rms over the window, N and N m, in the band of wavelengths up to the
-            cut-off; the std of each is that of the filter and of the load.
-        used_adhesion: Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at
-            least that.
-    """
+    """Creep forces of one wheelset over one window, and what they say of the friction along its way."""
 
     wheelset: str
     start_ns: int
@@ -52,10 +44,10 @@ class WindowAdhesion:
     track_section: str | None
     content_digest: str  # of the samples it was made from
     status: Status
-    contact_force: Estimate
-    lateral_creep: Estimate
-    yaw_creep: Estimate
-    used_adhesion: Estimate
+    contact_force: Estimate  # rms in the band of wavelengths up to the cut-off, N; its std is of filter and load
+    lateral_creep: Estimate  # likewise, N
+    yaw_creep: Estimate  # likewise, N m
+    used_adhesion: Estimate  # creep over normal force of a wheel, exceeded by 1 % of samples: friction is no less
     sums: FrictionSums | None = None  # None where nothing can be said of friction
     reason: Reason | None = None  # why there are no forces, or no sums
     smoothed: bool = False  # the forces are without vibration of the axle boxes, and without what is as fast

@@ -33,22 +33,17 @@ class DamperSums(FrozenArrays):
 
 @dataclass(frozen=True, slots=True)
 class WindowDamper:
-    """What one window says of the damper of a running gear.
-
-    Attributes:
-        vehicle, first_axle, wheelset, start_ns: Which running gear, the wheelset of its first axle, and when.
-        innovation: Mean square of the innovations over the largest that is believed; None without a filter.
-    """
+    """What one window says of the damper of a running gear."""
 
     vehicle: str
     first_axle: int
-    wheelset: str
+    wheelset: str  # of the first axle
     start_ns: int
     odometer_km: float  # of the vehicle
     content_digest: str  # of the samples of that wheelset
     class_digest: str  # of the class that it was judged by: sums of another one do not add up with these
     mass_std: float  # relative, of the mass above the wheelsets on file. Accelerations show damping over mass
-    innovation: float | None = None
+    innovation: float | None = None  # mean square over the largest that is believed; None without a filter
     sums: DamperSums | None = None  # None with ``reason``
     reason: Reason | None = None
 
@@ -60,24 +55,17 @@ class WindowDamper:
 
 @dataclass(frozen=True, slots=True)
 class GearDamper:
-    """The damper of a running gear, from its newest windows.
-
-    Attributes:
-        vehicle, first_axle: Which running gear.
-        windows, diverged, refused: How many say something, were not followed, were of no use.
-        from_ns, to_ns: Starts of the first and of the last window that counts.
-        from_km, to_km: The odometer there.
-    """
+    """The damper of a running gear, from its newest windows."""
 
     vehicle: str
     first_axle: int
     share: Estimate  # damping over that of the class on file
     weak_probability: float | None  # of a share below the limit; None where the share is not estimated
     weak: bool | None  # whether that is likely; None where nothing is known
-    windows: int
-    diverged: int
-    refused: int
-    from_ns: int
-    to_ns: int
-    from_km: float
+    windows: int  # that say something
+    diverged: int  # windows that were not followed
+    refused: int  # windows of no use
+    from_ns: int  # start of the first window that counts
+    to_ns: int  # start of the last one
+    from_km: float  # the odometer there
     to_km: float
