@@ -165,12 +165,7 @@ class Centre:
     origin: Annotated[CentreOrigin, Served("From where the displacement is counted.")]
 
 
-COMBINATIONS = (
-    "rolling_radius_sum",
-    "rolling_radius_difference",
-    "contact_angle_sum",
-    "contact_angle_difference",
-)
+COMBINATIONS = ("rolling_radius_sum", "rolling_radius_difference", "contact_angle_sum", "contact_angle_difference")
 
 
 @dataclass(frozen=True, slots=True)

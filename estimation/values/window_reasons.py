@@ -23,11 +23,7 @@ class WindowsOfReason:
 
 @dataclass(frozen=True, slots=True)
 class WithoutEstimate:
-    """Why nothing is estimated of a wheelset, and what to do.
-
-    Attributes:
-        from_ns: Begin of the oldest window that was counted, ns UTC on the vehicle's clock; None where there is none.
-    """
+    """Why nothing is estimated of a wheelset, and what to do."""
 
     reason: Reason  # in one sentence
     what_to_do: str  # in sentences; empty where there is nothing to do but to wait
