@@ -15,7 +15,8 @@ from rich.console import Console
 
 from api import factory, logs
 from api.factory import SystemClock, open_store
-from api.reference_measures import ReferenceMeasures
+from api.measures import Measured
+from api.reference_measures import reference_measures
 from api.settings import Settings, load_settings
 from api.terminal.health_server import HealthAddress
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
@@ -77,7 +78,7 @@ def receive_and_report(
         if references is not None:
             stack.callback(references.close)
         if health is not None:
-            more = [] if references is None else [ReferenceMeasures(lambda: references)]
+            more = [] if references is None else [Measured(lambda: reference_measures(references))]
             port = stack.enter_context(serving_health(health.host, health.port, statuses, more))
             say(f"health and metrics at http://{health.host}:{port}")
         receive_buses(
