@@ -11,8 +11,8 @@ import typer
 
 from api import logs
 from api.factory import SystemClock, once_the_database_answers, open_store, process_name, raw_store, receiver
+from api.progress import counted
 from api.settings import load_settings
-from api.terminal.keeping import counted
 from api.tracing import start_tracing
 from estimation.errors import StoppedError, StorageError
 from estimation.jobs.stop_signals import stop_on_signals

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from api import factory, logs
 from api.factory import SystemClock, open_store
+from api.progress import bar
 from api.settings import load_settings
 from api.terminal.reasons import line_of
 from api.terminal.store import user_name
@@ -158,15 +158,7 @@ def receive_with_progress(
     receiver: Receiver, recordings: Sequence[tuple[Path, str]], console: Console
 ) -> Iterator[Outcome]:
     """Receive recordings under a progress bar; yield each with its receipt or its error."""
-    columns = (
-        SpinnerColumn(),
-        TextColumn("receiving recordings"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[frames]:,} frames"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
+    with bar(console, "receiving recordings", "{task.fields[frames]:,} frames") as progress:
         task = progress.add_task("", total=len(recordings), frames=0)
         frames = 0
         for path, outcome in receiver.receive_files(recordings):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from api.factory import SystemClock, open_store, raw_store, retention_of
+from api.progress import counted
 from api.settings import load_settings
 from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.deep_check import DeepCheck, check_deep
@@ -101,12 +99,3 @@ def _list(what: str, lines: tuple[str, ...]) -> None:
         typer.echo(f"{what}: {len(lines) - LISTED:,} more")
     if lines:
         raise typer.Exit(1)
-
-
-@contextmanager
-def counted(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar; yield what moves it."""
-    columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from api.factory import SystemClock, open_store
+from api.progress import bar
 from api.rules_file import load_rules
 from api.settings import load_settings
 from api.times import from_rfc3339, to_rfc3339
@@ -86,15 +86,8 @@ def _replayed(
     with storage.read() as unit:
         serials = [one.serial for one in unit.registry.wheelsets() if fleet in (None, one.fleet)]
         sections = [one.code for one in unit.tracks.sections()]
-    columns = (
-        SpinnerColumn(),
-        TextColumn("replaying the rules"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
     found: dict[str, Sequence[Difference]] = {}
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    with bar(Console(stderr=True), "replaying the rules") as progress:
         for serial in progress.track(serials):
             with storage.read() as unit:
                 history = history_of(unit, serial)
