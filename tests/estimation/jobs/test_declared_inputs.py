@@ -40,7 +40,7 @@ READS: Mapping[str, str] = {
     "geometries.interval_digests": Facet.GEOMETRY,
     "roll_ups.state": Facet.GEOMETRY,
     "roll_ups.of": Facet.GEOMETRY,
-    "roll_ups.taken": Facet.GEOMETRY,
+    "due.of_wheelset": Facet.GEOMETRY,
     "tables.tabled": Facet.GEOMETRY,
     "rails.cells": CELLS,
 }
