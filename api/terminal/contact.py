@@ -227,11 +227,7 @@ def _curve(contact: Contact) -> RadiusDifferenceCurve:
 
 def _std(contact: Contact) -> FloatArray:
     return conicity_std(
-        contact.wheelset,
-        contact.shapes,
-        _DISPLACEMENT_MM * 1e-3,
-        _AMPLITUDE_MM * 1e-3,
-        method=contact.method,
+        contact.wheelset, contact.shapes, _DISPLACEMENT_MM * 1e-3, _AMPLITUDE_MM * 1e-3, method=contact.method
     )
 
 
