@@ -132,7 +132,7 @@ class SqlUnitOfWork:
         connection = self.connection
         self.subjects = Subjects(connection)
         self.changes = Changes(connection, self.subjects)
-        self.chunks = ChunkStore(connection)
+        self.chunks = ChunkStore(connection, self.subjects)
         self.settings = StoredSettingStore(connection)
         self.stale_spans = StaleSpanStore(connection)
         self.quarantine = QuarantineStore(connection)
@@ -154,7 +154,7 @@ class SqlUnitOfWork:
         self.marks = StageMarkStore(connection, self.subjects)
         self.results = ResultStore(connection, self.changes)
         self.trends = TrendStore(self.results, self.geometries)
-        self.suspensions = SuspensionStore(connection)
+        self.suspensions = SuspensionStore(connection, self.subjects)
         self.adhesion = AdhesionStore(connection)
         self.dampers = DamperStore(connection, self.changes)
         self.signatures = SignatureStore(connection)

@@ -15,8 +15,15 @@ class Facet(StrEnum):
     """Base facts of a wheelset, vehicle or section; results of a stage are a facet of the stage's own name."""
 
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
+    WINDOWS = "windows"  # states, qualities and mileages
+    ALERTS = "alerts"
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
     GEOMETRY = "geometry"
+    BESIDE = "beside"  # what is known of the vehicle that a wheelset runs in, and of the wheelsets beside it
+    HUNTING = "hunting"  # windows of a vehicle in which it hunts
+    RECORDINGS = "recordings"  # of a vehicle, that are rejected
+    STIFFNESS = "stiffness"  # ratios that epochs show of a vehicle
+    DAMPER = "damper"
 
 
 @dataclass(frozen=True, slots=True)

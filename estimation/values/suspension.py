@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+from estimation.values.quarantine import SubjectKind
+from estimation.values.results import History, ResultKind
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +23,7 @@ class SuspensionFinding:
     ratio_std: float
     assumed: float  # m, k_psi / f11
     code_version: str
-    recorded_ns: int
+    recorded_ns: int = field(metadata={"made_from": False})
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,3 +48,6 @@ class SuspensionShown:
     newest: SuspensionChange | None  # None where too few findings are known
     stands: bool
     since_ns: int | None = None
+
+
+SUSPENSION = ResultKind("suspension", SubjectKind.VEHICLE, SuspensionShown, history=History.NEWEST)

@@ -61,6 +61,11 @@ class WearTrend:
             object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
         object.__setattr__(self, "measured_ns", frozen_array(self.measured_ns, (k,), np.int64, name="measured_ns"))
 
+    @property
+    def head(self) -> JsonValue:
+        """What is read of many trends: the time within which the step is; None where there is none."""
+        return None if self.step is None else [self.step.before_ns, self.step.after_ns]
+
 
 TREND = ResultKind("trend", SubjectKind.WHEELSET, WearTrend, one_in_force=True)
 """Trends of wheelsets; their parts are baselines."""

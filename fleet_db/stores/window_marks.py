@@ -60,6 +60,7 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
                 changes.note(mark.wheelset, shown=refused)
             elif mark.state is WindowState.REFUSED:
                 changes.show(mark.wheelset)  # another reason
+            changes.subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)
     remove_tables(connection, changes, gone)
     return held
