@@ -11,8 +11,7 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine
 
 from estimation.errors import StorageError
-from estimation.values.claims import Claimed
-from estimation.values.runs import JobTrigger
+from estimation.values.runs import Claimed, JobTrigger
 from fleet_db import locks
 from fleet_db.changes import Changes
 from fleet_db.due import WindowDueStore
@@ -141,17 +140,18 @@ class SqlUnitOfWork:
         self.recording_changes = RecordingChangeStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection, self.changes)
-        self.registry_history = RegistryHistoryStore(connection, self.subjects)
+        self.registry_history = RegistryHistoryStore(connection, self.changes)
         self.sensor_changes = SensorChangeStore(connection, self.changes)
         self.corrections = CorrectionStore(
-            connection, self.changes, self.registry, self.tracks, self.registry_history, self.sensor_changes
+            connection, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
         self.epochs = EpochStore(connection, self.changes)
         self.windows = WindowStore(connection, self.changes, self.files)
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
-        self.marks = StageMarkStore(connection, self.subjects)
+        self.due = WindowDueStore(connection)
+        self.marks = StageMarkStore(connection, self.subjects, self.due)
         self.results = ResultStore(connection, self.changes)
         self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection, self.subjects)
@@ -170,9 +170,8 @@ class SqlUnitOfWork:
         self.audit = AuditStore(connection)
         self.looks = LookStore(connection, self.changes)
         self.section_looks = SectionLookStore(connection)
-        self.rails = RailsStore(connection)
+        self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection)
-        self.due = WindowDueStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
 

@@ -7,23 +7,21 @@ versions of the facets that it declares with the sum that it has seen (``fleet_d
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
 
-from sqlalchemy import Connection, Insert, Select, bindparam, exists, select
+from sqlalchemy import ColumnElement, Connection, Insert, bindparam, exists, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
-from estimation.values.suspension import SUSPENSION
-from estimation.values.trend import TREND
+from estimation.values.trend import SUSPENSION, TREND
 from fleet_db.rows import table_of
-from fleet_db.tables import MountingRow, ResultRow, SubjectVersionRow, VehicleRow, WindowRow
+from fleet_db.tables import MountingRow, ResultRow, SubjectVersionRow, TrackEpochWindowRow, WindowRow
 
 VERSIONS, MOUNTINGS, RESULTS = table_of(SubjectVersionRow), table_of(MountingRow), table_of(ResultRow)
-VEHICLES, WINDOWS = table_of(VehicleRow), table_of(WindowRow)
+MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)
 OF_VEHICLES = frozenset({Facet.HUNTING, Facet.RECORDINGS, Facet.DAMPER, SUSPENSION.stage})
 """Facets of a vehicle that its wheelsets follow."""
 BESIDE = MOUNTINGS.alias("beside")
@@ -62,31 +60,27 @@ class Subjects:
         if hunting_in is not None:
             self.raised(SubjectKind.VEHICLE, hunting_in, Facet.HUNTING)
 
-    def growth(self, kind: SubjectKind, facets: Collection[str], subject: str | None = None) -> int:
-        """Return by how much this transaction lets the sum of versions grow, of a subject or of all of a kind."""
+    def growth(self, facets: Collection[str], subject: tuple[SubjectKind, str] | None = None) -> int:
+        """Return by how much this transaction lets the sum of versions grow, of a subject or of all."""
         grown = self._written + Counter(self._raised)
         return sum(
-            count
-            for (of_kind, name, facet), count in grown.items()
-            if of_kind == kind and facet in facets and subject in {None, name}
+            count for (kind, name, facet), count in grown.items() if facet in facets and subject in {None, (kind, name)}
         )
 
-    def wheelset_on_file(self, serial: str) -> None:
-        """Something on file of a wheelset has changed: sections with its windows follow."""
+    def wheelset_on_file(self, serial: str) -> Sequence[str]:
+        """Something on file of a wheelset has changed: sections with its windows follow, and are returned."""
         self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
-        self._sections(select(WINDOWS.c.track_section).where(WINDOWS.c.wheelset == serial))
+        return self._sections(WINDOWS.c.wheelset == serial, MEMBERS.c.wheelset == serial)
 
-    def vehicle_on_file(self, code: str) -> None:
-        """Something on file of a vehicle has changed: what has ever been mounted there follows, and its sections."""
+    def vehicle_on_file(self, code: str) -> Sequence[str]:
+        """Something on file of a vehicle has changed: what has ever been mounted there follows, and its sections.
+
+        These are returned.
+        """
         self.raised(SubjectKind.VEHICLE, code, Facet.REGISTRY)
         for serial in self.connection.scalars(select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == code)):
             self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
-        self._sections(select(WINDOWS.c.track_section).where(WINDOWS.c.vehicle == code))
-
-    def class_on_file(self, code: str) -> None:
-        """A class has another version: its vehicles follow."""
-        for vehicle in self.connection.scalars(select(VEHICLES.c.code).where(VEHICLES.c.vehicle_class == code)).all():
-            self.vehicle_on_file(vehicle)
+        return self._sections(WINDOWS.c.vehicle == code, MEMBERS.c.vehicle == code)
 
     def flush(self) -> None:
         """Write the versions, in one order in all transactions: they wait for each other and never in a circle."""
@@ -115,10 +109,13 @@ class Subjects:
             for serial in self.connection.scalars(statement):
                 self.raised(SubjectKind.WHEELSET, serial, Facet.BESIDE)
 
-    def _sections(self, windows: Select[Any]) -> None:
-        sections: Iterable[str | None] = self.connection.scalars(windows.distinct())
+    def _sections(self, windows: ColumnElement[bool], members: ColumnElement[bool]) -> Sequence[str]:
+        """Raise the sections that windows are on, or were when their epoch was computed; return them."""
+        on = select(func.coalesce(WINDOWS.c.track_section, "")).where(windows)
+        sections = list(self.connection.scalars(on.union(select(MEMBERS.c.section).where(members))))
         for section in sections:
             self.raised(SubjectKind.SECTION, section, Facet.REGISTRY)
+        return sections
 
 
 @cache

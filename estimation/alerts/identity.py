@@ -20,8 +20,8 @@ import numpy as np
 from estimation.alerts.mirrored import Parts, newest_mirrored
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
-from estimation.values.quarantine import SubjectKind
 from estimation.values.results import History, ResultKind
+from estimation.values.runs import SubjectKind
 
 
 class Mistake(StrEnum):

@@ -26,10 +26,10 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.identities import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import IdentityChange, since_change
-from estimation.values.quarantine import SubjectKind
 from estimation.values.registry import WheelsetRecord
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import EVERYTHING, Facet
+from estimation.values.trend import IdentityChange, since_change
 
 PAIR = 8  # intervals before the first that has changed: with these it is compared
 COMPARED = (16, 64)  # intervals read before it, at first and where too few of them are usable
@@ -160,7 +160,6 @@ JUMPS = Stage(
     compute=look_for_jump,
     counted=Counted(looked="looked_at", changed="changed"),
     results=JUMP,
-    frozen=(JUMP.stage,),
 )
 IDENTITIES = Stage(
     name=IDENTITY_EVENT.stage,
@@ -174,5 +173,5 @@ IDENTITIES = Stage(
     results=IDENTITY_EVENT,
     together=True,
     # a jump names the geometries that it is in; those of the calm say nothing
-    frozen=(Facet.REGISTRY, Facet.RESTARTS, Facet.GEOMETRY, IDENTITY_EVENT.stage),
+    frozen=(Facet.REGISTRY, Facet.RESTARTS, Facet.GEOMETRY),
 )

@@ -14,7 +14,7 @@ from estimation.storage import UnitOfWork
 from estimation.trend.suspension import SuspensionParameters, suspension_histories
 from estimation.values.alerts import Finding
 from estimation.values.subjects import EVERYTHING, Facet
-from estimation.values.suspension import SUSPENSION, SuspensionChange, SuspensionFinding, SuspensionShown
+from estimation.values.trend import SUSPENSION, SuspensionChange, SuspensionFinding, SuspensionShown
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from estimation.jobs.steps.fleet_alerts import raise_in_fleet
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Finding, Transition
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.trend import TREND
 

@@ -23,6 +23,7 @@ from estimation.jobs.stage import AnyStage, Outcome, Part
 from estimation.storage import UnitOfWork
 from estimation.values.quantities import Estimate, Status
 from estimation.values.results import AnyResult, Result
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Due, Mark, StageInputs
 
 CLAIMED_TOGETHER = 4
@@ -33,6 +34,8 @@ def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
     """Bring the results of a stage up to date; return what was counted. Where nothing is due this is one statement."""
     counts: Counter[str] = Counter(dict.fromkeys(stage.counted.names, 0))
     inputs = stage.inputs(context)
+    if stage.kind is SubjectKind.WINDOW:
+        _list_again(context, inputs)
     with context.storage.read() as unit:
         due = unit.marks.due(inputs, context.clock.now_ns())
         if stage.counted.same is not None:
@@ -45,6 +48,15 @@ def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
         counts["quarantined"] = isolation.quarantined
         counts.update(_handed_out(stage, context, ready, len(due)))
     return counts
+
+
+def _list_again(context: JobContext, inputs: StageInputs) -> None:
+    """Let a stage that works window by window look at all of them where its settings are others."""
+    with context.storage.read() as unit:
+        same = unit.marks.has_settings(inputs)
+    if not same:
+        with context.storage.write() as unit:
+            unit.marks.list_again(inputs)
 
 
 def work_of(stage: AnyStage) -> Work:
@@ -77,6 +89,8 @@ def _work(stage: AnyStage, context: JobContext, subjects: Sequence[str]) -> Mapp
 def _set_aside(stage: AnyStage, context: JobContext, subject: str, error: TreadwatchError) -> None:
     """Keep a subject in quarantine at which workers have ended."""
     inputs = stage.inputs(context)
+    if stage.kind is SubjectKind.WINDOW:
+        _list_again(context, inputs)
     with context.storage.read() as unit:
         due = unit.marks.due(inputs, context.clock.now_ns(), [subject])
     Isolation(context, stage.job).keep(stage.kind, subject, _tried(inputs, due.get(subject, Due(0))), error)

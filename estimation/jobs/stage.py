@@ -16,9 +16,9 @@ from estimation.jobs.settings import JobSettings
 from estimation.storage import UnitOfWork
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
 from estimation.values.results import ResultKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import StageInputs
 
 I = TypeVar("I")  # noqa: E741 - inputs
@@ -101,7 +101,8 @@ class Stage(Generic[I, V]):
         results: How what it computes is stored; None where ``store`` does all.
         store: Stores what is more than results, in the same transaction; returns what it counted.
         at_once: Subjects that are loaded and stored in one transaction.
-        together: Whether it looks at all subjects of its kind together; its one subject is ``EVERYTHING``.
+        together: Whether it looks at all subjects together, of whatever kind a facet is; its one subject is
+            ``EVERYTHING``.
         frozen: Stages whose results it reads and that do not make it due.
     """
 

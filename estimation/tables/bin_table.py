@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -23,13 +23,18 @@ from estimation.tables import bin_kernels as kernels
 from estimation.tables import least_squares
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.geometry import BinTable, FilledCells
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.regression_kernels import signals_of
-from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS, coefficients
+from estimation.vehicle.regressors import (
+    LATERAL_TARGETS,
+    REGRESSORS,
+    SHARED_IN_BOGIE,
+    YAW_TARGETS,
+    coefficients,
+    signals_of,
+)
 from estimation.vehicle.sensor_noise import difference_noise
 from estimation.vehicle.vehicle_class import VehicleClass
 
@@ -41,20 +46,21 @@ class TableSum:
     Adding and forgetting in turn gives the same bits as ``estimation.tables.bin_table.merge`` table by table.
 
     Attributes:
-        empty: The table of the same parameters without samples.
+        start: The table to which others are added: without samples, or a sum that goes on.
     """
 
-    empty: BinTable
+    start: BinTable
     _weight: FloatArray = field(init=False)
     _lateral: FloatArray = field(init=False)
     _yaw: FloatArray = field(init=False)
-    _samples: int = 0
-    _windows: int = 0
+    _samples: int = field(init=False)
+    _windows: int = field(init=False)
 
     def __post_init__(self) -> None:
         self._weight, self._lateral, self._yaw = (
-            array.copy() for array in (self.empty.weight, self.empty.lateral, self.empty.yaw)
+            array.copy() for array in (self.start.weight, self.start.lateral, self.start.yaw)
         )
+        self._samples, self._windows = self.start.samples, self.start.windows
 
     def forget(self, weight: float) -> None:
         """Give what was added so far another weight.
@@ -66,8 +72,8 @@ class TableSum:
             for array in (self._weight, self._lateral, self._yaw):
                 np.multiply(array, weight, out=array)
 
-    def add(self, table: BinTable | FilledCells) -> None:
-        """Add a table with weight 1.
+    def add(self, table: BinTable | FilledCells, weight: float = 1.0) -> None:
+        """Add a table times a weight; samples and windows are counted without weights.
 
         Args:
             table: Whole, or its filled cells.
@@ -75,23 +81,24 @@ class TableSum:
         Raises:
             ValueError: It was made with other parameters.
         """
-        if table.parameter_key != self.empty.parameter_key:
-            both = f"{self.empty.parameter_key} and {table.parameter_key}"
+        if table.parameter_key != self.start.parameter_key:
+            both = f"{self.start.parameter_key} and {table.parameter_key}"
             raise ValueError(f"bin tables of parameters {both} do not merge")
         sums = (self._weight, self._lateral, self._yaw)
         for whole, added in zip(sums, (table.weight, table.lateral, table.yaw), strict=True):
+            share = added if weight == 1.0 else weight * added
             if isinstance(table, FilledCells):
-                whole.reshape(-1, *whole.shape[2:])[table.cells] += added
+                whole.reshape(-1, *whole.shape[2:])[table.cells] += share
             else:
-                np.add(whole, added, out=whole)
+                np.add(whole, share, out=whole)
         self._samples += table.samples
         self._windows += table.windows
 
     def table(self) -> BinTable:
         """Return the sum."""
         return BinTable(
-            parameter_key=self.empty.parameter_key,
-            edges=self.empty.edges,
+            parameter_key=self.start.parameter_key,
+            edges=self.start.edges,
             weight=np.array(self._weight),
             lateral=np.array(self._lateral),
             yaw=np.array(self._yaw),
@@ -363,3 +370,32 @@ def bin_parameters(parameters: WindowParameters) -> BinParameters:
 def _arrangement(vehicle_class: VehicleClass) -> str:
     """Return what shapes the motion besides the parameters of the wheelset."""
     return f"{vehicle_class.arrangement} {vehicle_class.bogie} {vehicle_class.sensors}"
+
+
+def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
+    """Return the sum of tables times their weights; samples and windows are counted without weights.
+
+    Args:
+        tables: Weight and table, at least one; all of the same parameters.
+
+    Raises:
+        ValueError: The tables were made with different parameters.
+    """
+    total: BinTable | None = None
+    for weight, table in tables:
+        if total is None:
+            total = replace(table, weight=weight * table.weight, lateral=weight * table.lateral, yaw=weight * table.yaw)
+            continue
+        if table.parameter_key != total.parameter_key:
+            raise ValueError(f"bin tables of parameters {total.parameter_key} and {table.parameter_key} do not merge")
+        total = replace(
+            total,
+            weight=total.weight + weight * table.weight,
+            lateral=total.lateral + weight * table.lateral,
+            yaw=total.yaw + weight * table.yaw,
+            samples=total.samples + table.samples,
+            windows=total.windows + table.windows,
+        )
+    if total is None:
+        raise ValueError("no table to sum")
+    return total

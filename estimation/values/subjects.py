@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 
 EVERYTHING = "all"
 """The one subject of a stage that looks at all subjects of its kind together."""
@@ -24,6 +24,7 @@ class Facet(StrEnum):
     RECORDINGS = "recordings"  # of a vehicle, that are rejected
     STIFFNESS = "stiffness"  # ratios that epochs show of a vehicle
     DAMPER = "damper"
+    ALIGNMENT = "alignment"  # versions of the alignment of a section
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +32,9 @@ class StageInputs:
     """What a stage declares that it is made from.
 
     Attributes:
-        facets: Of its subjects.
+        facets: Of its subjects; none of a stage that works window by window (``fleet_db.due``).
         common: Digest of what is the same for all subjects: settings and numerics.
-        together: Whether it looks at all subjects of the kind together.
+        together: Whether it looks at all subjects together, of whatever kind a facet is.
     """
 
     stage: str

@@ -23,8 +23,8 @@ from sqlalchemy import (
 )
 
 from estimation.errors import NotFoundError
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState

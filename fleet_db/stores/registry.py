@@ -11,8 +11,7 @@ from sqlalchemy import Connection, Row, Select, select, update
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
-from estimation.vehicle.class_on_file import SHIPPED_VERSION, ClassOnFile, class_document
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
@@ -22,6 +21,7 @@ from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.measured_profiles import (
+    MEASURED,
     measured_profiles_of,
     newest_measurement_of,
     store_measured_profiles,
@@ -169,6 +169,10 @@ class RegistryStore:
         rows = self.connection.execute(statement.order_by(MOUNTINGS.c.vehicle, MOUNTINGS.c.axle, MOUNTINGS.c.wheelset))
         return [to_mounting(row) for row in rows]
 
+    def measured_wheelsets(self) -> frozenset[str]:
+        """Return the serials of the wheelsets whose profiles were measured."""
+        return frozenset(self.connection.scalars(select(MEASURED.c.wheelset).distinct()))
+
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
         """Return every measurement of the profiles of a wheelset, oldest first.
 
@@ -215,9 +219,8 @@ class RegistryStore:
             was = None if on_file is None else class_document(on_file.vehicle_class)
             self._note(key, was, document, recorded_ns)
         if taken_out(self.connection, stored):
-            RegistryHistoryStore(self.connection, self.changes.subjects).note_return(key, document, self.decision)
+            RegistryHistoryStore(self.connection, self.changes).note_return(key, document, self.decision)
         vehicles = [vehicle.code for vehicle in self.vehicles_of_class(vehicle_class.code)]
-        self._show_mounted(vehicles)
         return Again(self.connection, self.changes, recorded_ns).class_changed(vehicles, before, stored)
 
     def add_fleet(self, record: FleetRecord) -> None:
@@ -237,10 +240,8 @@ class RegistryStore:
         was = found[0] if found else None
         values = _vehicle_values(record)
         key = RecordKey(RecordKind.VEHICLE, record.code)
-        RegistryHistoryStore(self.connection, self.changes.subjects).note_return(key, values, self.decision)
+        RegistryHistoryStore(self.connection, self.changes).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
-            self._show_mounted([record.code])
-            self.changes.refile_vehicle(record.code)
             self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
         if was is not None and was.max_speed_m_s != record.max_speed_m_s:  # mileages are judged by it
             self.connection.execute(update(WINDOWS).where(WINDOWS.c.vehicle == record.code).values(judged=False))
@@ -270,12 +271,10 @@ class RegistryStore:
         was = None if row is None else row["nominal_radius_m"]
         key = RecordKey(RecordKind.WHEELSET, record.serial)
         if self.voided(record.serial):
-            RegistryHistoryStore(self.connection, self.changes.subjects).note(
+            RegistryHistoryStore(self.connection, self.changes).note(
                 key, RecordAction.RESTORED, values, replace(self.decision, recorded_ns=recorded_ns)
             )
-            self.changes.show(record.serial)
         if upsert(self.connection, WHEELSETS, values):
-            self.changes.refile(record.serial)
             self._note(key, row, values, recorded_ns)
         if record.mounting is not None:
             self.add_mounting(record.mounting)
@@ -327,7 +326,6 @@ class RegistryStore:
         """Let follow what rests on a mounting that has changed; None is one that there is not."""
         record = now or was
         assert record is not None
-        self.changes.refile(record.wheelset)
         self.connection.execute(update(WINDOWS).where(WINDOWS.c.wheelset == record.wheelset).values(judged=False))
         for vehicle, from_ns, to_ns in changed_spans(was, now):
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
@@ -354,7 +352,6 @@ class RegistryStore:
         was = stored_reprofiling(self.connection, record.wheelset, record.at_ns)
         if not upsert(self.connection, REPROFILINGS, asdict(record)):
             return False
-        self.changes.refile(record.wheelset)
         self._note(RecordKey(RecordKind.REPROFILING, record.wheelset, record.at_ns), was, asdict(record), recorded_ns)
         return True
 
@@ -371,20 +368,13 @@ class RegistryStore:
         was = stored_measurement(self.connection, record.wheelset, record.at_ns)
         if not store_measured_profiles(self.connection, record):
             return False
-        self.changes.refile(record.wheelset)
         now = stored_measurement(self.connection, record.wheelset, record.at_ns)
         self._note(RecordKey(RecordKind.MEASUREMENT, record.wheelset, record.at_ns), was, now, recorded_ns)
         return True
 
-    def _show_mounted(self, vehicles: Sequence[str]) -> None:
-        """Let the worklist show what has changed about the vehicles that wheelsets run under."""
-        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles), MOUNTINGS.c.to_ns.is_(None))
-        for serial in self.connection.scalars(mounted):
-            self.changes.show(serial)
-
     def _note(self, key: RecordKey, was: Record | None, now: Record | None, recorded_ns: int | None) -> None:
         decision = self.decision if recorded_ns is None else replace(self.decision, recorded_ns=recorded_ns)
-        RegistryHistoryStore(self.connection, self.changes.subjects).note_change(key, was, now, decision)
+        RegistryHistoryStore(self.connection, self.changes).note_change(key, was, now, decision)
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
         rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()

@@ -9,14 +9,14 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, RowMapping, Subquery, and_, func, insert, null, select
 
 from estimation.values.json_value import JsonValue
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
+from fleet_db.changes import Changes
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import table_of
-from fleet_db.subjects import Subjects
-from fleet_db.tables import RegistryEventRow
+from fleet_db.tables import RegistryEventRow, VehicleRow
 
-EVENTS = table_of(RegistryEventRow)
+EVENTS, VEHICLES = table_of(RegistryEventRow), table_of(VehicleRow)
 Record = Mapping[str, Any] | RowMapping
 """A record by the columns of its table."""
 _VOID_OR_NOT = (RecordAction.VOIDED.value, RecordAction.RESTORED.value)
@@ -36,7 +36,7 @@ class RegistryHistoryStore:
     """Decisions, in one transaction; what rests on a record follows each change of it, noted or not."""
 
     connection: Connection
-    subjects: Subjects
+    changes: Changes
 
     def note(
         self,
@@ -88,18 +88,22 @@ class RegistryHistoryStore:
         return stands_voided(self.connection, key)
 
     def _raise(self, key: RecordKey, *records: Record | None) -> None:
-        """Raise the versions of what a record is of."""
-        if key.kind in {RecordKind.VEHICLE, RecordKind.SENSOR_CHANGE}:
-            self.subjects.vehicle_on_file(key.subject)
+        """Let what rests on a record follow."""
+        if key.kind is RecordKind.SENSOR_CHANGE:
+            self.changes.subjects.vehicle_on_file(key.subject)
+        elif key.kind is RecordKind.VEHICLE:
+            self.changes.refile_vehicle(key.subject)
         elif key.kind is RecordKind.VEHICLE_CLASS:
-            self.subjects.class_on_file(key.subject)
+            of_class = select(VEHICLES.c.code).where(VEHICLES.c.vehicle_class == key.subject)
+            for vehicle in self.connection.scalars(of_class).all():
+                self.changes.refile_vehicle(vehicle)
         elif key.kind is RecordKind.SECTION:
-            self.subjects.raised(SubjectKind.SECTION, key.subject, Facet.REGISTRY)
+            self.changes.subjects.raised(SubjectKind.SECTION, key.subject, Facet.REGISTRY)
         else:
-            self.subjects.wheelset_on_file(key.subject)
+            self.changes.refile(key.subject)
         if key.kind is RecordKind.MOUNTING:  # the wheelsets beside it have another beside them
             for vehicle in {str(record["vehicle"]) for record in records if record}:
-                self.subjects.vehicle_on_file(vehicle)
+                self.changes.subjects.vehicle_on_file(vehicle)
 
     def list(
         self,

@@ -23,12 +23,14 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import EVERYTHING, Due, Mark, StageInputs
+from fleet_db.due import WindowDueStore, list_due
 from fleet_db.rows import table_of
 from fleet_db.subjects import VERSIONS, Subjects
-from fleet_db.tables import StageMarkRow
+from fleet_db.tables import StageMarkRow, WindowRow
 
-MARKS = table_of(StageMarkRow)
+MARKS, WINDOWS = table_of(StageMarkRow), table_of(WindowRow)
 SUM = func.sum(VERSIONS.c.version)
 
 
@@ -38,6 +40,7 @@ class StageMarkStore:
 
     connection: Connection
     subjects: Subjects
+    windows: WindowDueStore
 
     def due(self, inputs: StageInputs, now_ns: int, subjects: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return what a stage has not seen as it is now, by subject, in their order; one statement.
@@ -48,6 +51,8 @@ class StageMarkStore:
             subjects: Only of these; None is all.
         """
         self.subjects.flush()
+        if inputs.kind is SubjectKind.WINDOW:
+            return self.windows.due(inputs, subjects)
         rows = self.connection.execute(_due(inputs, now_ns, subjects))
         return {
             row.subject: Due(
@@ -65,6 +70,22 @@ class StageMarkStore:
 
     def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
         """Note what a stage has seen of subjects; what this transaction raises of its inputs is seen where it rests."""
+        if inputs.kind is SubjectKind.WINDOW:
+            self.windows.note(inputs, marks)
+            return
+        self._put(inputs, marks)
+
+    def has_settings(self, inputs: StageInputs) -> bool:
+        """Return whether a stage that works window by window has looked at all windows with these settings."""
+        chosen = (MARKS.c.stage == inputs.stage, MARKS.c.subject == EVERYTHING, MARKS.c.common == inputs.common)
+        return self.connection.execute(select(MARKS.c.seen).where(*chosen)).first() is not None
+
+    def list_again(self, inputs: StageInputs) -> None:
+        """Let a stage look at all windows with samples."""
+        list_due(self.connection, inputs.stage, WINDOWS.c.samples_purged_ns.is_(None))
+        self._put(inputs, {EVERYTHING: Mark(0, "", rests=False)})
+
+    def _put(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
         rows = [
             {
                 "stage": inputs.stage,
@@ -84,7 +105,7 @@ class StageMarkStore:
         self.connection.execute(delete(MARKS).where(MARKS.c.stage == stage, MARKS.c.subject.in_(subjects)))
 
     def _raised(self, inputs: StageInputs, subject: str) -> int:
-        return self.subjects.growth(inputs.kind, inputs.facets, None if inputs.together else subject)
+        return self.subjects.growth(inputs.facets, None if inputs.together else (inputs.kind, subject))
 
 
 def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> Select[Any]:
@@ -96,9 +117,11 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
     statement = select(*columns, func.coalesce(come, false()).label("come")).select_from(
         VERSIONS.outerjoin(MARKS, of_stage)
     )
-    statement = statement.where(VERSIONS.c.kind == inputs.kind.value, VERSIONS.c.facet.in_(inputs.facets))
-    if subjects is not None and not inputs.together:
-        statement = statement.where(VERSIONS.c.subject.in_(subjects))
+    statement = statement.where(VERSIONS.c.facet.in_(inputs.facets))
+    if not inputs.together:
+        statement = statement.where(VERSIONS.c.kind == inputs.kind.value)
+        if subjects is not None:
+            statement = statement.where(VERSIONS.c.subject.in_(subjects))
     changed = or_(MARKS.c.seen.is_(None), MARKS.c.seen != SUM, MARKS.c.common != inputs.common, come)
     if inputs.together:
         return statement.group_by(*marked).having(changed)

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from estimation.alerts.rules.identity import MOUNTED
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert
-from estimation.values.identity import AFTER, IDENTITY, IdentityChange, latest_identity_change
 from estimation.values.registry import Mounting
+from estimation.values.trend import AFTER, IDENTITY, IdentityChange, latest_identity_change
 
 _ALL = 1000
 
@@ -56,7 +56,8 @@ def suspected(unit: UnitOfWork) -> frozenset[str]:
 def _still_there(alert: Alert, mountings: Sequence[Mounting]) -> bool:
     """Whether a wheelset was mounted after a change where the alert says; its way round may have been corrected."""
     place, after_ns = alert.evidence.get(MOUNTED), alert.evidence.get(AFTER)
-    if not isinstance(place, list) or not isinstance(after_ns, int):
+    if not isinstance(place, dict) or not isinstance(after_ns, int):
         return True
-    same = [one for one in mountings if [one.vehicle, one.axle, one.from_ns] == place[:3]]
+    at = [place.get(name) for name in ("vehicle", "axle", "from_ns")]
+    same = [one for one in mountings if [one.vehicle, one.axle, one.from_ns] == at]
     return any(one.to_ns is None or one.to_ns > after_ns for one in same)

@@ -24,12 +24,16 @@ from estimation.storage import UnitOfWork
 from estimation.trend.steps import behind_step
 from estimation.values.alerts import Alert
 from estimation.values.dampers import GearDamper
-from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import IdentityChange, since_change
-from estimation.values.interval_conicities import IntervalConicities
+from estimation.values.geometry import GeometryRecord, IntervalConicities
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.suspension import SUSPENSION, SuspensionShown
-from estimation.values.trend import TrendRecord, TrendStep
+from estimation.values.trend import (
+    SUSPENSION,
+    IdentityChange,
+    SuspensionShown,
+    TrendRecord,
+    TrendStep,
+    since_change,
+)
 from estimation.values.windows import WindowRecord
 
 T = TypeVar("T")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import pytest
-from wheelset_life import SetClock, register
+from wheelset_life import SetClock, register, run_windows
 
 from estimation.errors import StorageError
 from estimation.jobs.job import JobContext
@@ -16,9 +16,11 @@ from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.storage import UnitOfWork
 from estimation.values.quantities import Estimate, Status
-from estimation.values.quarantine import SubjectKind
 from estimation.values.results import Result, ResultKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
+from estimation.values.windows import text_of_key
+from fleet_db.due import WINDOWS, list_due
 from fleet_db.storage import SqlStorage
 
 
@@ -204,3 +206,35 @@ def test_a_stage_of_all_subjects_is_due_where_one_of_them_is(facts: Facts, clock
     facts.set("W1", 2.0)
     assert run(stage, context(facts, clock))["changed"] == 3
     assert in_force(facts) == dict.fromkeys(facts.values, 7.0)
+
+
+def test_a_stage_of_windows_does_each_until_it_is_another(facts: Facts, clock: SetClock) -> None:
+    looked: list[str] = []
+
+    def load(_: UnitOfWork, keys: Sequence[str], __: JobContext) -> Mapping[str, str]:
+        return {key: key for key in keys if not key.startswith("W3")}  # of a window that is gone nothing is computed
+
+    def compute(key: str) -> Outcome[Length]:
+        looked.append(key)
+        if key == keys[0] and len(looked) < 2:
+            raise RuntimeError("no")
+        return Outcome()
+
+    stage = replace(facts.stage(), kind=SubjectKind.WINDOW, load=load, compute=compute, results=None)
+    stage = replace(stage, counted=Counted("windows", "changed"))
+    for serial in ("W1", "W2", "W3"):
+        run_windows(facts.storage, serial, 1.0, 1)
+    with facts.storage.read() as unit:
+        keys = [text_of_key(*window.key) for serial in ("W1", "W2") for window in unit.windows.list(serial)]
+    assert run(stage, context(facts, clock)) == {"windows": 2, "changed": 0, "quarantined": 1}
+    assert looked == keys
+    assert run(stage, context(facts, clock))["quarantined"] == 1  # the one that failed waits
+    assert looked == keys
+    with facts.storage.write() as unit:
+        list_due(unit.connection, "length", WINDOWS.c.wheelset == "W1")
+    assert run(stage, context(facts, clock))["quarantined"] == 0  # another version is tried at once
+    assert run(stage, context(facts, clock)) == {"windows": 0, "changed": 0, "quarantined": 0}
+    assert looked == [*keys, keys[0]]
+    other = JobSettings(trend=replace(JobSettings().trend, horizon_km=1.0))
+    run(stage, context(facts, clock, other))
+    assert sorted(looked[3:]) == sorted(keys)
