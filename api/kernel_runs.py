@@ -14,10 +14,9 @@ from api import estimator_kernel_runs, ingest_kernel_runs
 from estimation.adhesion.creep_forces import filter_forward, smooth_back
 from estimation.adhesion.window_adhesion import add_saturated, excess_table
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.paper_algorithm import PaperAlgorithm

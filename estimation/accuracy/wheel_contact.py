@@ -9,10 +9,9 @@ from typing import Annotated
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.contact.radius_difference import RadiusDifferenceCurve, refined_curve
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval
@@ -65,7 +64,6 @@ def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact
     """Return the contact geometry of two wheels on rails, or why there is none.
 
     Args:
-        wheels: Profiles, radius and their standard deviation.
         rails: Rails with the share of the running on each; shares need not add up to one.
     """
     if not rails:

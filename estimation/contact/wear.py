@@ -86,10 +86,7 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
     Raises:
         ParameterError: As `TreadWear`.
     """
-    centre, half_width = {
-        WearFamily.P8_ON_56E1: (3e-3, 44e-3),
-        WearFamily.S1002_ON_60E1: (4e-3, 33e-3),
-    }[family]
+    centre, half_width = {WearFamily.P8_ON_56E1: (3e-3, 44e-3), WearFamily.S1002_ON_60E1: (4e-3, 33e-3)}[family]
     return TreadWear(depth, centre, half_width, depth)
 
 

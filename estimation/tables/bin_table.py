@@ -35,8 +35,7 @@ from estimation.vehicle.regressors import (
     coefficients,
     signals_of,
 )
-from estimation.vehicle.sensor_noise import difference_noise
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, difference_noise
 
 
 @dataclass(slots=True)
@@ -77,9 +76,6 @@ class TableSum:
 
         Args:
             table: Whole, or its filled cells.
-
-        Raises:
-            ValueError: It was made with other parameters.
         """
         if table.parameter_key != self.start.parameter_key:
             both = f"{self.start.parameter_key} and {table.parameter_key}"
@@ -183,12 +179,7 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
-    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`.
-
-    Args:
-        motion: Motion of one wheelset relative to the track, (n,) samples.
-        parameters: Bins, groups, and the vehicle of Eq. 1 and Eq. 2.
-    """
+    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`."""
     return fill_cells(motion, parameters).table()
 
 
@@ -256,11 +247,7 @@ def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTabl
     """Return ``forgetting * first + second``; associative, and commutative without forgetting.
 
     Args:
-        first, second: Tables of the same parameters.
         forgetting: Weight of the first table, 0 to 1; that of the second is 1.
-
-    Raises:
-        ValueError: The tables were made with different parameters.
     """
     if first.parameter_key != second.parameter_key:
         raise ValueError(f"bin tables of parameters {first.parameter_key} and {second.parameter_key} do not merge")
@@ -280,10 +267,6 @@ def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameter
 
     Args:
         tables: Of the same parameters; one is in memory at a time where they come one by one.
-        parameters: Those of the tables; of the empty table where there are none.
-
-    Raises:
-        ValueError: A table was made with other parameters.
     """
     merged = TableSum(init(parameters))
     for table in tables:
@@ -299,10 +282,6 @@ def merge_with_mileage(
     Args:
         tables: (mileage in km, table), ascending; one is in memory at a time where they come one by one.
         half_life_km: Distance after which an observation counts half.
-        parameters: Those of the tables; of the empty table where there are none.
-
-    Raises:
-        ValueError: A table was made with other parameters.
     """
     merged, before = TableSum(init(parameters)), None
     for mileage, table in tables:
@@ -351,11 +330,7 @@ def cells_of_window(
 
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:
-    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion.
-
-    Args:
-        parameters: Class of the vehicle and filters, which go into the key of the tables.
-    """
+    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion."""
     bogie = parameters.vehicle_class.bogie
     return BinParameters(
         source=parameters.signals.source,
@@ -377,9 +352,6 @@ def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
 
     Args:
         tables: Weight and table, at least one; all of the same parameters.
-
-    Raises:
-        ValueError: The tables were made with different parameters.
     """
     total: BinTable | None = None
     for weight, table in tables:

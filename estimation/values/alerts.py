@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Self
 
 from estimation.values.json_value import JsonValue
+from estimation.values.reasons import MeaningEnum
 
 
 class AlertScope(StrEnum):
@@ -40,27 +40,23 @@ class Condition(StrEnum):
     UNKNOWN = "unknown"  # no longer assessable; never to be read as healthy
 
 
-class CloseReason(StrEnum):
+class CloseReason(MeaningEnum):
     """Why an alert was closed; ``sentence`` is what people read."""
 
-    sentence: str
+    CLEARED = "cleared"
+    NOT_CONFIRMED = "not confirmed within the on-delay"
+    MEMBERS_CLOSED = "all members closed"
+    REPROFILED = "reprofiled"
+    OUT_OF_SERVICE = "taken out of service"
+    WHEELSET_EXCHANGED = "wheelset exchanged"
+    SENSOR_CHANGED = "sensor exchanged or calibrated"
+    MOUNTING_CORRECTED = "mounting corrected"
+    RULE_DISABLED = "rule switched off"
 
-    def __new__(cls, code: str, sentence: str = "") -> Self:
-        """Return the member of a code with its sentence."""
-        member = str.__new__(cls, code)
-        member._value_ = code
-        member.sentence = sentence
-        return member
-
-    CLEARED = "cleared", "cleared"
-    NOT_CONFIRMED = "not_confirmed", "not confirmed within the on-delay"
-    MEMBERS_CLOSED = "members_closed", "all members closed"
-    REPROFILED = "reprofiled", "reprofiled"
-    OUT_OF_SERVICE = "out_of_service", "taken out of service"
-    WHEELSET_EXCHANGED = "wheelset_exchanged", "wheelset exchanged"
-    SENSOR_CHANGED = "sensor_changed", "sensor exchanged or calibrated"
-    MOUNTING_CORRECTED = "mounting_corrected", "mounting corrected"
-    RULE_DISABLED = "rule_disabled", "rule switched off"
+    @property
+    def sentence(self) -> str:
+        """What people read."""
+        return self.meaning
 
 
 class AlertEventKind(StrEnum):

@@ -33,11 +33,7 @@ def runs(mask: BoolArray) -> IntArray:
 
 
 def as_slice(index: IntArray) -> IntArray | slice:
-    """Return increasing indices as a slice where none is left out: many times quicker to take and to add to.
-
-    Args:
-        index: (n,) increasing.
-    """
+    """Return increasing indices as a slice where none is left out: many times quicker to take and to add to."""
     if len(index) == 0 or index[-1] - index[0] + 1 != len(index):
         return index
     return slice(int(index[0]), int(index[-1]) + 1)

@@ -147,12 +147,7 @@ class Centre:
     origin: CentreOrigin
 
 
-COMBINATIONS = (
-    "rolling_radius_sum",
-    "rolling_radius_difference",
-    "contact_angle_sum",
-    "contact_angle_difference",
-)
+COMBINATIONS = ("rolling_radius_sum", "rolling_radius_difference", "contact_angle_sum", "contact_angle_difference")
 
 
 @dataclass(frozen=True, slots=True)

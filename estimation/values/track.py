@@ -228,11 +228,7 @@ class FoldState:
 
 @dataclass(frozen=True, slots=True)
 class TrackEpoch:
-    """One epoch of a section as it was computed last. Key: (section, number), from 1 in vehicle time.
-
-    Attributes:
-        estimated_on: Version that its own windows are estimated on, as long as the last one does not differ materially.
-    """
+    """One epoch of a section as it was computed last. Key: (section, number), from 1 in vehicle time."""
 
     section: str
     number: int
@@ -242,21 +238,17 @@ class TrackEpoch:
     windows: int
     waits: bool  # it identified nothing: its windows are looked at again together with those of the next
     after: FoldState  # what is known after it
-    estimated_on: int | None
+    estimated_on: int | None  # version of its windows, as long as the last one does not differ materially
     report: int  # number of its report
     recorded_ns: int
 
 
 @dataclass(frozen=True, slots=True)
 class FoundOfVehicles:
-    """Of which vehicles an epoch has found what matters for their windows alone.
-
-    Attributes:
-        stiffness_ratio: By vehicle, as that version has it; 1 where it has none.
-    """
+    """Of which vehicles an epoch has found what matters for their windows alone."""
 
     version: int  # that holds it: windows of these vehicles are estimated on no older one
-    stiffness_ratio: Mapping[str, float] = field(default_factory=dict)
+    stiffness_ratio: Mapping[str, float] = field(default_factory=dict)  # as that version has it; 1 without
 
 
 @dataclass(frozen=True, slots=True)

@@ -188,11 +188,7 @@ class IdentityChange:
 
 
 def latest_identity_change(alerts: Iterable[Alert]) -> IdentityChange | None:
-    """Return the last change; None where there is none.
-
-    Args:
-        alerts: Of one wheelset, open and closed; those of other kinds are left out.
-    """
+    """Return the last change; None where there is none."""
     changes = [_change(alert) for alert in alerts if alert.kind == IDENTITY]
     return max((change for change in changes if change is not None), key=lambda change: change.after_ns, default=None)
 
@@ -202,7 +198,6 @@ def since_change(records: Sequence[_Record], change: IdentityChange | None) -> l
 
     Args:
         records: Geometries of one wheelset, or what is left of them.
-        change: Its last; None keeps all records.
     """
     return [record for record in records if change is None or record.from_ns >= change.after_ns]
 
@@ -217,7 +212,6 @@ def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) ->
 
     Args:
         change: The last one; None where there was none.
-        first_ns, second_ns: Times, ns UTC.
     """
     if change is None:
         return True

@@ -21,16 +21,12 @@ class WindowsOfReason:
 
 @dataclass(frozen=True, slots=True)
 class WithoutEstimate:
-    """Why nothing is estimated of a wheelset, and what to do.
-
-    Attributes:
-        from_ns: Begin of the oldest window that was counted, ns UTC on the vehicle's clock; None where there is none.
-    """
+    """Why nothing is estimated of a wheelset, and what to do."""
 
     reason: Reason  # in one sentence
     what_to_do: str  # in sentences; empty where there is nothing to do but to wait
     windows: tuple[WindowsOfReason, ...]  # its newest windows by state and reason, the most frequent first
-    from_ns: int | None
+    from_ns: int | None  # begin of the oldest window that was counted, on the vehicle's clock
     last_ns: int | None  # end of its newest window, whatever became of it; None where there is none
 
     def count(self, state: WindowState) -> int:
