@@ -402,8 +402,7 @@ class Plausibility(Protocol):
 class Worklist(Protocol):
     """What is said of every wheelset; every transaction makes the rows again of which it changes something."""
 
-    def outdated(self) -> Sequence[str]: ...
-    def renew(self, serials: Sequence[str]) -> None: ...
+    def refresh_all(self) -> None: ...
 
 
 class RecordedTimes(Protocol):

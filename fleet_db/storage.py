@@ -165,7 +165,7 @@ class SqlUnitOfWork:
         self.jobs = JobRunStore(connection, self.owner)
         self.idempotency = IdempotencyStore(connection)
         reader = WorklistReader(connection, self.registry, self.geometries, self.trends)
-        self.worklist = WorklistStore(connection, self.changes, reader)
+        self.worklist = WorklistStore(connection, self.subjects, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
         self.looks = LookStore(connection, self.changes)
@@ -178,7 +178,7 @@ class SqlUnitOfWork:
     def finish(self) -> None:
         """Let what follows from the changes follow, as the last of the transaction: see ``Changes``."""
         self.changes.flush()
-        self.worklist.refresh(self.changes.take_shown())
+        self.worklist.refresh(self.subjects.take_shown())
 
     def assemble_alone(self, vehicle: str) -> None:
         """Let nobody else store windows or receipts of a vehicle until this transaction has ended.

@@ -17,6 +17,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.trend import SUSPENSION, TREND
+from estimation.worklist.row import FACETS as SHOWN
 from fleet_db.rows import table_of
 from fleet_db.tables import MountingRow, ResultRow, SubjectVersionRow, TrackEpochWindowRow, WindowRow
 
@@ -41,6 +42,7 @@ class Subjects:
     connection: Connection
     _raised: set[tuple[str, str, str]] = field(default_factory=set)  # since they were written last
     _written: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+    _shown: set[str] = field(default_factory=set)
 
     def raised(self, kind: SubjectKind, subject: str | None, facet: str) -> None:
         """Let a facet have another version.
@@ -49,6 +51,18 @@ class Subjects:
             subject: Its code or serial; None is what is on no section.
         """
         self._raised.add((str(kind), subject or "", str(facet)))
+        if kind is SubjectKind.WHEELSET and subject is not None and facet in SHOWN:
+            self.show(subject)
+
+    def show(self, wheelset: str) -> None:
+        """Let the row of a wheelset in the worklist be made again when this transaction ends."""
+        self._shown.add(wheelset)
+
+    def take_shown(self) -> list[str]:
+        """Return the serials whose row of the worklist is to be made again, in their order; they are forgotten here."""
+        taken = sorted(self._shown)
+        self._shown.clear()
+        return taken
 
     def windows(self, wheelset: str, hunting_in: str | None = None) -> None:
         """Let the windows of a wheelset have another version: their states, qualities or mileages.

@@ -21,15 +21,17 @@ from estimation.jobs.compare_suspensions import SUSPENSIONS
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run as run_stage
-from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.jobs.steps.fleet_alerts import raise_in_fleet
 from estimation.jobs.steps.wheelset_facts import facts_of
+from estimation.jobs.worklist_rows import WORKLIST
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Finding, Transition
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.trend import TREND
 
+BEFORE: tuple[AnyStage, ...] = (WORKLIST, JUMPS, IDENTITIES, SUSPENSIONS)
 CHANGED, AT_REST = "changed", "at_rest"
 
 
@@ -168,7 +170,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     again.
     """
     counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
-    counts["quarantined"] = sum(run_stage(stage, context)["quarantined"] for stage in (JUMPS, IDENTITIES, SUSPENSIONS))
+    counts["quarantined"] = sum(run_stage(stage, context)["quarantined"] for stage in BEFORE)
     raises = _Raises()
     # in this process, where what is to be raised is brought together
     stage, here = replace(ALERTS, store=partial(store, raises=raises)), replace(context, executor=None)

@@ -9,5 +9,6 @@ from estimation.jobs.refresh_rails import OF_ALL as RAILS
 from estimation.jobs.refresh_rails import OF_WHEELSETS as CELLS
 from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.stage import AnyStage
+from estimation.jobs.worklist_rows import WORKLIST
 
-ALL_STAGES: tuple[AnyStage, ...] = (TREND, JUMPS, IDENTITIES, SUSPENSIONS, ALERTS, CELLS, RAILS)
+ALL_STAGES: tuple[AnyStage, ...] = (TREND, JUMPS, IDENTITIES, SUSPENSIONS, ALERTS, WORKLIST, CELLS, RAILS)

@@ -35,6 +35,7 @@ class StageInputs:
         facets: Of its subjects; none of a stage that works window by window (``fleet_db.due``).
         common: Digest of what is the same for all subjects: settings and numerics.
         together: Whether it looks at all subjects together, of whatever kind a facet is.
+        inline: Whether only other settings make it due: what is raised is followed by the transaction that raises it.
     """
 
     stage: str
@@ -42,6 +43,7 @@ class StageInputs:
     facets: tuple[str, ...]
     common: str
     together: bool = False
+    inline: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,7 +81,6 @@ class GeometryStore:
         self.changes.subjects.raised(SubjectKind.WHEELSET, record.wheelset, Facet.GEOMETRY)
         if record.interval is None:
             self._show_bins(record.wheelset)
-            self.changes.show(record.wheelset)
         return True
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:

@@ -66,11 +66,9 @@ PLACED = exists().where(
 PURGED = ("samples_purged_ns", "table_purged_ns")
 NOT_PASSED_OVER = or_(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.passed_over.is_(None))
 SAME = and_(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.start_ns == bindparam("start_ns"))
+OF_STORED = ("content_digest", "sample_bytes", "mileage_km", "track_section", "hunting_share", *PURGED)
 STORED = (
-    select(
-        *(WINDOWS.c[name] for name in ("content_digest", "sample_bytes", "mileage_km", "track_section", *PURGED)),
-        WINDOWS.c.hunting_share,
-    )
+    select(*(WINDOWS.c[name] for name in OF_STORED))
     .select_from(WHEELSETS.outerjoin(WINDOWS, SAME))
     .where(WHEELSETS.c.serial == bindparam("wheelset"))
 )
@@ -127,7 +125,7 @@ class WindowStore:
             "samples_purged_ns": None,
             "passed_over": None,
         }
-        self.changes.show(window.wheelset)
+        self.changes.touch(window.wheelset)
         hunts = max(window.quality.hunting.share, found.hunting_share or 0.0) >= HUNTING_SHARE
         self.changes.subjects.windows(window.wheelset, window.vehicle if hunts else None)
         self.changes.on_section(window.track_section)
