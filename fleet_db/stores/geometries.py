@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -81,7 +81,6 @@ class GeometryStore:
         self.changes.subjects.raised(SubjectKind.WHEELSET, record.wheelset, Facet.GEOMETRY)
         if record.interval is None:
             self._show_bins(record.wheelset)
-            self.changes.show(record.wheelset)
         return True
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
@@ -100,10 +99,11 @@ class GeometryStore:
         row = self.connection.execute(_version(), {"serial": wheelset}).first()
         return None if row is None else (row.geometry_id, row.recorded_ns, row.input_digest)
 
-    def newest_numbers(self) -> Mapping[str, int]:
+    def newest_numbers(self, wheelsets: Collection[str]) -> Mapping[str, int]:
         """Return by wheelset what changes whenever a geometry of it is appended: the number of the last."""
         last = select(func.max(GEOMETRIES.c.geometry_id)).where(GEOMETRIES.c.wheelset == WHEELSETS.c.serial)
-        rows = self.connection.execute(select(WHEELSETS.c.serial, last.scalar_subquery()))
+        chosen = select(WHEELSETS.c.serial, last.scalar_subquery()).where(WHEELSETS.c.serial.in_(wheelsets))
+        rows = self.connection.execute(chosen)
         return {serial: number for serial, number in rows if number is not None}
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:

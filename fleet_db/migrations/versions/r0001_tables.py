@@ -1038,7 +1038,6 @@ sa.Table(
     sa.Column("trend_key", REAL),
     sa.Column("mileage_key", REAL),
     sa.Column("last_data_ns", BIG),
-    required("form", BIG),
     required("document", TEXT),
     one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
     one_of("urgency", ("over_limit", "critical_alert", "due", "warning_alert", "unknown", "not_due", "not_mounted")),
