@@ -24,8 +24,7 @@ from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger
-from estimation.values.track import AlignmentSource
-from estimation.values.track_epochs import FoldState, TrackEpoch
+from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
 from fleet_db.changes import CHANGES
 from fleet_db.due import DUE
 from fleet_db.rows import table_of
@@ -34,12 +33,12 @@ from fleet_db.tables import (
     ChunkRow,
     GeometryRow,
     MountingRow,
+    ResultRow,
     RollingSumsRow,
     RollUpRow,
     RollUpStateRow,
     TrackEpochRow,
     TrackEpochWindowRow,
-    TrendRow,
     WindowBinTableRow,
     WindowPositionRow,
     WindowRow,
@@ -61,7 +60,7 @@ SUMS |= {"roll_ups": ("plain", "forgetting")}
 WINDOWS, POSITIONS, TABLES = table_of(WindowRow), table_of(WindowPositionRow), table_of(WindowBinTableRow)
 ROLL_UPS, MEMBERS, EPOCHS = table_of(RollUpRow), table_of(TrackEpochWindowRow), table_of(TrackEpochRow)
 MOUNTINGS, CHUNKS = table_of(MountingRow), table_of(ChunkRow)
-OF_WHEELSET = (table_of(RollUpStateRow), table_of(RollingSumsRow), table_of(GeometryRow), table_of(TrendRow))
+OF_WHEELSET = (table_of(RollUpStateRow), table_of(RollingSumsRow), table_of(GeometryRow), table_of(ResultRow))
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,11 +166,12 @@ def _copied(size: FleetSize, number: int, mounting: Mounting) -> Iterator[Insert
 
 def _copy(table: Table, serial: str, own: dict[str, object] | None = None) -> Insert:
     cut = {name: func.substr(table.c[name], 1, KEPT_BYTES) for name in SUMS.get(table.name, ())}
-    values = {"wheelset": literal(serial), **cut, **(own or {})}
+    owner = "subject" if table.name == "results" else "wheelset"
+    values = {owner: literal(serial), **cut, **(own or {})}
     numbered = {column.name for column in table.primary_key if column.autoincrement is True} | {"number"}
-    numbered |= {"geometry_id", "trend_id"}
+    numbered |= {"geometry_id", "result_id"}
     names = [column.name for column in table.columns if column.name not in numbered]
-    chosen = select(*(values.get(name, table.c[name]) for name in names)).where(table.c.wheelset == SERIAL)
+    chosen = select(*(values.get(name, table.c[name]) for name in names)).where(table.c[owner] == SERIAL)
     return insert(table).from_select(names, chosen)
 
 

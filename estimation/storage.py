@@ -7,35 +7,49 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition
-from estimation.values.claims import Claimed
 from estimation.values.dampers import GearDamper, WindowDamper
-from estimation.values.geometry import BinTable, FilledCells, GeometryRecord, IntervalDigest, TableKey, WindowTable
-from estimation.values.interval_conicities import IntervalConicities
-from estimation.values.look import Look, SectionLook
-from estimation.values.quarantine import Quarantined
-from estimation.values.rails import RailKey, SectionRailsRecord, StoredCell, WheelKey, WheelsetRailsRecord
+from estimation.values.geometry import (
+    BinTable,
+    FilledCells,
+    GeometryRecord,
+    IntervalConicities,
+    IntervalDigest,
+    TableKey,
+    WindowTable,
+)
+from estimation.values.rails import RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.roll_up import RolledPart, RollUp, RollUpState, TabledWindow
-from estimation.values.rolling_sums import RollingSums, WindowRollingSums
-from estimation.values.runs import JobOutcome, JobRun, JobTrigger
+from estimation.values.results import AnyResult, Result, ResultKind
+from estimation.values.roll_up import (
+    RolledPart,
+    RollingSums,
+    RollUp,
+    RollUpState,
+    TabledWindow,
+    WindowRollingSums,
+)
+from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger, Look, Quarantined, SectionLook
 from estimation.values.signatures import SignatureRecord, StoredSignatures, WindowSignatures
-from estimation.values.suspension import SuspensionFinding
+from estimation.values.subjects import Due, Mark, StageInputs
 from estimation.values.track import (
     AlignmentRecord,
+    EpochMember,
+    EpochNews,
+    FoundOfVehicles,
     SectionStanding,
     TrackAlignment,
+    TrackEpoch,
     TrackLayout,
     TrackReport,
     TrackSectionRecord,
 )
-from estimation.values.track_epochs import EpochMember, EpochNews, FoundOfVehicles, TrackEpoch
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import SuspensionFinding, TrendRecord
 from estimation.values.windows import (
     DueStage,
     MileageReading,
@@ -47,7 +61,9 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
-from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.vehicle.vehicle_class import ClassOnFile
+
+V = TypeVar("V")
 
 
 class Registry(Protocol):
@@ -64,7 +80,10 @@ class Registry(Protocol):
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None: ...
     def mountings_on(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]: ...
     def mountings(self, wheelset: str) -> Sequence[Mounting]: ...
+    def mountings_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[Mounting]]: ...
+    def vehicles_of(self, codes: Collection[str]) -> Mapping[str, VehicleRecord]: ...
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]: ...
+    def measured_wheelsets(self) -> frozenset[str]: ...
     def newest_measurement(self, wheelset: str) -> tuple[int, float] | None: ...
 
 
@@ -211,7 +230,6 @@ class Geometries(Protocol):
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None: ...
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]: ...
     def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]: ...
-    def reason(self, wheelset: str, baseline: int, interval: int | None) -> Reason | None: ...
     def intervals(
         self,
         wheelset: str,
@@ -232,6 +250,32 @@ class Trends(Protocol):
 
     def put(self, record: TrendRecord) -> bool: ...
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None: ...
+
+
+class Results(Protocol):
+    """Results of the stages; ``put_all`` returns those that are made from other inputs than the ones before."""
+
+    def in_force(
+        self, kind: ResultKind[V], subjects: Collection[str], as_of_ns: int | None = None
+    ) -> Sequence[Result[V]]: ...
+    def latest(self, kind: ResultKind[V], subject: str, as_of_ns: int | None = None) -> Result[V] | None: ...
+    def put_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Sequence[AnyResult]: ...
+    def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None: ...
+
+
+class Marks(Protocol):
+    """What each stage has seen of its subjects.
+
+    ``due`` reads versions in the snapshot in which the inputs are read. ``note`` is of the transaction that stores what
+    was made of them: what was raised meanwhile leaves the subject due.
+    """
+
+    def due(self, inputs: StageInputs, now_ns: int, subjects: Collection[str] | None = None) -> Mapping[str, Due]: ...
+    def count(self, stage: str) -> int: ...
+    def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None: ...
+    def forget(self, stage: str, subjects: Collection[str]) -> None: ...
+    def has_settings(self, inputs: StageInputs) -> bool: ...
+    def list_again(self, inputs: StageInputs) -> None: ...
 
 
 class Suspensions(Protocol):
@@ -293,6 +337,7 @@ class Alerts(Protocol):
     """
 
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]: ...
+    def of_kind(self, kind: str, wheelsets: Collection[str]) -> Sequence[Alert]: ...
     def open_of_fleets(self) -> Sequence[Alert]: ...
     def open_of_section(self, section: str, kind: str) -> Sequence[Alert]: ...
     def open_in_fleet(self, fleet: str) -> Sequence[Alert]: ...
@@ -382,15 +427,11 @@ class SectionLooks(Protocol):
 
 
 class Rails(Protocol):
-    """Conicities of wheelsets by section, and what was found of rails and of wheels."""
+    """Conicities of wheelsets by section."""
 
-    def cells(self, wheelset: str | None = None) -> Sequence[StoredCell]: ...
+    def cells(self, wheelsets: Collection[str] | None = None) -> Sequence[StoredCell]: ...
     def put_cells(self, cells: Sequence[StoredCell]) -> None: ...
     def drop_cells(self, keys: Sequence[tuple[WheelKey, RailKey]]) -> None: ...
-    def input_digest(self) -> tuple[str, str] | None: ...
-    def put_found(self, sections: Sequence[SectionRailsRecord], wheelsets: Sequence[WheelsetRailsRecord]) -> None: ...
-    def of_section(self, section: str) -> SectionRailsRecord | None: ...
-    def of_wheelset(self, wheelset: str) -> WheelsetRailsRecord | None: ...
 
 
 class UnitOfWork(Protocol):
@@ -414,6 +455,10 @@ class UnitOfWork(Protocol):
     def geometries(self) -> Geometries: ...
     @property
     def trends(self) -> Trends: ...
+    @property
+    def results(self) -> Results: ...
+    @property
+    def marks(self) -> Marks: ...
     @property
     def suspensions(self) -> Suspensions: ...
     @property

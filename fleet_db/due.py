@@ -6,7 +6,7 @@ what it has seen. A window that is gone stays listed until the stage has seen th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -22,10 +22,12 @@ from sqlalchemy import (
     func,
     literal,
     select,
+    tuple_,
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.windows import DueStage
+from estimation.values.subjects import Due, Mark, StageInputs
+from estimation.values.windows import DueStage, key_of_text, text_of_key
 from fleet_db.rows import table_of
 from fleet_db.tables import WindowDueRow, WindowRow
 
@@ -52,8 +54,28 @@ class WindowDueStore:
         if keys:
             self.connection.execute(_settled(), keys)
 
+    def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
+        """Return the windows that are due by key as text, in the order of vehicle, time and wheelset.
 
-def list_due(connection: Connection, stage: DueStage, chosen: ColumnElement[bool], **given: Any) -> None:  # noqa: ANN401
+        Args:
+            keys: Only of these; None is all.
+        """
+        statement = select(DUE).where(DUE.c.stage == inputs.stage)
+        if keys is not None:
+            own = tuple_(DUE.c.wheelset, DUE.c.start_ns)
+            statement = statement.where(own.in_([key_of_text(key) for key in keys]))
+        rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
+        return {text_of_key(row.wheelset, row.start_ns): Due(row.version) for row in rows}
+
+    def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
+        """Remove windows that a stage has seen, but those that were listed again since."""
+        names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
+        seen = [(inputs.stage, *key_of_text(key), mark.seen) for key, mark in marks.items()]
+        if seen:
+            self.connection.execute(_settled(), [dict(zip(names, one, strict=True)) for one in seen])
+
+
+def list_due(connection: Connection, stage: str, chosen: ColumnElement[bool], **given: Any) -> None:  # noqa: ANN401
     """List windows as due, in the transaction that changes them; before it removes them.
 
     Args:
@@ -73,11 +95,11 @@ def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 
     return select(DUE.c.version).where(DUE.c.stage == stage.value, *same).exists()
 
 
-def _listed(dialect: str, stage: DueStage, chosen: ColumnElement[bool]) -> Insert:
+def _listed(dialect: str, stage: str, chosen: ColumnElement[bool]) -> Insert:
     columns = ("stage", "wheelset", "start_ns", "vehicle", "section", "version")
     windows: Select[Any] = (
         select(
-            literal(stage.value),
+            literal(str(stage)),
             WINDOWS.c.wheelset,
             WINDOWS.c.start_ns,
             WINDOWS.c.vehicle,

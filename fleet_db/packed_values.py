@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -16,33 +16,37 @@ from estimation.contact.profiles import Profile
 from estimation.values.arrays import BoolArray
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
 from estimation.values.json_value import JsonValue
-from estimation.values.rolling_sums import RollingSums
+from estimation.values.roll_up import RollingSums
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, TrackLayout
-from estimation.values.trend import WearTrend
 from fleet_db.fields import Array, fields_of, pack, to_json, unpack, value_of
 
+V = TypeVar("V")
 VERSION = 1
 ALIGNMENTS = 4  # that are kept unpacked, some megabytes each
-TREND, GEOMETRY, LAYOUT, BIN_TABLE = "wear_trend", "wheelset_geometry", "track_layout", "bin_table"
+GEOMETRY, LAYOUT, BIN_TABLE = "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
 ROLLING_SUMS = "rolling_sums"
 STATUSES = {status.value: status for status in BinStatus}
 PROFILE_ARRAYS = ("y", "z", "slope")
 
 
-def pack_trend(trend: WearTrend) -> bytes:
-    """Return ``trend`` as one blob."""
-    return pack(TREND, VERSION, *fields_of(trend))
+def pack_value(value: object) -> bytes:
+    """Return a value as one blob, by its own fields."""
+    if isinstance(value, WheelsetGeometry):
+        return pack_geometry(value)
+    return pack(type(value).__name__, VERSION, *fields_of(value))
 
 
-def unpack_trend(blob: bytes, *, where: str) -> WearTrend:
-    """Return the trend, bit for bit.
+def unpack_value(kind: type[V], blob: bytes, *, where: str) -> V:
+    """Return the value of a class, bit for bit.
 
     Raises:
         StorageError: The blob is damaged; ``where`` names it.
     """
-    packed = unpack(blob, TREND, where=where)
-    return value_of(WearTrend, packed.scalars, packed.arrays)
+    if issubclass(kind, WheelsetGeometry):
+        return cast("V", unpack_geometry(blob, where=where))
+    packed = unpack(blob, kind.__name__, where=where)
+    return value_of(kind, packed.scalars, packed.arrays)
 
 
 def pack_geometry(geometry: WheelsetGeometry) -> bytes:

@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 from estimation.errors import ConflictError, TreadwatchError
 from estimation.jobs.hand_out import hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone, inputs_of
-from estimation.jobs.job import Job, JobContext, Stage
+from estimation.jobs.job import Job, JobContext, Work
 from estimation.jobs.steps.membership import membership
 from estimation.jobs.steps.rolled_geometries import SUMS_IN_MEMORY, RolledGeometries
 from estimation.jobs.steps.rolling import Part, rolled
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import GeometryRecord
-from estimation.values.quarantine import SubjectKind
 from estimation.values.roll_up import RolledPart, RollUpState
+from estimation.values.runs import SubjectKind
 from estimation.values.windows import DueStage
 
 _STALE_AT_ONCE = 10_000
@@ -107,7 +107,7 @@ def _set_aside(context: JobContext, serial: str, error: TreadwatchError) -> None
 
 
 JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=900.0, run=run)
-STAGE = Stage(JOB.name, _work, _set_aside)
+STAGE = Work(JOB.name, _work, _set_aside)
 STORED_TOGETHER = 4  # wheelsets in a transaction, of each some sums of 1.5 MB
 _MOST_TOGETHER = 16  # wheelsets that are claimed together
 

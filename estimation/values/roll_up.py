@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
+from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
 from estimation.values.windows import WindowRecord
 
@@ -171,3 +172,22 @@ class RollUpState:
 
     rules: str  # digest of what says which window belongs where
     classes: Mapping[str, str]  # by vehicle, key of its tables and code of its class
+
+
+@dataclass(frozen=True, slots=True)
+class RollingSums:
+    """Sums over pieces of a window, weighted by what the noise of the sensors leaves of the equation."""
+
+    products: FloatArray  # (BANDS, TERMS, TERMS)
+    noise: FloatArray  # (BANDS, TERMS, TERMS), of ``products``: what the noise on file makes of it on average
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRollingSums:
+    """What a window says of its rolling radius, part by part, and what that was made from."""
+
+    wheelset: str
+    start_ns: int
+    window_digest: str  # of its content
+    assumed: str  # digest of its class and parameters
+    parts: tuple[RollingSums, ...]

@@ -22,9 +22,8 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import ReasonCode
-from estimation.values.runs import JobOutcome
+from estimation.values.runs import TRIED_AGAIN, JobOutcome
 from estimation.values.windows import DueStage, WindowState
 from fleet_db.due import is_due
 from fleet_db.keeping.exclusive import keeping_alone
@@ -32,7 +31,7 @@ from fleet_db.keeping.expired_tables import expired_tables, seal
 from fleet_db.keeping.kept_files import SAMPLES
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.keeping.thinned_estimates import KEYS as ESTIMATES
+from fleet_db.keeping.thinned_estimates import NUMBERS as ESTIMATES
 from fleet_db.keeping.thinned_estimates import forget_estimates, replaced_within_a_day
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import unlink_old
@@ -44,10 +43,10 @@ from fleet_db.tables import (
     IdempotencyRow,
     JobRunRow,
     PurgeRow,
+    ResultRow,
     TrackEpochRow,
     TrackEpochWindowRow,
     TrackReportRow,
-    TrendRow,
     WebhookDeliveryRow,
     WindowBinTableRow,
     WindowRow,
@@ -102,7 +101,7 @@ def mark_purged(connection: Connection, windows: Sequence[Row[Any, Any, Any, Any
 
 RUNS, KEYS, PURGES = table_of(JobRunRow), table_of(IdempotencyRow), table_of(PurgeRow)
 ENTRIES, DELIVERIES = table_of(AuditRow), table_of(WebhookDeliveryRow)
-GEOMETRIES, TRENDS, REPORTS = table_of(GeometryRow), table_of(TrendRow), table_of(TrackReportRow)
+GEOMETRIES, RESULTS, REPORTS = table_of(GeometryRow), table_of(ResultRow), table_of(TrackReportRow)
 BATCH = 1000
 """Rows a transaction: others wait for a fraction of a second."""
 
@@ -237,7 +236,7 @@ def _expired(kind: Kept, before_ns: int) -> Sequence[_Expired]:
         return [_replaced(REPORTS.c.report_id, ("section", "version"), before_ns)]
     return [
         _replaced(GEOMETRIES.c.geometry_id, ("wheelset", "baseline", "baseline_interval"), before_ns),
-        _replaced(TRENDS.c.trend_id, ("wheelset", "baseline", "quantity"), before_ns),
+        _Expired(RESULTS.c.result_id, RESULTS.c.superseded_ns < before_ns),
     ]
 
 

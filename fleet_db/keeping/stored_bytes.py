@@ -179,7 +179,7 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "bin tables": ("window_bin_tables",),
     "roll-ups": ("roll_ups", "window_due", "roll_up_states", "rolling_sums"),
     "geometries": ("geometry_estimates", "wheelset_bins"),
-    "trends": ("trends",),
+    "results": ("results",),
     "signatures": ("wear_signatures", "signature_answers"),
     "dampers": ("window_dampers", "gear_dampers"),
     "alignments": ("track_alignments", "track_versions", "track_reports", "track_epochs", "track_epoch_windows"),
@@ -195,20 +195,17 @@ class StoredKind:
     """What there is of one kind.
 
     Attributes:
-        items: Rows, or files.
         item_bytes, index_bytes: Of rows or files, and of the indexes of the rows.
-        estimated: Whether items or bytes were sampled or are the database's own estimate.
-        days: How long it is kept; None for ever.
         wheelset_year_bytes: What one wheelset keeps of it after a year at its running rate and these days; None where
             nothing has run.
     """
 
     kind: str
-    items: int
+    items: int  # rows, or files
     item_bytes: int
     index_bytes: int
-    estimated: bool
-    days: float | None
+    estimated: bool  # whether items or bytes were sampled or are the database's own estimate
+    days: float | None  # how long it is kept; None for ever
     wheelset_year_bytes: int | None
 
     @property

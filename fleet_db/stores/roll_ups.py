@@ -10,8 +10,7 @@ from sqlalchemy import Connection, Row, delete, func, insert, select, update
 
 from estimation.errors import ConflictError
 from estimation.values.geometry import BinTable
-from estimation.values.roll_up import RolledPart, RollUp, RollUpKey, RollUpState, Side
-from estimation.values.rolling_sums import RollingSums, WindowRollingSums
+from estimation.values.roll_up import RolledPart, RollingSums, RollUp, RollUpKey, RollUpState, Side, WindowRollingSums
 from fleet_db.fields import fields_of, value_of
 from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin_table, unpack_rolling_sums
 from fleet_db.rows import insert_all_new, replace_all, table_of, upsert

@@ -19,7 +19,7 @@ from estimation.jobs.steps.rolling import Part, Rolled, sums
 from estimation.jobs.steps.rolling_radius import RadiusOnFile, former, remembered, stated
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
-from estimation.tables.weighted_tables import weighted_sum
+from estimation.tables.bin_table import weighted_sum
 from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, Contradiction, GeometryRecord
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status

@@ -19,7 +19,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 from estimation.values.roll_up import RolledPart
-from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, TrackEpoch
+from estimation.values.track import EpochMember, EpochNews, FoldState, TrackEpoch
 from estimation.values.windows import PassedOver, WindowPosition, WindowState
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.purge import purge
