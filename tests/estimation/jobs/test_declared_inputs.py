@@ -40,8 +40,9 @@ READS: Mapping[str, str] = {
     "geometries.interval_digests": Facet.GEOMETRY,
     "roll_ups.state": Facet.GEOMETRY,
     "roll_ups.of": Facet.GEOMETRY,
-    "roll_ups.taken": Facet.GEOMETRY,
+    "due.of_wheelset": Facet.GEOMETRY,
     "tables.tabled": Facet.GEOMETRY,
+    "tables.last_reading": Facet.GEOMETRY,
     "rails.cells": CELLS,
 }
 """The facet that is raised with what a method reads; a stage calls no other."""
