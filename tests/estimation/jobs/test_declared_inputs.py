@@ -58,6 +58,7 @@ READS: Mapping[str, str] = {
     "roll_ups.of": Facet.GEOMETRY,
     "due.of_wheelset": Facet.GEOMETRY,
     "tables.tabled": Facet.GEOMETRY,
+    "tables.last_reading": Facet.GEOMETRY,
     "rails.cells": CELLS,
     "geometries.newest_numbers": Facet.GEOMETRY,
     "geometries.interval_numbers": Facet.GEOMETRY,
