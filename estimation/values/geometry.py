@@ -13,7 +13,9 @@ from estimation.values.arrays import FloatArray, IntArray, bin_centres, frozen_a
 from estimation.values.intervals import NORMAL_95
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Status
+from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
+from estimation.values.results import ResultKind
 from estimation.values.windows import WindowKey
 
 
@@ -278,6 +280,10 @@ def _doubted(estimate: Estimate, found: Contradiction) -> Estimate:
         high=estimate.value + math.hypot(estimate.high - estimate.value, NORMAL_95 * more),
         reason=estimate.reason or found.reason,
     )
+
+
+GEOMETRY = ResultKind("geometry", SubjectKind.WHEELSET, WheelsetGeometry)
+"""Geometries of wheelsets; their parts are baselines, and the mileage intervals of these."""
 
 
 @dataclass(frozen=True, slots=True)

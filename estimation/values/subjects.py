@@ -16,7 +16,6 @@ class Facet(StrEnum):
 
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
-    GEOMETRY = "geometry"
 
 
 @dataclass(frozen=True, slots=True)

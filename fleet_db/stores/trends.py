@@ -23,7 +23,7 @@ class TrendStore:
 
     def version(self, wheelset: str) -> tuple[int | None, ...]:
         """Return what changes whenever the newest trend or the current geometry does; None for none."""
-        return *self.results.version(TREND, wheelset), *(self.geometries.version(wheelset) or (None, None))[:2]
+        return *self.results.version(TREND, wheelset), *(self.geometries.version(wheelset) or (None, None))
 
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
         """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""

@@ -55,7 +55,7 @@ from fleet_db.tables.registry import (
     WheelsetChangeRow,
     WheelsetRow,
 )
-from fleet_db.tables.results import GeometryRow, ResultRow, WorklistAlertRow, WorklistEntryRow
+from fleet_db.tables.results import ResultRow, WorklistAlertRow, WorklistEntryRow
 from fleet_db.tables.track import (
     SuspensionFindingRow,
     TrackAlignmentRow,
@@ -89,7 +89,6 @@ __all__ = [
     "FeedBranchRow",
     "FleetRow",
     "GearDamperRow",
-    "GeometryRow",
     "IdempotencyRow",
     "JobOwnerRow",
     "JobRunRow",

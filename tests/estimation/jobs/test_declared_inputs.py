@@ -28,7 +28,7 @@ READS: Mapping[str, str] = {
     "registry.mountings_of": Facet.REGISTRY,
     "registry.vehicles_of": Facet.REGISTRY,
     "alerts.of_kind": Facet.RESTARTS,
-    "geometries.conicities": Facet.GEOMETRY,
+    "geometries.conicities_of": "geometry",
 }
 """The facet that is raised with what a method reads; a stage calls no other."""
 
