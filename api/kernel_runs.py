@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from api import estimator_kernel_runs, ingest_kernel_runs
-from estimation.adhesion.saturation_kernels import add_saturated, excess_table
-from estimation.adhesion.smoother_kernels import filter_forward, smooth_back
+from estimation.adhesion.creep_forces import filter_forward, smooth_back
+from estimation.adhesion.window_adhesion import add_saturated, excess_table
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
@@ -24,22 +24,21 @@ from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.motion import rolling_kernels
-from estimation.motion.integration_kernels import integrate_once, integrate_twice, take_out_mean
+from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
+from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, mirror, write_pieces
 from estimation.motion.smooth_sampling import sample_smoothed
-from estimation.motion.spline_lookup import evaluate, extent
+from estimation.motion.track_lookup import evaluate, extent
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of, init
 from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
 from estimation.tables.least_squares import collect
-from estimation.track.panel.pass_rows import add_filtered_hats
-from estimation.track.screening.correlations import cross_products, own_products
+from estimation.track.panel.normal_equations import add_filtered_hats
+from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.exact_table import HALF
 from estimation.values.geometry import FilledCells
-from estimation.values.motion import Motion
+from estimation.values.roll_up import HALF
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.regression_kernels import Signals
-from estimation.vehicle.regressors import regression
+from estimation.vehicle.regressors import Signals, regression
 from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
@@ -169,11 +168,11 @@ def _saturation() -> Iterator[FloatArray]:
 def _rolling_radius() -> Iterator[FloatArray]:
     rng = np.random.default_rng(9)
     speeds, part, starts = np.empty(2), np.arange(2), np.array([0, 20])
-    pieces, samples = np.empty((2, rolling_kernels.ROWS, 40)), rng.standard_normal((6, 60))
+    pieces, samples = np.empty((2, ROWS, 40)), rng.standard_normal((6, 60))
     samples[5] += 20.0
     taper = frozen_array(np.hanning(40), (40,), name="taper")
-    rolling_kernels.write_pieces(samples, starts, 0.02, taper, pieces, speeds)
-    equation = rolling_kernels.Equation(
+    write_pieces(samples, starts, 0.02, taper, pieces, speeds)
+    equation = Equation(
         lateral_creep=7e6, spin_creep=1e4, mass=1e3, lateral_stiffness=2e5, lateral_damping=5e4, load=1e4, radius=0.45,
         half=0.75, per_moment=9e-8, yaw_inertia=7e2, yaw_creep=8e6, yaw_stiffness=2e6, yaw_damping=1e3, pitch=4e2,
         wheelbase=2.5, gravity=9.81, yaw_is_gyroscope=False, roll_is_gyroscope=True,
@@ -181,8 +180,8 @@ def _rolling_radius() -> Iterator[FloatArray]:
     products, noise = np.zeros((2, 2, 6, 7, 7))
     densities = np.full(4, 1e-6), np.full(4, 1e-8)
     place = (0.02, 40, 1.0, equation, *densities, (2.5, 10.0))
-    rolling_kernels.add_spectra(np.fft.rfft(pieces), speeds, part, *place, products, noise)
-    rolling_kernels.mirror(products)
+    add_spectra(np.fft.rfft(pieces), speeds, part, *place, products, noise)
+    mirror(products)
     yield from (pieces, products, noise)
 
 

@@ -14,7 +14,7 @@ from api.services import Services
 from api.webhooks.measures import webhook_measures
 from estimation.errors import TreadwatchError
 from estimation.values.alerts import AlertScope
-from estimation.values.quarantine import TRIED_AGAIN, SubjectKind
+from estimation.values.runs import TRIED_AGAIN, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkState
 from fleet_db.stores.backlog import Backlog, backlog_of

@@ -24,8 +24,7 @@ from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger
-from estimation.values.track import AlignmentSource
-from estimation.values.track_epochs import FoldState, TrackEpoch
+from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
 from fleet_db.changes import CHANGES
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork

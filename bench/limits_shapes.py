@@ -13,9 +13,8 @@ import numpy as np
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.natural_wear import Running, worn_by_contact
 from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
-from estimation.contact.rail_wear import RailWear, worn_rail
 from estimation.contact.table import ContactMethod
-from estimation.contact.wear import TreadWear, worn
+from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
 from estimation.contact.worn_family import DISPLACEMENT
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray

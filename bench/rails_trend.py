@@ -15,7 +15,7 @@ import numpy as np
 from api.comparison.trial import ESTIMATION, copied, opened, run_jobs
 from bench.rails_case import received
 from bench.rails_sections import KNOWN, TEMPLATE, BenchSection, on_section, reference_wheel
-from estimation.contact.rail_wear import RailWear
+from estimation.contact.wear import RailWear
 from estimation.jobs import refresh_rails
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.values.quantities import Estimate

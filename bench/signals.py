@@ -24,8 +24,8 @@ from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import regression
 

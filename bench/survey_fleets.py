@@ -21,9 +21,8 @@ from estimation.jobs.settings import EstimationSettings
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.motion.parameters import WindowParameters
 from estimation.track.examination import examine
-from estimation.track.pass_grid import resampled
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.gridded_pass import resampled
+from estimation.track.passes import Pass, ProfileLife
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters

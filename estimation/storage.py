@@ -12,33 +12,46 @@ from typing import Any, Protocol, TypeVar
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition
-from estimation.values.claims import Claimed
 from estimation.values.dampers import GearDamper, WindowDamper
-from estimation.values.exact_table import ExactTable, RolledPart
-from estimation.values.geometry import BinTable, FilledCells, GeometryRecord, IntervalDigest, TableKey, WindowTable
-from estimation.values.interval_conicities import IntervalConicities
-from estimation.values.look import Look, SectionLook
-from estimation.values.quarantine import Quarantined
+from estimation.values.geometry import (
+    BinTable,
+    FilledCells,
+    GeometryRecord,
+    IntervalConicities,
+    IntervalDigest,
+    TableKey,
+    WindowTable,
+)
 from estimation.values.rails import RailKey, SectionRailsRecord, StoredCell, WheelKey, WheelsetRailsRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.results import AnyResult, Result, ResultKind
-from estimation.values.roll_up import RollUp, RollUpState, TabledWindow, TakenTable
-from estimation.values.rolling_sums import RollingSums, WindowRollingSums
-from estimation.values.runs import JobOutcome, JobRun, JobTrigger
+from estimation.values.roll_up import (
+    ExactTable,
+    RolledPart,
+    RollingSums,
+    RollUp,
+    RollUpState,
+    TabledWindow,
+    TakenTable,
+    WindowRollingSums,
+)
+from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger, Look, Quarantined, SectionLook
 from estimation.values.signatures import SignatureRecord, StoredSignatures, WindowSignatures
 from estimation.values.subjects import Due, Mark, StageInputs
-from estimation.values.suspension import SuspensionFinding
 from estimation.values.track import (
     AlignmentRecord,
+    EpochMember,
+    EpochNews,
+    FoundOfVehicles,
     SectionStanding,
     TrackAlignment,
+    TrackEpoch,
     TrackLayout,
     TrackReport,
     TrackSectionRecord,
 )
-from estimation.values.track_epochs import EpochMember, EpochNews, FoundOfVehicles, TrackEpoch
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import SuspensionFinding, TrendRecord
 from estimation.values.windows import (
     DueStage,
     MileageReading,
@@ -50,7 +63,7 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
-from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.vehicle.vehicle_class import ClassOnFile
 
 V = TypeVar("V")
 

@@ -14,10 +14,9 @@ import numpy as np
 
 from estimation.contact.profiles import Profile
 from estimation.values.arrays import BoolArray
-from estimation.values.exact_table import ExactTable
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
 from estimation.values.json_value import JsonValue
-from estimation.values.rolling_sums import RollingSums
+from estimation.values.roll_up import ExactTable, RollingSums
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, TrackLayout
 from fleet_db.fields import Array, fields_of, pack, to_json, unpack, value_of
 

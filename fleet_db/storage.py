@@ -11,8 +11,7 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine
 
 from estimation.errors import StorageError
-from estimation.values.claims import Claimed
-from estimation.values.runs import JobTrigger
+from estimation.values.runs import Claimed, JobTrigger
 from fleet_db import locks
 from fleet_db.changes import Changes
 from fleet_db.due import WindowDueStore

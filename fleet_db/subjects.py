@@ -14,7 +14,7 @@ from functools import cache
 from sqlalchemy import ColumnElement, Connection, Insert, bindparam, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from fleet_db.rows import table_of
 from fleet_db.tables import MountingRow, SubjectVersionRow, TrackEpochWindowRow, WindowRow

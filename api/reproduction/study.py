@@ -22,7 +22,7 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables import bin_table
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS, WheelsetGeometry
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.track import TrackRecipe, make_track

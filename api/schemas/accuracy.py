@@ -13,13 +13,19 @@ from api.schemas.geometry import MM, Bins, bin_table
 from api.schemas.registry import segment
 from api.schemas.wheel_contact import ProfileContact, profile_contact
 from api.times import Timestamp, to_rfc3339
-from estimation.accuracy.comparison import Comparison, ConicityPair
-from estimation.accuracy.coverage import CoverageCount
-from estimation.accuracy.curve_origin import curve_origin
-from estimation.accuracy.fleet_accuracy import CoveragePair, FleetAccuracy, Outcome, PlacedComparison
+from estimation.accuracy.fleet_accuracy import (
+    Comparison,
+    ConicityPair,
+    CoverageCount,
+    CoveragePair,
+    FleetAccuracy,
+    Outcome,
+    PlacedComparison,
+    curve_origin,
+)
 from estimation.accuracy.wheel_contact import WheelContact
 from estimation.contact.profiles import Profile
-from estimation.contact.wear_measures import wear_measures
+from estimation.contact.wear import wear_measures
 from estimation.errors import ProfileError
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.geometry import GeometryRecord

@@ -12,7 +12,7 @@ from api.schemas.common import Links, Representation, Uncertain, finite, uncerta
 from api.schemas.registry import segment
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.times import Timestamp, to_rfc3339
-from estimation.plans.values import Candidate, Cause, DiameterLimits, PlanLine, Radii
+from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii
 from estimation.values.alerts import Condition, Severity
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

@@ -14,7 +14,7 @@ from api.settings import load_settings
 from api.terminal.ingest import changes_line
 from api.times import to_rfc3339
 from estimation.errors import TreadwatchError
-from estimation.values.quarantine import Quarantined, SubjectKind
+from estimation.values.runs import Quarantined, SubjectKind
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.stores.chunks import ChosenChunks
 from fleet_db.stores.decoded_again import STAGE

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import IdentityChange
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
+from estimation.values.trend import IdentityChange
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,16 +1,167 @@
-"""Over a fleet: how many intervals covered what was measured."""
+"""Estimates beside measured wheels, and over a fleet: how many intervals covered what was measured."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimation.accuracy.comparison import Comparison
-from estimation.accuracy.coverage import CoverageCount
-from estimation.accuracy.wheel_contact import AMPLITUDES
-from estimation.values.reasons import ReasonCode
+import numpy as np
+from scipy.special import betaincinv
+
+from estimation.accuracy.estimate_of_date import EstimateOfDate
+from estimation.accuracy.wheel_contact import AMPLITUDES, WheelContact
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, conicity_at_limit_amplitude
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import GeometryRecord, WheelsetGeometry
+from estimation.values.quantities import NORMAL_95, Estimate
+from estimation.values.reasons import Reason, ReasonCode
+
+_NO_ESTIMATE = Reason(ReasonCode.NO_GEOMETRY, "there is no estimate")
+
+
+@dataclass(frozen=True, slots=True)
+class ConicityPair:
+    """The equivalent conicity at one amplitude, measured and estimated."""
+
+    amplitude: float  # m
+    measured: Estimate
+    estimated: Estimate
+
+    @property
+    def covered(self) -> bool | None:
+        """Whether the interval of the estimate covers the measurement; None where either is unknown."""
+        return covers(self.estimated, self.measured)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A measurement, the estimate of its date, and the conicities of both.
+
+    ``independent`` is whether the estimate was made without any measurement of the same wheels; None where there is
+    no estimate. ``contact`` is a reason where the profiles have no contact geometry.
+    """
+
+    measurement: MeasuredProfiles
+    contact: WheelContact | Reason
+    estimate: EstimateOfDate
+    independent: bool | None
+    conicity: tuple[ConicityPair, ...]
+
+    @property
+    def at_limit(self) -> ConicityPair:
+        """The pair at the amplitude of limits, 3 mm."""
+        return next(one for one in self.conicity if abs(one.amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE)
+
+    @property
+    def reason(self) -> Reason | None:
+        """Why the conicity at 3 mm is not compared; None where it is."""
+        pair = self.at_limit
+        if pair.covered is not None:
+            return None
+        return pair.measured.reason or self.estimate.reason or pair.estimated.reason or _NO_ESTIMATE
+
+
+def compared(
+    measurement: MeasuredProfiles,
+    contact: WheelContact | Reason,
+    estimate: EstimateOfDate,
+    *,
+    independent: bool | None,
+) -> Comparison:
+    """Return a measurement beside the estimate that belongs to it.
+
+    Args:
+        contact: What follows from it, or why nothing does.
+        independent: Whether the estimate was made without a measurement of the same wheels; None without an estimate.
+    """
+    if isinstance(contact, Reason):
+        measured = dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(contact))
+    else:
+        measured = dict(zip(map(_key, contact.amplitude), contact.conicity, strict=True))
+    estimated = _estimated(estimate)
+    pairs = (ConicityPair(float(a), measured[_key(a)], estimated[_key(a)]) for a in AMPLITUDES)
+    return Comparison(measurement, contact, estimate, independent, tuple(pairs))
+
+
+def _estimated(estimate: EstimateOfDate) -> Mapping[int, Estimate]:
+    """Return the estimated conicity at each amplitude; at that of limits it may be extrapolated."""
+    if estimate.record is None:
+        return dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(estimate.reason or _NO_ESTIMATE))
+    return {_key(a): _at(estimate.record, float(a)) for a in AMPLITUDES}
+
+
+def _at(record: GeometryRecord, amplitude: float) -> Estimate:
+    geometry = record.geometry
+    if abs(amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE:
+        return conicity_at_limit_amplitude(geometry)
+    near = np.flatnonzero(np.abs(geometry.amplitude - amplitude) < SAME_AMPLITUDE)
+    if len(near):
+        return geometry.conicity[int(near[0])]
+    if geometry.reason is not None:
+        return Estimate.unknown(geometry.reason, geometry.windows)
+    text = f"amplitude {1e3 * amplitude:g} mm is not estimated"
+    return Estimate.unknown(Reason(ReasonCode.AMPLITUDE_NOT_COVERED, text), geometry.windows)
+
+
+def _key(amplitude: float) -> int:
+    return round(amplitude / SAME_AMPLITUDE)
+
+
+_TAIL = 0.025  # on either side of a 95 % interval
+
+
+def covers(estimated: Estimate, measured: Estimate) -> bool | None:
+    """Return whether the 95 % interval of an estimate covers a measured value; None where either is unknown.
+
+    The measurement errs too: the half of the interval on its side and 1.96 of its standard deviations are added as
+    squares.
+
+    Args:
+        measured: With its standard deviation, of the same quantity in the same unit.
+    """
+    if estimated.value is None or estimated.low is None or estimated.high is None:
+        return None
+    if measured.value is None or measured.std is None:
+        return None
+    difference = measured.value - estimated.value
+    half = estimated.high - estimated.value if difference > 0.0 else estimated.value - estimated.low
+    return abs(difference) <= math.hypot(half, NORMAL_95 * measured.std)
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageCount:
+    """How many intervals were compared with a measurement, and how many covered it."""
+
+    compared: int = 0
+    covered: int = 0
+
+    @staticmethod
+    def of(outcomes: Iterable[bool | None]) -> CoverageCount:
+        """Return the count of outcomes of :func:`covers`; those that are None are not counted."""
+        known = [outcome for outcome in outcomes if outcome is not None]
+        return CoverageCount(len(known), sum(known))
+
+    @property
+    def fraction(self) -> float | None:
+        """Share that is covered; None where nothing was compared."""
+        return self.covered / self.compared if self.compared else None
+
+    @property
+    def interval_95(self) -> tuple[float, float] | None:
+        """The 95 % interval of the share after Clopper and Pearson (Biometrika 26, 1934); None without a comparison.
+
+        Comparisons count as independent of each other.
+        """
+        n, k = self.compared, self.covered
+        if n == 0:
+            return None
+        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, _TAIL))
+        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - _TAIL))
+        return low, high
 
 
 class Outcome(StrEnum):
@@ -85,3 +236,44 @@ def _grouped(
         for key in keys(row):
             groups[key].append(row)
     return {key: _count(members) for key, members in sorted(groups.items())}
+
+
+SEARCHED = 0.6e-3  # m
+SEARCH_STEP = 5e-6  # m
+MOST_DEVIATION = 3.0  # standard deviations that one bin counts at most
+
+
+@dataclass(frozen=True, slots=True)
+class CurveOrigin:
+    """The point of a known curve from which the estimated one is counted."""
+
+    displacement: float  # m
+    difference: float  # rL - rR there, m
+
+
+def curve_origin(
+    found: WheelsetGeometry, displacement: FloatArray, difference: FloatArray, crossing: float
+) -> CurveOrigin:
+    """Return the point of a known curve rL - rR from which an estimated one is counted.
+
+    The estimated curve has its origin at the mean of both: it may be anywhere along the known curve, with its own R
+    zero on average. The place where it fits best is taken; a wheelset of unlike wheels runs nearer to the track centre
+    than its zero crossing is.
+
+    Args:
+        displacement, difference: (n,) m, the known curve.
+        crossing: Its zero crossing, m.
+    """
+    centre, R = found.bin_centres, found.rolling_radius_difference
+    known = np.isfinite(R.value)
+    if not known.any():
+        return CurveOrigin(crossing, 0.0)
+    best = (np.inf, crossing, 0.0)
+    low, high = min(crossing, 0.0) - SEARCHED, max(crossing, 0.0) + SEARCHED
+    for shift in np.linspace(low, high, round((high - low) / SEARCH_STEP) + 1):
+        curve = np.interp(centre + shift, displacement, difference)
+        mean = float(found.samples @ curve / found.samples.sum())
+        deviation = (R.value - curve + mean)[known] / R.std[known]
+        misfit = float(np.minimum(deviation**2, MOST_DEVIATION**2).sum())
+        best = min(best, (misfit, float(shift), mean))
+    return CurveOrigin(best[1], best[2])

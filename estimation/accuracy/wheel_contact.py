@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -13,9 +14,8 @@ from estimation.contact.profiles import Profile, rail_profile
 from estimation.contact.radius_difference import RadiusDifferenceCurve, refined_curve
 from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError, ParameterError, ProfileError
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.intervals import NORMAL_95, with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
@@ -44,7 +44,7 @@ class WheelPair:
 
 
 @dataclass(frozen=True, slots=True)
-class WheelContact:
+class WheelContact(FrozenArrays):
     """What profiles give: NaN, or an unknown conicity, where both wheels have no contact.
 
     The wheelset does not roll, as in EN 15302. On rails of several kinds the radii are the means over them, weighted
@@ -52,19 +52,13 @@ class WheelContact:
     """
 
     rails: tuple[RailShare, ...]
-    displacement: FloatArray  # (n,) m, uniform, positive to the left
-    radius_sum: FloatArray  # (n,) rL + rR, m
-    radius_difference: FloatArray  # (n,) rL - rR, m
-    radius_difference_std: FloatArray  # (n,) m
-    amplitude: FloatArray  # (k,) m
-    conicity: tuple[Estimate, ...]  # (k,)
+    displacement: Annotated[FloatArray, "n"]  # m, uniform, positive to the left
+    radius_sum: Annotated[FloatArray, "n"]  # rL + rR, m
+    radius_difference: Annotated[FloatArray, "n"]  # rL - rR, m
+    radius_difference_std: Annotated[FloatArray, "n"]  # m
+    amplitude: Annotated[FloatArray, "k"]  # m
+    conicity: Annotated[tuple[Estimate, ...], "k"]
     zero_crossing: float  # m; NaN where there is none
-
-    def __post_init__(self) -> None:
-        n = len(self.displacement)
-        for name in ("displacement", "radius_sum", "radius_difference", "radius_difference_std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (len(self.conicity),), name="amplitude"))
 
 
 def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact | Reason:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
-import numpy as np
-
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 
 
 class ContactMethod(StrEnum):
@@ -17,21 +16,8 @@ class ContactMethod(StrEnum):
     RIGID = "rigid"  # the wheelset rolls until both wheels touch
 
 
-_GRIDS = (
-    "roll",
-    "rolling_radius_left",
-    "rolling_radius_right",
-    "contact_angle_left",
-    "contact_angle_right",
-    "contact_position_left",
-    "contact_position_right",
-    "rail_position_left",
-    "rail_position_right",
-)
-
-
 @dataclass(frozen=True, slots=True)
-class ContactTable:
+class ContactTable(FrozenArrays):
     """Contact geometry of a wheelset on a track; SI, n lateral displacements by g gauge deviations.
 
     Lateral displacement is that of the axle's middle relative to the track centre, positive to the left; gauge
@@ -47,32 +33,19 @@ class ContactTable:
     """
 
     method: ContactMethod
-    lateral_displacement: FloatArray  # (n,) m, strictly increasing
-    gauge_deviation: FloatArray  # (g,) m, strictly increasing
-    roll: FloatArray  # (n, g) rad, positive lifts the left wheel; 0 with EN 15302
-    rolling_radius_left: FloatArray  # (n, g) m
-    rolling_radius_right: FloatArray  # (n, g) m
-    contact_angle_left: FloatArray  # (n, g) rad
-    contact_angle_right: FloatArray  # (n, g) rad
-    contact_position_left: FloatArray  # (n, g) m
-    contact_position_right: FloatArray  # (n, g) m
-    rail_position_left: FloatArray  # (n, g) m
-    rail_position_right: FloatArray  # (n, g) m
-    exists: BoolArray  # (n, g)
-    jump: BoolArray  # (n, g)
-
-    def __post_init__(self) -> None:
-        n, g = len(self.lateral_displacement), len(self.gauge_deviation)
-        object.__setattr__(
-            self,
-            "lateral_displacement",
-            frozen_array(self.lateral_displacement, (n,), name="lateral_displacement"),
-        )
-        object.__setattr__(self, "gauge_deviation", frozen_array(self.gauge_deviation, (g,), name="gauge_deviation"))
-        for name in _GRIDS:
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n, g), name=name))
-        for name in ("exists", "jump"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n, g), np.bool_, name=name))
+    lateral_displacement: Annotated[FloatArray, "n"]  # m, strictly increasing
+    gauge_deviation: Annotated[FloatArray, "g"]  # m, strictly increasing
+    roll: Annotated[FloatArray, "n", "g"]  # rad, positive lifts the left wheel; 0 with EN 15302
+    rolling_radius_left: Annotated[FloatArray, "n", "g"]  # m
+    rolling_radius_right: Annotated[FloatArray, "n", "g"]  # m
+    contact_angle_left: Annotated[FloatArray, "n", "g"]  # rad
+    contact_angle_right: Annotated[FloatArray, "n", "g"]  # rad
+    contact_position_left: Annotated[FloatArray, "n", "g"]  # m
+    contact_position_right: Annotated[FloatArray, "n", "g"]  # m
+    rail_position_left: Annotated[FloatArray, "n", "g"]  # m
+    rail_position_right: Annotated[FloatArray, "n", "g"]  # m
+    exists: Annotated[BoolArray, "n", "g"]
+    jump: Annotated[BoolArray, "n", "g"]
 
     @property
     def rolling_radius_difference(self) -> FloatArray:

@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import as_file, files
+from typing import Annotated
 
 import numpy as np
 from scipy.stats.qmc import Halton
@@ -22,11 +23,10 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.natural_wear import Running, worn_by_contact
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.rail_wear import RailWear, worn_rail
 from estimation.contact.table import ContactMethod
-from estimation.contact.wear import TreadWear, worn
+from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 
 TABLE = "worn_family.npy"
 UNIT = 1e-4  # of a stored conicity
@@ -97,27 +97,12 @@ PAIRS = tuple(
 
 
 @dataclass(frozen=True, slots=True)
-class WornFamily:
+class WornFamily(FrozenArrays):
     """Conicities of many wheelsets by amplitude."""
 
-    amplitude: FloatArray  # (a,) m
-    conicity: FloatArray  # (m, a)
-    pair: IntArray  # (m,) index into ``PAIRS``
-
-    def __post_init__(self) -> None:
-        m, a = self.conicity.shape
-        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (a,), name="amplitude"))
-        object.__setattr__(self, "conicity", frozen_array(self.conicity, (m, a), name="conicity"))
-        object.__setattr__(self, "pair", frozen_array(self.pair, (m,), np.int64, name="pair"))
-
-    def without(self, wheel: str) -> WornFamily:
-        """Return the family without one of its wheels, on whatever rail.
-
-        Args:
-            wheel: Name, of ``WHEELS``.
-        """
-        others = ~np.isin(self.pair, [i for i, pair in enumerate(PAIRS) if pair.wheel == wheel])
-        return WornFamily(self.amplitude, self.conicity[others], self.pair[others])
+    amplitude: Annotated[FloatArray, "a"]  # m
+    conicity: Annotated[FloatArray, "m", "a"]
+    pair: Annotated[IntArray, "m"]  # index into ``PAIRS``
 
 
 def conicities_of(pair: Pair) -> FloatArray:

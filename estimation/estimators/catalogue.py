@@ -22,7 +22,7 @@ from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 
 MILLIMETRE = 1e-3
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 
 WIDTH = 0.25e-3  # m
 REACH = 7.0e-3  # m

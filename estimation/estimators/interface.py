@@ -8,14 +8,14 @@ gets there (sums, mean and covariance of a filter, particles) is its own, in its
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import Annotated, Protocol, TypeVar
 
 from estimation.geometry.conicity import CurveParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.motion import Motion
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
@@ -31,29 +31,23 @@ class EstimatorParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class CurveEstimate:
+class CurveEstimate(FrozenArrays):
     """The result of an estimator: R = rL - rR over y - d, and what follows from it; NaN where it is not estimated."""
 
-    displacement: FloatArray  # (n,) m, y - d, increasing
-    difference: FloatArray  # (n,) m, R
-    difference_std: FloatArray  # (n,) m
-    amplitude: FloatArray  # (k,) m
-    conicity: tuple[Estimate, ...]  # (k,) equivalent conicity
+    displacement: Annotated[FloatArray, "n"]  # m, y - d, increasing
+    difference: Annotated[FloatArray, "n"]  # m, R
+    difference_std: Annotated[FloatArray, "n"]  # m
+    amplitude: Annotated[FloatArray, "k"]  # m
+    conicity: Annotated[tuple[Estimate, ...], "k"]  # equivalent conicity
     nonlinearity: Estimate  # NP, 1/mm
     zero_crossing: Estimate  # m
     samples: int
     stretches: int  # windows of motion added
     status: Status
     reason: Reason | None = None
-    own_std: FloatArray | None = None  # (k,) of the conicity, by the covariance that the estimator itself states
-
-    def __post_init__(self) -> None:
-        n, k = len(self.displacement), len(self.conicity)
-        for name in ("displacement", "difference", "difference_std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (k,), name="amplitude"))
-        if self.own_std is not None:
-            object.__setattr__(self, "own_std", frozen_array(self.own_std, (k,), name="own_std"))
+    own_std: Annotated[FloatArray, "k"] | None = (
+        None  # of the conicity, by the covariance that the estimator itself states
+    )
 
 
 State = TypeVar("State")

@@ -11,7 +11,7 @@ stays 1.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
@@ -26,9 +26,9 @@ from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
-from estimation.values.motion import Motion
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
@@ -37,18 +37,12 @@ MIDDLES = frozen_array((np.arange(CELLS) + 0.5) * WIDTH - REACH, (CELLS,), name=
 
 
 @dataclass(frozen=True, slots=True)
-class CellMeans:
+class CellMeans(FrozenArrays):
     """Weighted sums over samples; they add up in any order."""
 
-    sums: FloatArray  # (g, CELLS) m, of R
-    counts: FloatArray  # (g, CELLS)
-    derivatives: FloatArray  # (6, CELLS) m, of the derivatives of R by the logarithms of the parameters
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sums", frozen_array(self.sums, (GROUPS, CELLS), name="sums"))
-        object.__setattr__(self, "counts", frozen_array(self.counts, (GROUPS, CELLS), name="counts"))
-        shape = (len(YAW_TARGETS) - 1, CELLS)
-        object.__setattr__(self, "derivatives", frozen_array(self.derivatives, shape, name="derivatives"))
+    sums: Annotated[FloatArray, GROUPS, CELLS]  # m, of R
+    counts: Annotated[FloatArray, GROUPS, CELLS]
+    derivatives: Annotated[FloatArray, len(YAW_TARGETS) - 1, CELLS]  # m, of R by the logarithms of the parameters
 
     @classmethod
     def empty(cls) -> Self:
@@ -110,26 +104,17 @@ LEAST_RANK = 1e-9  # smallest to largest, of a triangle that still is solved
 
 
 @dataclass(frozen=True, slots=True)
-class PaperState:
+class PaperState(FrozenArrays):
     """The recursion of every bin, and the samples of the bins that have not started."""
 
     parameters: EstimatorParameters
-    theta: FloatArray  # (b, 3) of the scaled regressors; NaN before the start
-    covariance: FloatArray  # (b, 3, 3) P of Eq. 10
-    squares: FloatArray  # (b,) sum of squared residuals
-    count: IntArray  # (b,)
-    waiting: FloatArray  # (b, threshold, 4) scaled regressors and output
+    theta: Annotated[FloatArray, "b", REGRESSORS]  # of the scaled regressors; NaN before the start
+    covariance: Annotated[FloatArray, "b", REGRESSORS, REGRESSORS]  # P of Eq. 10
+    squares: Annotated[FloatArray, "b"]  # sum of squared residuals
+    count: Annotated[IntArray, "b"]
+    waiting: Annotated[FloatArray, "b", "threshold", REGRESSORS + 1]  # scaled regressors and output
     cells: CellMeans  # what the published intervals rest on
     stretches: int
-
-    def __post_init__(self) -> None:
-        b, threshold = self.waiting.shape[:2]
-        object.__setattr__(self, "theta", frozen_array(self.theta, (b, REGRESSORS), name="theta"))
-        shape = (b, REGRESSORS, REGRESSORS)
-        object.__setattr__(self, "covariance", frozen_array(self.covariance, shape, name="covariance"))
-        object.__setattr__(self, "squares", frozen_array(self.squares, (b,), name="squares"))
-        object.__setattr__(self, "count", frozen_array(self.count, (b,), np.int64, name="count"))
-        object.__setattr__(self, "waiting", frozen_array(self.waiting, (b, threshold, REGRESSORS + 1), name="waiting"))
 
 
 @dataclass(frozen=True, slots=True)

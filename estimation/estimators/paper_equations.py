@@ -14,7 +14,7 @@ import numpy as np
 
 from estimation.compiled import compiled
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 REGRESSORS = 3

@@ -25,7 +25,7 @@ from estimation.estimators.block_filters import (
 )
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.values.arrays import FloatArray
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 STEEPEST = 1.6  # of R per y - d that particles begin with: a conicity of 0.8

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.motion import Motion
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
 GROUPS = 16
@@ -28,24 +29,17 @@ Basis = Callable[[FloatArray], FloatArray]  # y - d (n,) to functions (n, m)
 
 
 @dataclass(frozen=True, slots=True)
-class SeriesState:
+class SeriesState(FrozenArrays):
     """Sums over samples; states add up in any order."""
 
     parameters: EstimatorParameters
-    gram: FloatArray  # (g, m, m)
-    cross: FloatArray  # (g, m, 8) with R and its derivatives by the logarithms of the parameters, m
+    gram: Annotated[FloatArray, "g", "m", "m"]
+    cross: Annotated[FloatArray, "g", "m", len(YAW_TARGETS)]  # m, with R and its derivatives by the log parameters
     squares: float  # m2, weighted sum of R^2
-    sums: FloatArray  # (CELLS,) m, weighted sum of R by displacement
-    counts: FloatArray  # (CELLS,) effective samples by displacement
+    sums: Annotated[FloatArray, CELLS]  # m, weighted sum of R by displacement
+    counts: Annotated[FloatArray, CELLS]  # effective samples by displacement
     samples: int
     stretches: int
-
-    def __post_init__(self) -> None:
-        g, m = self.gram.shape[:2]
-        object.__setattr__(self, "gram", frozen_array(self.gram, (g, m, m), name="gram"))
-        object.__setattr__(self, "cross", frozen_array(self.cross, (g, m, len(YAW_TARGETS)), name="cross"))
-        object.__setattr__(self, "sums", frozen_array(self.sums, (CELLS,), name="sums"))
-        object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
 
 
 def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:

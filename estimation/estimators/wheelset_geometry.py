@@ -13,7 +13,7 @@ from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorP
 from estimation.geometry.conicity import NO_AMPLITUDE, at_reference_amplitude
 from estimation.values.arrays import FloatArray, bin_centres
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,14 +13,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
-from estimation.geometry.model_fit import displaced, mismatch, model_fit
-from estimation.geometry.shared_scale import solve_with_shared_scales
+from estimation.geometry.model_fit import displaced, mismatch, model_fit, solve_with_shared_scales
 from estimation.geometry.uncertainty import DisplacementError, ParameterUncertainty, quotient_widening
 from estimation.tables import least_squares
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinStatus, BinTable, BinValues, Contradiction, WheelsetGeometry
-from estimation.values.intervals import jackknife_std, leave_one_out, normal_equivalent
+from estimation.values.quantities import jackknife_std, leave_one_out, normal_equivalent
 from estimation.vehicle.regressors import (
     LATERAL_TARGETS,
     REGRESSORS,

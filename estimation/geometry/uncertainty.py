@@ -13,8 +13,7 @@ from typing import Self
 
 import numpy as np
 
-from estimation.geometry.contact_roll import ContactRoll
-from estimation.geometry.rolling_line import FREE, held_shares
+from estimation.geometry.rolling_line import FREE, ContactRoll, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 from estimation.vehicle.vehicle_class import VehicleClass

@@ -24,9 +24,8 @@ from estimation.jobs.steps.suspension import shown_by_wheelset
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import AlertEventKind, Finding, Transition
-from estimation.values.look import Look
-from estimation.values.quarantine import SubjectKind
-from estimation.values.suspension import SuspensionShown
+from estimation.values.runs import Look, SubjectKind
+from estimation.values.trend import SuspensionShown
 
 STAGE = "evaluate_alerts"
 

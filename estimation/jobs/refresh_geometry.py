@@ -19,10 +19,9 @@ from estimation.jobs.steps.rolled_geometries import SUMS_IN_MEMORY, RolledGeomet
 from estimation.jobs.steps.rolling import Part, rolled
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.values.exact_table import RolledPart
 from estimation.values.geometry import GeometryRecord
-from estimation.values.quarantine import SubjectKind
-from estimation.values.roll_up import RollUpState
+from estimation.values.roll_up import RolledPart, RollUpState
+from estimation.values.runs import SubjectKind
 
 _STALE_AT_ONCE = 10_000
 _BEING_MADE = RollUpState("", {}, {})  # of roll-ups that are made again, until all of them are

@@ -22,11 +22,9 @@ from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import cells_of
 from estimation.jobs.steps.section_looks import NO_SECTION, note_sections
 from estimation.rails.apart import exceeds, init, reported, result, update
+from estimation.rails.cell import with_refused
 from estimation.rails.parameters import RailsParameters
-from estimation.rails.refused_cells import with_refused
 from estimation.storage import UnitOfWork
-from estimation.values.look import Look, SectionLook
-from estimation.values.quarantine import SubjectKind
 from estimation.values.rails import (
     RailKey,
     RailPart,
@@ -36,6 +34,7 @@ from estimation.values.rails import (
     WheelKey,
     WheelsetRailsRecord,
 )
+from estimation.values.runs import Look, SectionLook, SubjectKind
 
 STAGE = "refresh_rails"
 _log = logging.getLogger(__name__)

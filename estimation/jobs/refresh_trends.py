@@ -16,13 +16,11 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.trend.points import conicity_points
 from estimation.trend.steps import behind_step, newest_step, with_step
 from estimation.trend.trend import TrendParameters, refresh
-from estimation.values.geometry import GEOMETRY
-from estimation.values.identity import since_change
-from estimation.values.interval_conicities import IntervalConicities
+from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
 from estimation.values.subjects import Facet
 from estimation.values.trend import TREND as TRENDS
-from estimation.values.trend import WearTrend
+from estimation.values.trend import WearTrend, since_change
 
 
 @dataclass(frozen=True, slots=True)

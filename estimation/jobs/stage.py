@@ -16,9 +16,9 @@ from estimation.jobs.settings import JobSettings
 from estimation.storage import UnitOfWork
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
 from estimation.values.results import ResultKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import StageInputs
 
 I = TypeVar("I")  # noqa: E741 - inputs

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -22,44 +21,15 @@ def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], 
         items: In any order.
         keys: Of each item: what it must share with the one before, its start and its end, ns.
     """
-    order = sorted(range(len(items)), key=lambda i: (str(keys[i][0]), keys[i][1]))
-    return [[items[i] for i in group] for group in _unbroken(order, keys.__getitem__, most)]
-
-
-def whole_runs(windows: Iterable[Window]) -> Iterator[Window]:
-    """Yield windows that come in order of time, those that follow each other without a break as one, however many.
-
-    Long wavelengths need long segments: what is near the end of a window is lost to the filters, what is near a seam
-    is not.
-
-    Args:
-        windows: In order of time.
-    """
-    for run in _unbroken(windows, _shared_start_end, sys.maxsize):
-        yield joined(run)
-
-
-def _shared_start_end(window: Window) -> tuple[Hashable, int, int]:
-    place = (window.wheelset, window.vehicle, window.axle, window.track_section)
-    shared = (*place, window.sample_interval_s, window.backwards)
-    return shared, window.start_ns, window.start_ns + window.length_ns
-
-
-def _unbroken(
-    items: Iterable[Item], key: Callable[[Item], tuple[Hashable, int, int]], most: int
-) -> Iterator[list[Item]]:
-    """Yield runs of at most ``most`` items, each with what the one before has in common and a start where it ends."""
-    run: list[Item] = []
+    groups: list[list[Item]] = []
     last: tuple[Hashable, int] | None = None
-    for item in items:
-        shared, start, end = key(item)
-        if run and (last != (shared, start) or len(run) == most):
-            yield run
-            run = []
-        run.append(item)
+    for number in sorted(range(len(items)), key=lambda i: (str(keys[i][0]), keys[i][1])):
+        shared, start, end = keys[number]
+        if last != (shared, start) or len(groups[-1]) == most:
+            groups.append([])
+        groups[-1].append(items[number])
         last = shared, end
-    if run:
-        yield run
+    return groups
 
 
 def joined(windows: Sequence[Window]) -> Window:

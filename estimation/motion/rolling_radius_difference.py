@@ -19,8 +19,8 @@ import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.cross_level import observed_displacement
-from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedSegment
+from estimation.motion.parameters import FusionParameters
 from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters

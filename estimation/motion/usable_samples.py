@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from estimation.motion.parameters import CurveLimits, SignalParameters
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window
@@ -144,14 +145,11 @@ def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Usable:
+class Usable(FrozenArrays):
     """Samples that can be used (n,), and the share of all samples that was lost by each cause, counted once."""
 
-    samples: BoolArray
+    samples: Annotated[BoolArray, "n"]
     lost: Mapping[str, float]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "samples", frozen_array(self.samples, (len(self.samples),), np.bool_, name="samples"))
 
     @property
     def causes(self) -> str:

@@ -33,10 +33,9 @@ from estimation.motion.usable_samples import (
     usable_samples,
 )
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.motion import OF_FRAME, Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import Window
+from estimation.values.windows import OF_FRAME, Motion, Window
 from estimation.vehicle.sensor_noise import displacement_noise
 
 NANOSECONDS = 1_000_000_000

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.signatures.calibration import Calibration, calibrated, differences
+from estimation.signatures.calibration import Calibration, OnFile, calibrated, differences, judged_by, unjudged
 from estimation.signatures.families import sharers
 from estimation.signatures.mixed_model import MixedModel, Rows, fitted, levels_between
-from estimation.signatures.on_file import OnFile, judged_by, unjudged
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -23,13 +23,18 @@ from estimation.tables import bin_kernels as kernels
 from estimation.tables import least_squares
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.geometry import BinTable, FilledCells
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.regression_kernels import signals_of
-from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS, coefficients
+from estimation.vehicle.regressors import (
+    LATERAL_TARGETS,
+    REGRESSORS,
+    SHARED_IN_BOGIE,
+    YAW_TARGETS,
+    coefficients,
+    signals_of,
+)
 from estimation.vehicle.sensor_noise import difference_noise
 from estimation.vehicle.vehicle_class import VehicleClass
 
@@ -39,12 +44,9 @@ class TableSum:
     """What has been added so far, the newest with weight 1.
 
     Adding and forgetting in turn gives the same bits as ``estimation.tables.bin_table.merge`` table by table.
-
-    Attributes:
-        empty: The table of the same parameters without samples.
     """
 
-    empty: BinTable
+    empty: BinTable  # the table of the same parameters without samples
     _weight: FloatArray = field(init=False)
     _lateral: FloatArray = field(init=False)
     _yaw: FloatArray = field(init=False)
@@ -363,3 +365,32 @@ def bin_parameters(parameters: WindowParameters) -> BinParameters:
 def _arrangement(vehicle_class: VehicleClass) -> str:
     """Return what shapes the motion besides the parameters of the wheelset."""
     return f"{vehicle_class.arrangement} {vehicle_class.bogie} {vehicle_class.sensors}"
+
+
+def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
+    """Return the sum of tables times their weights; samples and windows are counted without weights.
+
+    Args:
+        tables: Weight and table, at least one; all of the same parameters.
+
+    Raises:
+        ValueError: The tables were made with different parameters.
+    """
+    total: BinTable | None = None
+    for weight, table in tables:
+        if total is None:
+            total = replace(table, weight=weight * table.weight, lateral=weight * table.lateral, yaw=weight * table.yaw)
+            continue
+        if table.parameter_key != total.parameter_key:
+            raise ValueError(f"bin tables of parameters {total.parameter_key} and {table.parameter_key} do not merge")
+        total = replace(
+            total,
+            weight=total.weight + weight * table.weight,
+            lateral=total.lateral + weight * table.lateral,
+            yaw=total.yaw + weight * table.yaw,
+            samples=total.samples + table.samples,
+            windows=total.windows + table.windows,
+        )
+    if total is None:
+        raise ValueError("no table to sum")
+    return total

@@ -15,8 +15,8 @@ import numpy as np
 from estimation.compiled import compiled
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.values.exact_table import HALF, ExactTable, UnsignedArray
 from estimation.values.geometry import BinTable, FilledCells
+from estimation.values.roll_up import HALF, ExactTable, UnsignedArray
 
 BELOW_LOAD_SQUARED = 76  # powers of two by which the unit is below the square of the axle load
 WORD = 2.0**HALF

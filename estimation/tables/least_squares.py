@@ -12,11 +12,12 @@ triangle of ``X'X`` row by row (p (p + 1) / 2), ``X'Z`` row by row (p t), and ``
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_array
 
 SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
 
@@ -105,17 +106,12 @@ def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: in
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
+class Solution(FrozenArrays):
     """Least-squares solution of each cell; NaN where the normal matrix is singular."""
 
-    theta: FloatArray  # (c, p, t) one column a target
+    theta: Annotated[FloatArray, "c", "p", "t"]  # one column a target
     residual_variance: FloatArray  # (c,) of the first target
-    inverse: FloatArray  # (c, p, p) inverse of X'X (through the scaled eigenvectors)
-
-    def __post_init__(self) -> None:
-        c, p, t = self.theta.shape
-        object.__setattr__(self, "theta", frozen_array(self.theta, (c, p, t), name="theta"))
-        object.__setattr__(self, "inverse", frozen_array(self.inverse, (c, p, p), name="inverse"))
+    inverse: Annotated[FloatArray, "c", "p", "p"]  # inverse of X'X (through the scaled eigenvectors)
 
 
 def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int) -> Solution:

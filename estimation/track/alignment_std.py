@@ -16,7 +16,7 @@ from estimation.track.panel.solution import PanelSolution, between_pass_std_rati
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.results import SectionResults, findings
 from estimation.track.section_grid import SectionGrid
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, TrackAlignment

@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, valid_support
-from estimation.track.journeys import Journey, apply_correction
-from estimation.track.passes import Pass, gridded
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Journey, Pass, ProfileLife, apply_correction, gridded
 from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.track import Correction
@@ -160,3 +158,21 @@ def all_passes(placed: Placed) -> list[GriddedPass]:
         placed: Passes by journey.
     """
     return [item for one in placed.values() for item in one.passes]
+
+
+def resampled(item: Pass, life: ProfileLife, step: float) -> Pass:
+    """Return a pass on a grid, under the life of its wheelset's profile.
+
+    Args:
+        step: Grid spacing, m.
+    """
+    first, displacement, difference = gridded(item, step)
+    at = (first + np.arange(len(displacement))) * step
+    return replace(
+        item,
+        life=life,
+        at=np.asarray(at, dtype=np.float64),
+        displacement=displacement,
+        difference=difference,
+        stiffness_term=None if item.stiffness_term is None else np.interp(at, item.at, item.stiffness_term),
+    )

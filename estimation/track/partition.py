@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from estimation.track.journeys import NANOSECONDS
-from estimation.track.profile_life import ProfileLife
-from estimation.values.track_epochs import OPEN_NS
+from estimation.track.passes import NANOSECONDS, ProfileLife
+from estimation.values.track import OPEN_NS
 from estimation.values.windows import WindowRecord
 
 Entry = tuple[WindowRecord, ProfileLife]

@@ -18,7 +18,7 @@ from annotated_types import Interval
 
 from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.values.suspension import SuspensionChange, SuspensionFinding
+from estimation.values.trend import SuspensionChange, SuspensionFinding
 
 MEDIAN_VARIANCE = np.pi / 2.0  # of that of a mean, of normal values
 MAD_STD = 1.4826  # standard deviations in a median absolute deviation

@@ -10,8 +10,7 @@ from scipy.special import ndtr
 
 from estimation.trend.wear_curve import WearCurve, fit_wear_curve
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import WearTrend
 

@@ -9,8 +9,8 @@ from typing import Any, Generic, TypeVar
 
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
+from estimation.values.runs import SubjectKind
 
 V = TypeVar("V")
 

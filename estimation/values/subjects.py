@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 
 EVERYTHING = "all"
 """The one subject of a stage that looks at all subjects of its kind together."""

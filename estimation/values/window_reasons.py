@@ -11,19 +11,12 @@ from estimation.values.windows import WindowState
 
 @dataclass(frozen=True, slots=True)
 class WindowsOfReason:
-    """Windows of one wheelset with one state and one reason.
+    """Windows of one wheelset with one state and one reason."""
 
-    Attributes:
-        state: Of all of them.
-        reason: Why they were refused or what they wait for, as it is of the newest; None of estimated ones.
-        windows: How many.
-        newest_ns: End of the newest, ns UTC on the vehicle's clock.
-    """
-
-    state: WindowState
-    reason: Reason | None
-    windows: int
-    newest_ns: int
+    state: WindowState  # of all of them
+    reason: Reason | None  # why they were refused or what they wait for, as it is of the newest; None of estimated ones
+    windows: int  # how many
+    newest_ns: int  # end of the newest, ns UTC on the vehicle's clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,18 +24,14 @@ class WithoutEstimate:
     """Why nothing is estimated of a wheelset, and what to do.
 
     Attributes:
-        reason: In one sentence.
-        what_to_do: In sentences; empty where there is nothing to do but to wait.
-        windows: Its newest windows by state and reason, the most frequent first.
         from_ns: Begin of the oldest window that was counted, ns UTC on the vehicle's clock; None where there is none.
-        last_ns: End of its newest window, whatever became of it; None where there is none.
     """
 
-    reason: Reason
-    what_to_do: str
-    windows: tuple[WindowsOfReason, ...]
+    reason: Reason  # in one sentence
+    what_to_do: str  # in sentences; empty where there is nothing to do but to wait
+    windows: tuple[WindowsOfReason, ...]  # its newest windows by state and reason, the most frequent first
     from_ns: int | None
-    last_ns: int | None
+    last_ns: int | None  # end of its newest window, whatever became of it; None where there is none
 
     def count(self, state: WindowState) -> int:
         """Return how many of the counted windows have a state."""

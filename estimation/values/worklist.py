@@ -80,34 +80,28 @@ class WorklistState:
 
     Attributes:
         status, conicity: Of the conicity at 3 mm of the current profile.
-        measured_until_ns: End of the newest data behind it; None where there are none.
-        slope_per_1000_km: Of the trend since the last reprofiling.
         limit, probability_over_limit: Conicity limit that the trend is held against, and the probability that it is
             exceeded at its last point.
         distance_to_limit_km: Quantiles of the distance still to run from ``mileage``: those of the trend less
             ``since_trend_km``.
-        since_trend_km: Run since the last point of the trend.
-        date_of_limit_ns: Quantiles of the date.
-        forecast_reason: Why a quantile is missing; None where none is.
         mileage, last_data_ns: Last reading of the mileage, and end of the newest data that are estimated or wait for
             it.
-        alerts: Open alerts, the worst first.
         urgency, reasons: How urgent it is, and why, the most important reason first.
     """
 
     status: Status
     conicity: Estimate
-    measured_until_ns: int | None
-    slope_per_1000_km: Estimate
+    measured_until_ns: int | None  # end of the newest data behind it; None where there are none
+    slope_per_1000_km: Estimate  # of the trend since the last reprofiling
     limit: float | None
     probability_over_limit: float | None
     distance_to_limit_km: Forecast
-    since_trend_km: float | None
-    date_of_limit_ns: Forecast
-    forecast_reason: Reason | None
+    since_trend_km: float | None  # run since the last point of the trend
+    date_of_limit_ns: Forecast  # quantiles of the date
+    forecast_reason: Reason | None  # why a quantile is missing; None where none is
     mileage: MileageNow | None
     last_data_ns: int | None
-    alerts: tuple[OpenAlert, ...]
+    alerts: tuple[OpenAlert, ...]  # open alerts, the worst first
     urgency: Urgency
     reasons: tuple[Reason, ...]
 

@@ -6,10 +6,15 @@ bogie two wheelsets share a frame; its yaw follows from what the nodes measure o
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
+from typing import Annotated, Any
+
+from annotated_types import Ge, Gt
 
 from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -32,14 +37,14 @@ class BogieParameters:
         ParameterError: A parameter is not finite, is negative, or is zero where it must not be.
     """
 
-    wheelbase: float  # m, between its two axles
-    frame_mass: float  # kg
-    frame_yaw_inertia: float  # kg m2
-    body_mass: float  # kg, of the body that rests on one bogie
-    secondary_lateral_stiffness: float = 0.0  # N/m, of one bogie
-    secondary_lateral_damping: float = 0.0  # N s/m
-    secondary_yaw_stiffness: float = 0.0  # N m/rad
-    secondary_yaw_damping: float = 0.0  # N m s/rad
+    wheelbase: Annotated[float, Gt(0.0)]  # m, between its two axles
+    frame_mass: Annotated[float, Gt(0.0)]  # kg
+    frame_yaw_inertia: Annotated[float, Gt(0.0)]  # kg m2
+    body_mass: Annotated[float, Gt(0.0)]  # kg, of the body that rests on one bogie
+    secondary_lateral_stiffness: Annotated[float, Ge(0.0)] = 0.0  # N/m, of one bogie
+    secondary_lateral_damping: Annotated[float, Ge(0.0)] = 0.0  # N s/m
+    secondary_yaw_stiffness: Annotated[float, Ge(0.0)] = 0.0  # N m/rad
+    secondary_yaw_damping: Annotated[float, Ge(0.0)] = 0.0  # N m s/rad
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -156,3 +161,69 @@ def default_relative_std(name: str) -> float:
         "load": LOAD_STD,
     }
     return next((std for end, std in ends.items() if name.endswith(end)), LENGTH_STD)
+
+
+SHIPPED_VERSION = 0  # of a class that the package holds and the registry does not
+_CHANNELS = ("lateral", "yaw", "roll", "mass_lateral")
+
+
+@dataclass(frozen=True, slots=True)
+class ClassOnFile:
+    """A version of a vehicle class."""
+
+    vehicle_class: VehicleClass  # its value
+    version: int = SHIPPED_VERSION  # from 1, as registered; ``SHIPPED_VERSION`` for a class of the package
+    recorded_ns: int | None = None  # when this version was registered, ns UTC; None for a class of the package
+
+    @property
+    def digest(self) -> str:
+        """Digest of the whole value."""
+        return class_digest(self.vehicle_class)
+
+
+def class_document(vehicle_class: VehicleClass) -> dict[str, Any]:
+    """Return a class as JSON can hold it: a limit that is infinite is None."""
+    document = asdict(vehicle_class)
+    document["relative_std"] = dict(sorted(vehicle_class.relative_std.items()))
+    for name in _CHANNELS:
+        if math.isinf(document["sensors"][name]["limit"]):
+            document["sensors"][name]["limit"] = None
+    return document
+
+
+def class_of_document(document: Mapping[str, Any]) -> VehicleClass:
+    """Return the class that :func:`class_document` described.
+
+    Args:
+        document: As stored; a field that it does not have takes its default.
+
+    Raises:
+        ParameterError: A value is impossible.
+        TypeError: A field is unknown, or one without default is missing.
+    """
+    bogie, sensors = document["bogie"], dict(document["sensors"])
+    for name in _CHANNELS:
+        limit = sensors[name]["limit"]
+        sensors[name] = SensorChannel(**{**sensors[name], "limit": math.inf if limit is None else limit})
+    return VehicleClass(
+        **{
+            **document,
+            "arrangement": Arrangement(document["arrangement"]),
+            "parameters": VehicleParameters(**document["parameters"]),
+            "bogie": None if bogie is None else BogieParameters(**bogie),
+            "sensors": SensorLayout(**sensors),
+        }
+    )
+
+
+def same_motion(first: VehicleClass, second: VehicleClass) -> bool:
+    """Return whether two classes turn a window into the same motion; their standard deviations may differ."""
+    return all(
+        getattr(first, name) == getattr(second, name) for name in ("arrangement", "parameters", "bogie", "sensors")
+    )
+
+
+def class_digest(vehicle_class: VehicleClass) -> str:
+    """Return the digest of the whole value of a class."""
+    text = json.dumps(class_document(vehicle_class), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from estimation.values.quantities import Status
-from estimation.values.quarantine import Quarantined
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.runs import JobOutcome, JobRun
+from estimation.values.runs import JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
 from estimation.values.utc_text import utc_text
 
@@ -20,19 +19,14 @@ class SectionFacts:
     """What is stored of a section and decides what its windows wait for.
 
     Attributes:
-        code: Of the section.
-        in_force: Its alignment; None where there is none.
-        looked_at: Whether its passes have been looked at.
-        found: Why the last look found no alignment; None where it did.
-        survey: Why the survey on file is not used; None where it is, or there is none.
         failed: What is kept of the last failure of :data:`ALIGNMENT` at it; None where it succeeded.
     """
 
-    code: str
-    in_force: AlignmentRecord | None = None
-    looked_at: bool = False
-    found: Reason | None = None
-    survey: Reason | None = None
+    code: str  # of the section
+    in_force: AlignmentRecord | None = None  # its alignment; None where there is none
+    looked_at: bool = False  # whether its passes have been looked at
+    found: Reason | None = None  # why the last look found no alignment; None where it did
+    survey: Reason | None = None  # why the survey on file is not used; None where it is, or there is none
     failed: Quarantined | None = None
 
     @property

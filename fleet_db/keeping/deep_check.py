@@ -10,8 +10,7 @@ from sqlalchemy import Connection, and_, exists, func, select
 
 from estimation.errors import DamagedError
 from estimation.values.windows import WindowState
-from fleet_db.keeping.kept_files import KeptFile, kept_files
-from fleet_db.keeping.kept_recordings import KeptRecording, kept_recordings
+from fleet_db.keeping.kept_files import KeptFile, KeptRecording, kept_files, kept_recordings
 from fleet_db.keeping.orphans import orphaned_recordings, orphaned_samples
 from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
@@ -36,15 +35,12 @@ class Finding:
 
     Attributes:
         kind: What was compared: ``recording``, ``window file``, ``rows``, ``packed values``, ``database``, ``orphan``.
-        subject: What it is about.
-        detail: What is wrong.
-        harmless: Whether nothing is lost by it: a file that nothing refers to.
     """
 
     kind: str
-    subject: str
-    detail: str
-    harmless: bool = False
+    subject: str  # what it is about
+    detail: str  # what is wrong
+    harmless: bool = False  # whether nothing is lost by it: a file that nothing refers to
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,9 +22,8 @@ from sqlalchemy import (
     update,
 )
 
-from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import ReasonCode
-from estimation.values.runs import JobOutcome
+from estimation.values.runs import TRIED_AGAIN, JobOutcome
 from estimation.values.windows import WindowState
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.expired_tables import expired_tables, seal

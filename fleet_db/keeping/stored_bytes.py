@@ -194,20 +194,17 @@ class StoredKind:
     """What there is of one kind.
 
     Attributes:
-        items: Rows, or files.
         item_bytes, index_bytes: Of rows or files, and of the indexes of the rows.
-        estimated: Whether items or bytes were sampled or are the database's own estimate.
-        days: How long it is kept; None for ever.
         wheelset_year_bytes: What one wheelset keeps of it after a year at its running rate and these days; None where
             nothing has run.
     """
 
     kind: str
-    items: int
+    items: int  # rows, or files
     item_bytes: int
     index_bytes: int
-    estimated: bool
-    days: float | None
+    estimated: bool  # whether items or bytes were sampled or are the database's own estimate
+    days: float | None  # how long it is kept; None for ever
     wheelset_year_bytes: int | None
 
     @property

@@ -11,9 +11,9 @@ from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
-from estimation.values.identity import IDENTITY, UNREGISTERED_CHANGE
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
+from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.session import to_json

@@ -8,8 +8,8 @@ from sqlalchemy import Connection
 
 from estimation.errors import ConflictError
 from estimation.failures import after_failure
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.runs import SubjectKind
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.stores.chunks import ChosenChunks, ChunkStore
 from fleet_db.stores.quarantine import QuarantineStore

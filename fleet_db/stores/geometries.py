@@ -15,10 +15,13 @@ from estimation.values.geometry import (
     GEOMETRY,
     BinValues,
     GeometryRecord,
+    IntervalConicities,
     IntervalDigest,
+    KnownConicity,
     WheelsetGeometry,
+    known_conicities,
+    why_no_conicity,
 )
-from estimation.values.interval_conicities import IntervalConicities, KnownConicity, known_conicities, why_no_conicity
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import Result

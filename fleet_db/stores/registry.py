@@ -11,8 +11,7 @@ from sqlalchemy import Connection, Row, Select, select, update
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
-from estimation.vehicle.class_on_file import SHIPPED_VERSION, ClassOnFile, class_document
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain

@@ -12,10 +12,20 @@ import numpy as np
 from sqlalchemy import Connection, Row, Update, bindparam, delete, func, insert, select, update
 
 from estimation.errors import ConflictError
-from estimation.values.exact_table import ExactTable, RolledPart
 from estimation.values.geometry import BinTable
-from estimation.values.roll_up import Odometer, RollUp, RollUpKey, RollUpState, Side, TabledWindow, TakenTable
-from estimation.values.rolling_sums import RollingSums, WindowRollingSums
+from estimation.values.roll_up import (
+    ExactTable,
+    Odometer,
+    RolledPart,
+    RollingSums,
+    RollUp,
+    RollUpKey,
+    RollUpState,
+    Side,
+    TabledWindow,
+    TakenTable,
+    WindowRollingSums,
+)
 from fleet_db.packed_values import (
     pack_bin_table,
     pack_exact_table,

@@ -23,7 +23,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import EVERYTHING, Due, Mark, StageInputs
 from fleet_db.due import WindowDueStore, list_due
 from fleet_db.rows import table_of

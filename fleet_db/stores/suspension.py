@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, delete, func, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
-from estimation.values.suspension import SuspensionFinding
+from estimation.values.trend import SuspensionFinding
 from fleet_db.rows import table_of, upsert
 from fleet_db.tables.track import SuspensionFindingRow
 

@@ -21,9 +21,7 @@ from estimation.values.alerts import Severity
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.worklist import Urgency, WorklistRow
-from estimation.worklist.inputs import WorklistInputs
-from estimation.worklist.row import worklist_row
-from estimation.worklist.urgency import distance_key, urgency_key
+from estimation.worklist.row import WorklistInputs, distance_key, urgency_key, worklist_row
 from fleet_db.changes import Changes
 from fleet_db.rows import insert_new, replace_all, table_of
 from fleet_db.stores.worklist_inputs import WorklistReader, not_voided

@@ -17,7 +17,7 @@ from estimation.values.trend import TREND, TrendRecord
 from estimation.values.windows import WindowState
 from estimation.values.worklist import MileageNow, OpenAlert
 from estimation.vehicle.vehicle_class import VehicleClass
-from estimation.worklist.inputs import WorklistInputs
+from estimation.worklist.row import WorklistInputs
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.geometries import CURRENT, GeometryStore

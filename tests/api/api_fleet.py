@@ -11,9 +11,7 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.dampers import GearDamper
 from estimation.values.geometry import BinStatus, BinValues, Centre, CentreOrigin, GeometryRecord, WheelsetGeometry
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
+from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.rails import (
     RailKey,
     RailPart,
@@ -26,7 +24,7 @@ from estimation.values.rails import (
 )
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
-from estimation.values.runs import JobOutcome, JobTrigger
+from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, QuarantineState, SubjectKind
 from estimation.values.signatures import (
     Basis,
     ConicitySource,
@@ -36,9 +34,8 @@ from estimation.values.signatures import (
     StateProbability,
     UsedEntry,
 )
-from estimation.values.suspension import SuspensionFinding
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
-from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.trend import SuspensionFinding, TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
 from ingest.vehicle_class_file import shipped_class
 

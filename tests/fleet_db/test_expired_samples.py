@@ -13,7 +13,7 @@ from stored_raw import raw_of
 
 from estimation.errors import DamagedError, ParameterError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track_epochs import EpochMember, FoldState, TrackEpoch
+from estimation.values.track import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import PassedOver, WindowPosition, WindowRecord, WindowState
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.kept_files import kept_files

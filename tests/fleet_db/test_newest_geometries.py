@@ -11,8 +11,7 @@ import pytest
 import stored_values as make
 from sqlalchemy import insert, select, union_all
 
-from estimation.values.geometry import GeometryRecord
-from estimation.values.interval_conicities import interval_conicities
+from estimation.values.geometry import GeometryRecord, interval_conicities
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.results import RESULTS
 

@@ -11,8 +11,7 @@ from same_values import same_values
 
 from estimation.errors import StorageError
 from estimation.values.dampers import SHARES, DamperSums, GearDamper, WindowDamper
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.packed_dampers import pack_gear_damper, unpack_window_damper
 from fleet_db.storage import SqlStorage

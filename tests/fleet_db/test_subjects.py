@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from sqlalchemy import select
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from fleet_db.storage import SqlStorage
 from fleet_db.subjects import VERSIONS
 

@@ -17,8 +17,8 @@ from estimation.motion.joined_windows import following, joined
 from estimation.motion.usable_samples import straight_part
 from estimation.storage import UnitOfWork
 from estimation.track.examination import examine
+from estimation.track.gridded_pass import resampled
 from estimation.track.partition import Entry
-from estimation.track.pass_grid import resampled
 from estimation.track.passes import Pass
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackLayout

@@ -11,9 +11,9 @@ from estimation.alerts.rules.identity import MOUNTED
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert
 from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import AFTER, IDENTITY, IdentityChange, latest_identity_change, since_change
-from estimation.values.look import Look
 from estimation.values.registry import Mounting, WheelsetRecord
+from estimation.values.runs import Look
+from estimation.values.trend import AFTER, IDENTITY, IdentityChange, latest_identity_change, since_change
 
 _ALL = 1000
 STAGE = "identity"
@@ -64,9 +64,10 @@ def suspected(unit: UnitOfWork) -> frozenset[str]:
 def _still_there(alert: Alert, mountings: Sequence[Mounting]) -> bool:
     """Whether a wheelset was mounted after a change where the alert says; its way round may have been corrected."""
     place, after_ns = alert.evidence.get(MOUNTED), alert.evidence.get(AFTER)
-    if not isinstance(place, list) or not isinstance(after_ns, int):
+    if not isinstance(place, dict) or not isinstance(after_ns, int):
         return True
-    same = [one for one in mountings if [one.vehicle, one.axle, one.from_ns] == place[:3]]
+    at = [place.get(name) for name in ("vehicle", "axle", "from_ns")]
+    same = [one for one in mountings if [one.vehicle, one.axle, one.from_ns] == at]
     return any(one.to_ns is None or one.to_ns > after_ns for one in same)
 
 

@@ -11,9 +11,9 @@ from estimation.jobs.steps.baselines import Baseline, baselines
 from estimation.jobs.steps.trend_steps import last_change
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.values.identity import IdentityChange
 from estimation.values.registry import Mounting
 from estimation.values.roll_up import Member, RollUp, RollUpKey, Side, TabledWindow
+from estimation.values.trend import IdentityChange
 
 ROLL_UP_VERSION = 1
 

@@ -16,15 +16,14 @@ from estimation.errors import DamagedError
 from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import RailsSettings
 from estimation.jobs.steps.trend_steps import last_change
-from estimation.rails.design import conicity_on_rails, designed_wheel
-from estimation.rails.parameters import Anchors, ReferenceWheel
+from estimation.rails.parameters import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
-from estimation.values.identity import on_one_side
 from estimation.values.rails import KnownWheel, RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import TrackSectionRecord
+from estimation.values.trend import on_one_side
 
 DAY_NS = 86_400_000_000_000
 SAME_GAUGE = 0.3e-3  # m, within which gauges count as alike

@@ -19,13 +19,12 @@ from estimation.jobs.steps.rolling import Part, Rolled, sums
 from estimation.jobs.steps.rolling_radius import RadiusOnFile, former, remembered, stated
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
-from estimation.tables.weighted_tables import weighted_sum
-from estimation.values.exact_table import ExactTable
+from estimation.tables.bin_table import weighted_sum
 from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, Contradiction, GeometryRecord
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.roll_up import MILLIMETRES, MOST_CHOSEN, RollUp, RollUpKey, Side
+from estimation.values.roll_up import MILLIMETRES, MOST_CHOSEN, ExactTable, RollUp, RollUpKey, Side
 from estimation.values.windows import WindowRecord
 
 REMEMBERED_HALF_LIVES = 20.0  # a weight of one in a million

@@ -17,9 +17,9 @@ from estimation.storage import UnitOfWork
 from estimation.tables import bin_table
 from estimation.tables.bin_table import bin_parameters
 from estimation.tables.exact_sum import ExactSum, nothing
-from estimation.values.exact_table import ExactTable
 from estimation.values.geometry import FilledCells
 from estimation.values.roll_up import (
+    ExactTable,
     Member,
     Odometer,
     RollUp,

@@ -14,10 +14,10 @@ from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.update import AlignmentUpdate
 from estimation.trend.suspension import suspension_histories
 from estimation.values.alerts import Finding
-from estimation.values.suspension import SuspensionChange, SuspensionFinding, SuspensionShown
-from estimation.values.track_epochs import TrackEpoch
+from estimation.values.track import TrackEpoch
+from estimation.values.trend import SuspensionChange, SuspensionFinding, SuspensionShown
 from estimation.values.windows import WindowRecord
-from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.vehicle.vehicle_class import ClassOnFile
 
 LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of the ratio
 

@@ -10,12 +10,11 @@ import numpy as np
 from estimation.accuracy.wheel_contact import RailShare
 from estimation.alerts.step_causes import StepSurroundings
 from estimation.jobs.steps.identities import identity_change
-from estimation.rails.design import conicity_on_rails, designed_wheel
+from estimation.rails.parameters import conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
-from estimation.values.identity import IdentityChange
-from estimation.values.interval_conicities import IntervalConicities
+from estimation.values.geometry import IntervalConicities
 from estimation.values.registry import WheelsetRecord
-from estimation.values.trend import TrendRecord, TrendStep
+from estimation.values.trend import IdentityChange, TrendRecord, TrendStep
 
 AMPLITUDES = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)  # m, at which a profile behind a step is compared with its design
 

@@ -19,10 +19,9 @@ from estimation.jobs.steps.trend_steps import step_of, surroundings
 from estimation.storage import UnitOfWork
 from estimation.trend.steps import behind_step
 from estimation.values.alerts import Alert
-from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import since_change
-from estimation.values.interval_conicities import IntervalConicities
+from estimation.values.geometry import GeometryRecord, IntervalConicities
 from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.values.trend import since_change
 from estimation.values.windows import WindowRecord
 
 FIRST_LOOK_NS = 3_600_000_000_000

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy import sparse
@@ -24,9 +25,9 @@ from estimation.track.panel.basis import (
     pass_residual,
 )
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.profile_life import ProfileLife
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
-from estimation.values.intervals import jackknife_std
+from estimation.track.passes import ProfileLife
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
+from estimation.values.quantities import jackknife_std
 from estimation.values.track import GaugeShift
 
 KNOT_STEP = 0.125e-3  # m
@@ -44,16 +45,12 @@ FAR = 0.8  # quantile of |R|
 
 
 @dataclass(frozen=True, slots=True)
-class WheelFunctions:
+class WheelFunctions(FrozenArrays):
     """Radius of each wheel against its own lateral position, positive towards the flange, up to a constant."""
 
-    knots: FloatArray  # (k,) m, increasing
-    left: FloatArray  # (k,) m
-    right: FloatArray  # (k,) m
-
-    def __post_init__(self) -> None:
-        for name in ("knots", "left", "right"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.knots),), name=name))
+    knots: Annotated[FloatArray, "n"]  # m, increasing
+    left: Annotated[FloatArray, "n"]  # m
+    right: Annotated[FloatArray, "n"]  # m
 
     def difference(self, displacement: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
         """Return rL - rR, m, at y - d and gauge deviation, m; arrays of one shape."""

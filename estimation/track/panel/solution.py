@@ -11,10 +11,9 @@ from scipy import linalg
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, groups_of
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, IntArray, as_slice
-from estimation.values.intervals import jackknife_std
-from estimation.values.quantities import Status
+from estimation.values.quantities import Status, jackknife_std
 from estimation.values.reasons import Reason, ReasonCode
 
 LEAST_DIVERSITY = 0.05

@@ -17,12 +17,10 @@ from estimation.contact.profiles import (
     rail_profile,
     wheel_profile,
 )
-from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import evaluate
 from estimation.contact.table import ContactMethod
-from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
-from estimation.contact.wear_measures import wear_measures
-from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
+from estimation.contact.wear import TreadWear, WearFamily, wear_course, wear_measures, worn
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
 from estimation.errors import ParameterError, ProfileError
 
 DEFINITIONS = [*WHEEL_DEFINITIONS.items(), *RAIL_DEFINITIONS.items()]

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.conicity_uncertainty import MeasuredShapes, conicity_std
+from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack
 from estimation.contact.penalised_spline import correlated_noise, rough_noise
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile

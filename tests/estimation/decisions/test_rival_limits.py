@@ -19,9 +19,9 @@ from estimation.estimators.paper_algorithm import GROUPS as OF_CELLS
 from estimation.estimators.paper_algorithm import CellMeans, PaperAlgorithm, PaperState
 from estimation.estimators.replicates import Replicates, curve_estimate
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
+from estimation.values.windows import Motion
 
 SURE = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
 PRIOR = Prior(np.zeros(2), np.ones(2))

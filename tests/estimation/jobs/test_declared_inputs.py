@@ -19,9 +19,9 @@ from estimation.jobs.stage import AnyStage
 from estimation.jobs.stages import ALL_STAGES
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
-from estimation.values.identity import AFTER, BEFORE, IDENTITY
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
 from estimation.values.subjects import Facet, Mark
+from estimation.values.trend import AFTER, BEFORE, IDENTITY
 
 READS: Mapping[str, str] = {
     "registry.wheelsets_of": Facet.REGISTRY,

@@ -24,12 +24,12 @@ from estimation.jobs.steps import rail_anchors, rail_cells
 from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import LOST, CellsFound, cells_of
 from estimation.jobs.steps.rolling import Part
-from estimation.values.identity import IdentityChange
-from estimation.values.quarantine import SubjectKind
 from estimation.values.rails import RailKey, SectionRailsRecord, StoredCell, WheelKey, WheelsetRailsRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.roll_up import RollUp, RollUpKey, Side
+from estimation.values.runs import SubjectKind
 from estimation.values.track import TrackSectionRecord
+from estimation.values.trend import IdentityChange
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.rails import CELLS
 

@@ -24,7 +24,6 @@ from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import BinParameters, TableSum, bin_parameters, init, tabulate_window
 from estimation.tables.exact_sum import ExactSum, nothing
-from estimation.values.exact_table import ExactTable
 from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import (
@@ -34,7 +33,7 @@ from estimation.values.registry import (
     VehicleRecord,
     WheelsetRecord,
 )
-from estimation.values.roll_up import RollUpState
+from estimation.values.roll_up import ExactTable, RollUpState
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Window, WindowState
 from fleet_db.packed_values import pack_bin_table, pack_exact_table, unpack_filled_cells

@@ -14,13 +14,12 @@ from test_rolling import MINUTE, SETTINGS, Life, exact, made_again, register, ta
 
 from estimation.errors import ConflictError
 from estimation.jobs.steps import rolling
-from estimation.values.exact_table import ExactTable, RolledPart
 from estimation.values.geometry import PASSED_OVER, BinTable, GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
-from estimation.values.roll_up import RollUp
-from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, TrackEpoch
+from estimation.values.roll_up import ExactTable, RolledPart, RollUp
+from estimation.values.track import EpochMember, EpochNews, FoldState, TrackEpoch
 from estimation.values.windows import PassedOver, WindowPosition, WindowState
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.purge import purge

@@ -18,10 +18,9 @@ from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
 from estimation.track.section import SectionEstimate, estimate_section
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 
