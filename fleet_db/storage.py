@@ -170,7 +170,7 @@ class SqlUnitOfWork:
         self.audit = AuditStore(connection)
         self.looks = LookStore(connection, self.changes)
         self.section_looks = SectionLookStore(connection)
-        self.rails = RailsStore(connection)
+        self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)

@@ -39,13 +39,11 @@ class Subjects:
         """
         self._raised.add((str(kind), subject or "", str(facet)))
 
-    def growth(self, kind: SubjectKind, facets: Collection[str], subject: str | None = None) -> int:
-        """Return by how much this transaction lets the sum of versions grow, of a subject or of all of a kind."""
+    def growth(self, facets: Collection[str], subject: tuple[SubjectKind, str] | None = None) -> int:
+        """Return by how much this transaction lets the sum of versions grow, of a subject or of all."""
         grown = self._written + Counter(self._raised)
         return sum(
-            count
-            for (of_kind, name, facet), count in grown.items()
-            if of_kind == kind and facet in facets and subject in {None, name}
+            count for (kind, name, facet), count in grown.items() if facet in facets and subject in {None, (kind, name)}
         )
 
     def wheelset_on_file(self, serial: str) -> Sequence[str]:

@@ -22,6 +22,7 @@ from api.times import to_rfc3339
 from api.window_reasons import WindowReasons
 from estimation.errors import NotFoundError
 from estimation.values.quantities import Status
+from estimation.values.rails import WHEELSET_RAILS
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.windows import WindowRecord
@@ -156,7 +157,7 @@ def get_wheelset_rails(asked: AskedDep, serial: Serial) -> Response:
     """Return the conicity of the wheels without the rails they ran on, beside that of the geometry."""
     with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found, current = unit.rails.of_wheelset(serial), unit.geometries.current(serial)
+        found, current = unit.results.latest(WHEELSET_RAILS, serial), unit.geometries.current(serial)
     if found is None:
         raise NotFoundError("rails yet of wheelset", serial)
     return asked.answer(rails.wheelset_rails(found, current))

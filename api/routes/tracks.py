@@ -15,6 +15,7 @@ from api.schemas.common import Page
 from api.times import Moment
 from estimation.errors import NotFoundError
 from estimation.values.json_value import JsonValue
+from estimation.values.rails import SECTION_RAILS
 from estimation.values.track import TrackReport
 from fleet_db.storage import SqlUnitOfWork
 
@@ -107,7 +108,7 @@ def get_section_rails(asked: AskedDep, code: Code) -> Response:
     """Return what belongs to the rails of the section, in the conicities of the wheelsets that ran on it."""
     with asked.read() as unit:
         unit.tracks.section(code)
-        found = unit.rails.of_section(code)
+        found = unit.results.latest(SECTION_RAILS, code)
     if found is None:
         raise NotFoundError("rails yet of track section", code)
     return asked.answer(rails.section_rails(found))

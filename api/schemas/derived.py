@@ -21,6 +21,7 @@ from api.schemas.common import Representation, Uncertain, finite, finite_list, u
 from api.times import Timestamp, times_to_rfc3339, to_rfc3339
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.results import AnyResult
 from estimation.values.served import Served
 
 PLAIN = Served()
@@ -178,3 +179,12 @@ class Derived(Representation):
     def made(cls, value: Any, **own: Any) -> Self:  # noqa: ANN401 - of the value's class; fields of the model
         """Return the representation of a value, with the fields that are not its own; those win."""
         return cls(**{name: make(value) for name, make in cls.makers.items() if name not in own}, **own)
+
+
+def provenance(result: AnyResult) -> dict[str, Any]:
+    """Return what is served of where a result comes from."""
+    return {
+        "code_version": result.numerics,
+        "input_digest": result.made_from,
+        "recorded_at": to_rfc3339(result.recorded_ns),
+    }

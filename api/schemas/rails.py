@@ -8,12 +8,14 @@ from enum import StrEnum
 from pydantic import Field
 
 from api.schemas.common import Links, Representation, Uncertain, uncertain
-from api.schemas.derived import Derived
+from api.schemas.derived import Derived, provenance
 from api.schemas.registry import segment
+from api.times import Timestamp
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Status
-from estimation.values.rails import RailPart, RailTrend, SectionRailsRecord, WheelPart, WheelsetRailsRecord
+from estimation.values.rails import RailPart, RailsFinding, RailTrend, WheelPart, WheelsFinding
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.results import Result
 
 MM = 1000.0
 NO_GEOMETRY = Estimate.unknown(Reason(ReasonCode.NO_GEOMETRY, "there is no geometry at this amplitude yet"))
@@ -49,10 +51,14 @@ class RailsTrend(Derived, of=RailTrend):
     """How fast the excess grows."""
 
 
-class SectionRails(Derived, of=SectionRailsRecord, without=("amplitude",)):
+class SectionRails(Derived, of=RailsFinding, without=("amplitude",)):
     """The rails of a section, from the conicities of the wheelsets that ran on it and on others."""
 
+    section: str
     periods: list[RailsPeriod] = Field(description="Oldest first.")
+    code_version: str
+    input_digest: str
+    recorded_at: Timestamp
     links: Links
 
 
@@ -74,7 +80,7 @@ class _WheelPart(Derived, of=WheelPart, without=("wheel", "conicity")):
     """What belongs to the wheels."""
 
 
-class WheelsetRails(_WheelPart, of=WheelsetRailsRecord, without=("amplitude", "part")):
+class WheelsetRails(_WheelPart, of=WheelsFinding, without=("amplitude", "part")):
     """The wheels of a wheelset without the rails that it ran on, beside the geometry of all its windows."""
 
     wheelset: str = Field(examples=["WS-0001"])
@@ -83,15 +89,21 @@ class WheelsetRails(_WheelPart, of=WheelsetRailsRecord, without=("amplitude", "p
     interval: int = Field(description="Mileage interval since the last reprofiling.")
     by_amplitude: list[ConicitiesAtAmplitude] = Field(description="Smallest amplitude first.")
     status: Status = Field(description="`estimated` where a conicity is published at some amplitude.")
+    code_version: str
+    input_digest: str
+    recorded_at: Timestamp
     links: Links
 
 
-def section_rails(record: SectionRailsRecord) -> SectionRails:
+def section_rails(found: Result[RailsFinding]) -> SectionRails:
     """Return the representation of what was found of a section's rails."""
-    own = f"/v1/track-sections/{segment(record.section)}"
+    assert found.value is not None
+    record, own = found.value, f"/v1/track-sections/{segment(found.subject)}"
     no_trend = record.no_trend if record.trend is None else None
     return SectionRails.made(
         record,
+        **provenance(found),
+        section=found.subject,
         periods=[_period(one, record.amplitude) for one in record.periods],
         trend_reason=text_of(no_trend),
         trend_reason_code=code_of(no_trend),
@@ -99,13 +111,14 @@ def section_rails(record: SectionRailsRecord) -> SectionRails:
     )
 
 
-def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None) -> WheelsetRails:
+def wheelset_rails(found: Result[WheelsFinding], geometry: GeometryRecord | None) -> WheelsetRails:
     """Return the representation of a wheelset's wheels, beside its geometry.
 
     Args:
         geometry: The current one; None without.
     """
-    part, own = record.part, f"/v1/wheelsets/{segment(record.wheelset)}"
+    assert found.value is not None
+    record, part, own = found.value, found.value.part, f"/v1/wheelsets/{segment(found.subject)}"
     rows = []
     for amplitude, apart in zip(record.amplitude, part.conicity, strict=True):
         beside = ((ConicityMethod.WHEEL_AND_RAIL_APART, apart), (ConicityMethod.GEOMETRY, _at(geometry, amplitude)))
@@ -115,7 +128,8 @@ def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None)
     return WheelsetRails.made(
         record,
         **_WheelPart.parts(part),
-        wheelset=record.wheelset,
+        **provenance(found),
+        wheelset=found.subject,
         baseline=part.wheel.baseline,
         geometry_baseline=None if geometry is None else geometry.baseline,
         interval=part.wheel.interval,

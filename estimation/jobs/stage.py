@@ -101,7 +101,8 @@ class Stage(Generic[I, V]):
         results: How what it computes is stored; None where ``store`` does all.
         store: Stores what is more than results, in the same transaction; returns what it counted.
         at_once: Subjects that are loaded and stored in one transaction.
-        together: Whether it looks at all subjects of its kind together; its one subject is ``EVERYTHING``.
+        together: Whether it looks at all subjects together, of whatever kind a facet is; its one subject is
+            ``EVERYTHING``.
         frozen: Stages whose results it reads and that do not make it due.
     """
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from estimation.jobs.refresh_rails import OF_ALL as RAILS
+from estimation.jobs.refresh_rails import OF_WHEELSETS as CELLS
 from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.stage import AnyStage
 
-ALL_STAGES: tuple[AnyStage, ...] = (TREND,)
+ALL_STAGES: tuple[AnyStage, ...] = (TREND, CELLS, RAILS)

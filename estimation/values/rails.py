@@ -10,6 +10,8 @@ from typing import Annotated
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import History, ResultKind
+from estimation.values.runs import SubjectKind
 from estimation.values.served import MM, Served
 
 TONNAGE_NOT_ON_FILE = Estimate.unknown(Reason(ReasonCode.TONNAGE_UNKNOWN, "the traffic of the section is not on file"))
@@ -159,6 +161,7 @@ class StoredCell:
     windows: int = 0  # that it was made from
     from_ns: int = 0
     to_ns: int = 0
+    interval_digest: str = ""  # of what all cells of its mileage interval are made from
 
     @property
     def usable(self) -> SectionConicity | None:
@@ -172,10 +175,9 @@ class StoredCell:
 
 
 @dataclass(frozen=True, slots=True)
-class SectionRailsRecord:
-    """What the last run found of the rails of a section, with its provenance; superseded by a later one."""
+class RailsFinding:
+    """What was found of the rails of a section."""
 
-    section: str
     amplitude: tuple[float, ...]  # m
     reference_wheel_profile: Annotated[str, Served("The wheel as designed, of most wheelsets.", example="P8")]
     periods: Annotated[tuple[RailPart, ...], Served("Oldest first.")]
@@ -192,9 +194,6 @@ class SectionRailsRecord:
     reported_amplitude: Annotated[
         float | None, Served("3 mm, or the largest amplitude below that is known.", "limit_amplitude_mm", MM)
     ]
-    input_digest: str
-    code_version: str
-    recorded_ns: int
     refused: Annotated[
         Reason | None,
         Served("Why the section holds no level though it is named as known; null where that does not apply.", "reason"),
@@ -203,20 +202,18 @@ class SectionRailsRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class WheelsetRailsRecord:
-    """The conicity of a wheelset without what belongs to rails, in its newest interval; superseded by a later one."""
+class WheelsFinding:
+    """The conicity of a wheelset without what belongs to rails, in its newest interval."""
 
     amplitude: tuple[float, ...]  # m
     part: WheelPart
-    input_digest: str
-    code_version: str
-    recorded_ns: int
     refused: Annotated[
         Reason | None,
         Served("Why it holds no level though its profiles were measured; null where that does not apply.", "reason"),
     ] = None
 
-    @property
-    def wheelset(self) -> str:
-        """Serial."""
-        return self.part.wheel.wheelset
+
+CELLS = "cells"
+"""The stage of cells, and the facet that a wheelset with other cells has raised."""
+SECTION_RAILS = ResultKind("section_rails", SubjectKind.SECTION, RailsFinding, History.NEWEST)
+WHEELSET_RAILS = ResultKind("wheelset_rails", SubjectKind.WHEELSET, WheelsFinding, History.NEWEST)

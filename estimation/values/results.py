@@ -63,7 +63,7 @@ class Result(Generic[V]):
     reason: Reason | None = None
     head: JsonValue = None
     parameters: Mapping[str, JsonValue] = field(default_factory=dict)
-    number: int = 0
+    number: int = field(default=0, compare=False)
 
 
 AnyResult = Result[Any]

@@ -16,6 +16,7 @@ class Facet(StrEnum):
 
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
+    ALIGNMENT = "alignment"  # versions of the alignment of a section
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +26,7 @@ class StageInputs:
     Attributes:
         facets: Of its subjects; none of a stage that works window by window (``fleet_db.due``).
         common: Digest of what is the same for all subjects: settings and numerics.
-        together: Whether it looks at all subjects of the kind together.
+        together: Whether it looks at all subjects together, of whatever kind a facet is.
     """
 
     stage: str

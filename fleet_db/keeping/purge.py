@@ -24,7 +24,8 @@ from sqlalchemy import (
 
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import TRIED_AGAIN, JobOutcome
-from estimation.values.windows import WindowState
+from estimation.values.windows import DueStage, WindowState
+from fleet_db.due import is_due
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.expired_tables import expired_tables, seal
 from fleet_db.keeping.kept_files import SAMPLES
@@ -59,16 +60,13 @@ WAITING = (ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.CLASS_UNKNOWN, ReasonCode.FI
 def expired_samples(connection: Connection, before_ns: int, limit: int) -> Sequence[Row[Any, Any, Any, Any]]:
     """Return windows whose samples may go, oldest first: wheelset, start_ns, content_digest, sample_bytes.
 
-    A window is estimated and rolled up, or refused for good. It is of no epoch of an alignment that may be computed
-    again when a recording comes late: nor of one that identified nothing, until a later one has.
+    A window is estimated and its table summed, or it is refused for good. It is of no epoch of an alignment that may be
+    computed again when a recording comes late: nor of one that identified nothing, until a later one has.
 
     Args:
         before_ns: They start before it, ns UTC.
     """
-    rolled = exists().where(
-        TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns, TABLES.c.rolled
-    )
-    estimated = and_(WINDOWS.c.state == WindowState.ESTIMATED.value, rolled)
+    summed = and_(WINDOWS.c.state == WindowState.ESTIMATED.value, ~is_due(DueStage.SUMS, WINDOWS))
     waits = WINDOWS.c.reason_code.in_([code.value for code in WAITING])
     refused = and_(WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code.is_not(None), ~waits)
     over = exists().where(
@@ -81,7 +79,7 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
     columns = (WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.content_digest, WINDOWS.c.sample_bytes)
     return connection.execute(
         select(*columns)
-        .where(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.start_ns < before_ns, or_(estimated, refused), ~needed)
+        .where(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.start_ns < before_ns, or_(summed, refused), ~needed)
         .order_by(WINDOWS.c.start_ns)
         .limit(limit)
     ).all()

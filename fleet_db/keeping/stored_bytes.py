@@ -177,7 +177,7 @@ OTHER = "other"
 TABLES: Mapping[str, tuple[str, ...]] = {
     "windows": ("windows", "window_positions"),
     "bin tables": ("window_bin_tables",),
-    "roll-ups": ("roll_ups", "window_due", "taken_tables", "roll_up_states", "rolling_sums"),
+    "roll-ups": ("roll_ups", "window_due", "roll_up_states", "rolling_sums"),
     "results": ("results", "wheelset_bins"),
     "signatures": ("wear_signatures", "signature_answers"),
     "dampers": ("window_dampers", "gear_dampers"),

@@ -89,22 +89,13 @@ class GeometryStore:
         return [_record(result) for result in self.results.in_force(GEOMETRY, [wheelset], None, CURRENT)]
 
     def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]:
-        """Return by baseline and interval what the newest geometry was made from."""
+        """Return by baseline and interval what the newest geometry was made from, and why it holds no number."""
         digests = {}
         for result in self.results.heads(GEOMETRY, [wheelset], INTERVALS):
-            baseline, interval = _key(result.part)
-            digests[baseline, interval or 0] = IntervalDigest(result.made_from, _head(result)["windows"])
+            (baseline, interval), windows = _key(result.part), _head(result)["windows"]
+            reason = None if result.status is Status.ESTIMATED else result.reason
+            digests[baseline, interval or 0] = IntervalDigest(result.made_from, windows, reason)
         return digests
-
-    def reason(self, wheelset: str, baseline: int, interval: int | None) -> Reason | None:
-        """Return why the newest geometry of an interval, or the current one, holds no number; None where it does.
-
-        Args:
-            baseline, interval: Its key; None is the current geometry.
-        """
-        part = part_of(baseline, interval)
-        found = self.results.heads(GEOMETRY, [wheelset], (part, part))
-        return found[0].reason if found and found[0].status is not Status.ESTIMATED else None
 
     def interval_numbers(self, wheelset: str, baseline: int) -> Mapping[int, int]:
         """Return by interval the number of its newest geometry."""

@@ -20,6 +20,7 @@ from fleet_db.rows import table_of, upsert
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.measured_profiles import (
+    MEASURED,
     measured_profiles_of,
     newest_measurement_of,
     store_measured_profiles,
@@ -160,6 +161,10 @@ class RegistryStore:
         for row in self.connection.execute(statement):
             mountings.setdefault(row.wheelset, []).append(to_mounting(row))
         return mountings
+
+    def measured_wheelsets(self) -> frozenset[str]:
+        """Return the serials of the wheelsets whose profiles were measured."""
+        return frozenset(self.connection.scalars(select(MEASURED.c.wheelset).distinct()))
 
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
         """Return every measurement of the profiles of a wheelset, oldest first.

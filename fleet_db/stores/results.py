@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Row, Select, bindparam, case, insert, select, update
+from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert, select, update
 
 from estimation.errors import DamagedError
 from estimation.values.json_value import JsonValue
@@ -103,9 +103,21 @@ class ResultStore:
         for result, values, was in news:
             if was is None or any(getattr(was, name) != values[name] for name in SHOWN):
                 self.changes.subjects.raised(kind.subject, result.subject, kind.stage)
-            if kind.subject == "wheelset":
+            if kind.subject == "wheelset" and kind.history is History.APPENDED:  # the worklist shows no others
                 self.changes.show(result.subject)
         return [result for result, _, _ in news]
+
+    def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None:
+        """Put all results that there are of a kind without history; those of other subjects are removed."""
+        self.put_all(kind, results)
+        known = self.connection.scalars(select(RESULTS.c.subject).where(RESULTS.c.stage == kind.stage).distinct())
+        gone = set(known) - {result.subject for result in results}
+        if gone:
+            self.connection.execute(
+                delete(RESULTS).where(RESULTS.c.stage == kind.stage, RESULTS.c.subject.in_(sorted(gone)))
+            )
+            for subject in gone:
+                self.changes.subjects.raised(kind.subject, subject, kind.stage)
 
     def _before(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Mapping[tuple[str, str], Row[Any]]:
         """Return what stands in the place of each result, by subject and part; of ``one_in_force`` that put last."""

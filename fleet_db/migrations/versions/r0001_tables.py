@@ -172,20 +172,9 @@ sa.Table(
     required("parameter_key", sa.String(128)),
     required("samples", BIG),
     sa.Column("content_digest", CODE),
-    required("rolled", FLAG, server_default=sa.false()),
-    sa.Column("roll_up", BIG),
     sa.Column("running_km", REAL),
-    sa.Column("line", CODE),
     required("packed", BLOB),
     sa.ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
-    sa.Index(None, "roll_up", "start_ns"),
-    sa.Index(
-        "ix_window_bin_tables_waiting",
-        "wheelset",
-        "start_ns",
-        sqlite_where=sa.text("rolled = 0"),
-        postgresql_where=sa.text("NOT rolled"),
-    ),
 )
 sa.Table(
     "window_due",
@@ -469,23 +458,10 @@ sa.Table(
     sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
     sa.Column("period", INTEGER, primary_key=True),
     required("digest", CODE),
+    required("interval_digest", CODE),
     required("document", JSON),
     sa.CheckConstraint("baseline >= 0", name="baseline_counted"),
     sa.CheckConstraint("period >= 0", name="period_counted"),
-)
-sa.Table(
-    "section_rails",
-    TABLES,
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("document", JSON),
-)
-sa.Table(
-    "wheelset_rails",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("document", JSON),
 )
 sa.Table(
     "raw_scrubs",
@@ -531,9 +507,11 @@ sa.Table(
     required("vehicle_class", CODE),
     required("windows", BIG),
     required("content", CODE),
+    required("first_ns", BIG),
+    required("last_ns", BIG),
     required("sealed", FLAG, server_default=sa.false()),
     required("summary", JSON),
-    sa.Column("plain", BLOB),
+    required("plain", BLOB),
     sa.Column("forgetting", BLOB),
     sa.CheckConstraint("windows >= 0", name="windows_counted"),
     sa.UniqueConstraint(
@@ -541,24 +519,11 @@ sa.Table(
     ),
 )
 sa.Table(
-    "taken_tables",
-    TABLES,
-    sa.Column("number", SERIAL, primary_key=True),
-    required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("roll_up", BIG),
-    required("start_ns", BIG),
-    required("running_km", REAL),
-    required("line", CODE),
-    required("packed", BLOB),
-    sa.Index(None, "wheelset"),
-)
-sa.Table(
     "roll_up_states",
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
     required("rules", CODE),
     required("classes", JSON),
-    required("odometers", JSON),
     sa.Column("earlier_digest", CODE),
     sa.Column("earlier", BLOB),
 )

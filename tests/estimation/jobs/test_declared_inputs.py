@@ -14,13 +14,16 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.jobs.job import JobContext
 from estimation.jobs.made_from import made_from
+from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import AnyStage
 from estimation.jobs.stages import ALL_STAGES
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
+from estimation.values.geometry import GEOMETRY
+from estimation.values.rails import CELLS
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
-from estimation.values.subjects import Facet, Mark
+from estimation.values.subjects import EVERYTHING, Facet, Mark
 from estimation.values.trend import AFTER, BEFORE, IDENTITY
 
 READS: Mapping[str, str] = {
@@ -28,7 +31,19 @@ READS: Mapping[str, str] = {
     "registry.mountings_of": Facet.REGISTRY,
     "registry.vehicles_of": Facet.REGISTRY,
     "alerts.of_kind": Facet.RESTARTS,
-    "geometries.conicities_of": "geometry",
+    "geometries.conicities_of": GEOMETRY.stage,
+    "registry.mountings": Facet.REGISTRY,
+    "registry.wheelsets": Facet.REGISTRY,
+    "registry.measured_wheelsets": Facet.REGISTRY,
+    "tracks.sections": Facet.REGISTRY,
+    "alerts.page": Facet.RESTARTS,
+    "trends.latest": TREND.name,
+    "geometries.interval_digests": GEOMETRY.stage,
+    "roll_ups.state": GEOMETRY.stage,
+    "roll_ups.of": GEOMETRY.stage,
+    "tables.tabled": GEOMETRY.stage,
+    "due.of_wheelset": GEOMETRY.stage,
+    "rails.cells": CELLS,
 }
 """The facet that is raised with what a method reads; a stage calls no other."""
 
@@ -40,12 +55,12 @@ BY_NAME = {stage.name: stage for stage in ALL_STAGES}
 class Recorded:
     """A unit of work, or a store of it, that notes which methods are called."""
 
-    of: Any
+    recorded: Any
     name: str = ""
     called: set[str] = field(default_factory=set)
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever the store has
-        found = getattr(self.of, name)
+        found = getattr(self.recorded, name)
         if self.name:
             self.called.add(f"{self.name}.{name}")
             return found
@@ -79,7 +94,7 @@ def test_every_read_is_declared(storage: Storage, stage: AnyStage) -> None:
         recorded = Recorded(unit)
         stage.load(recorded, WHEELSETS, context_of(storage))  # type: ignore[arg-type] - it answers as the unit does
     assert recorded.called <= set(READS), "give every method that is read its facet"
-    assert {READS[name] for name in recorded.called} <= {*stage.facets, *stage.frozen}
+    assert {READS[name] for name in recorded.called} <= {*stage.facets, *stage.frozen, stage.name}
 
 
 def a_geometry(unit: UnitOfWork) -> None:
@@ -145,7 +160,7 @@ def test_what_has_other_inputs_is_due(storage: Storage, change: Callable[[Any], 
 def test_settings_that_are_read_make_all_due(storage: Storage, stage: AnyStage) -> None:
     lived(storage)
     context, shipped = context_of(storage), JobSettings()
-    before = digests(storage, stage, context)
+    before, everybody = digests(storage, stage, context), {EVERYTHING} if stage.together else set(WHEELSETS)
     seen_all(storage, stage, context)
     others = (
         replace(shipped, trend=replace(shipped.trend, horizon_km=99_000.0)),
@@ -154,8 +169,8 @@ def test_settings_that_are_read_make_all_due(storage: Storage, stage: AnyStage) 
     for settings in others:
         other = context_of(storage, settings)
         if digests(storage, stage, other) != before:
-            assert due(storage, stage, other) == set(WHEELSETS)
-    assert due(storage, stage, context_of(storage, code="another")) == set(WHEELSETS)
+            assert due(storage, stage, other) == everybody
+    assert due(storage, stage, context_of(storage, code="another")) == everybody
 
 
 def seen_all(storage: Storage, stage: AnyStage, context: JobContext) -> None:
