@@ -48,6 +48,7 @@ READS: Mapping[str, str] = {
     "registry.vehicles_of": Facet.REGISTRY,
     "alerts.of_kind": Facet.RESTARTS,
     "geometries.conicities_of": GEOMETRY.stage,
+    "geometries.conicities": GEOMETRY.stage,
     "registry.mountings": Facet.REGISTRY,
     "registry.wheelsets": Facet.REGISTRY,
     "registry.measured_wheelsets": Facet.REGISTRY,
