@@ -20,7 +20,7 @@ from estimation.jobs import refresh_rails
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.values.quantities import Estimate
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.rail_course import section_at
+from ingest.simulator.profile_files import section_at
 from ingest.simulator.scenario import DAY_NS, Scenario, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario
 

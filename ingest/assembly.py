@@ -32,7 +32,7 @@ from ingest.align.windows import (
 from ingest.catalogue import Catalogue
 from ingest.dropped_frames import count_dropped
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
-from ingest.exchange.overlaps import check_alone
+from ingest.exchange.intake import check_alone
 from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.samples import own_samples
 from ingest.plausibility.vehicle_clock import clock_verdict

@@ -28,8 +28,7 @@ from ingest.catalogue import Catalogue
 from ingest.deleted import DeletedRecordings
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import write_bundle
-from ingest.exchange.intake import checked_exchange
-from ingest.exchange.overlaps import check_alone
+from ingest.exchange.intake import check_alone, checked_exchange
 from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.choice import BusChoice

@@ -18,7 +18,7 @@ from estimation.vehicle.class_on_file import class_document
 from fleet_db.atomic_files import write_atomically
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import entry_of
-from ingest.profiles.stored_profile import SUFFIX, stored_profile_text
+from ingest.profiles.wheel_profile import SUFFIX, stored_profile_text
 from ingest.registry_schema import FORMAT
 from ingest.section_line import COLUMNS as LINE_COLUMNS
 from ingest.track_file import COLUMNS, GAUGE_COLUMNS, LAYOUT_COLUMNS

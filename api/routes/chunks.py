@@ -17,7 +17,7 @@ from api.problems import ProblemError, described
 from api.schemas import recordings
 from api.services import Services, ServicesDep
 from estimation.errors import ConflictError, NotFoundError
-from ingest.intake.chunk import Chunk
+from ingest.intake.store import Chunk
 from ingest.logs import SUFFIXES
 
 router = APIRouter(prefix="/v1/chunks", tags=["chunks"])

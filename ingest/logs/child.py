@@ -18,8 +18,7 @@ from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from ingest.limited_process import end_with, limit_memory
 from ingest.logs.formats import format_of
-from ingest.logs.frame_sink import COLUMNS, FrameSink, SinkSummary
-from ingest.logs.read_limits import MEBIBYTE, ReadLimits
+from ingest.logs.log_format import COLUMNS, MEBIBYTE, FrameSink, ReadLimits, SinkSummary
 
 PASSING = {
     *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES, errno.EPERM),

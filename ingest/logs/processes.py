@@ -34,9 +34,7 @@ from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from fleet_db.atomic_files import passing_fault
 from ingest.frames import FrameBatch
-from ingest.logs.frame_sink import COLUMNS
-from ingest.logs.log_format import LogFormat
-from ingest.logs.read_limits import ReadLimits
+from ingest.logs.log_format import COLUMNS, LogFormat, ReadLimits
 
 SERVER = "ingest.logs.server"
 ENVIRONMENT = {"TZ": "UTC", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}

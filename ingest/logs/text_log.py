@@ -10,7 +10,7 @@ import numpy as np
 
 from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray
-from ingest.logs.frame_sink import FramePart, FrameSink
+from ingest.logs.log_format import FramePart, FrameSink
 from ingest.logs.text_lines import LineBlock, LineFormat, line_blocks
 
 LINES_PER_LOST = 1000

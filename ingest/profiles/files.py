@@ -13,8 +13,7 @@ from estimation.errors import ProfileError
 from ingest.bounded_file import PROFILE_BYTES, read_text_within
 from ingest.profiles.formats import FORMATS
 from ingest.profiles.orientation import oriented
-from ingest.profiles.origin import Origin
-from ingest.profiles.points import FilePoints, number, points_of
+from ingest.profiles.points import FilePoints, Origin, number, points_of
 
 _DECIMAL_COMMAS = re.compile(r"^[+-]?\d+,\d+(\s*;\s*|\s+)[+-]?\d+(,\d+)?$")
 

@@ -18,7 +18,7 @@ from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
 from ingest.simulator.campaign import VehicleRun
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
-from ingest.simulator.rail_course import section_at
+from ingest.simulator.profile_files import section_at
 from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
 from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan

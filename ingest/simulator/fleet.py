@@ -20,11 +20,21 @@ from ingest.frames import FrameBatch
 from ingest.logs.blf_writer import write_blf
 from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of, together, true_geometry
 from ingest.simulator.bus_frames import vehicle_frames
-from ingest.simulator.campaign import VehicleRun, failed, scenario_track, vehicle_run, wheelset_record, with_margins
+from ingest.simulator.campaign import (
+    VehicleRun,
+    as_measured,
+    failed,
+    length_ahead,
+    runs_rear_first,
+    scenario_track,
+    seen_from_ahead,
+    vehicle_run,
+    wheelset_record,
+    with_margins,
+)
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
 from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.random_streams import Stream, generator, seed_of
-from ingest.simulator.rear_first import as_measured, length_ahead, runs_rear_first, seen_from_ahead
 from ingest.simulator.scenario import Scenario, VehiclePlan
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth

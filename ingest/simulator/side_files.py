@@ -19,8 +19,7 @@ import numpy as np
 from estimation.values.arrays import FloatArray
 from estimation.values.json_value import JsonValue
 from ingest.simulator.campaign import failed
-from ingest.simulator.class_on_file import ClassOnFile
-from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import ClassOnFile, Scenario, VehiclePlan, WheelsetPlan
 from ingest.simulator.section import SectionPlan
 from ingest.simulator.sensors import Channel
 from ingest.simulator.track import TrackTruth, write_track

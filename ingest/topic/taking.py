@@ -13,7 +13,7 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.deleted import DeletedRecordings
 from ingest.intake.backlog import BacklogWatch, Behind
-from ingest.intake.chunk import Chunk
+from ingest.intake.store import Chunk
 from ingest.receipts import enter_receipt
 from ingest.topic.held_references import HeldReferences, missing
 from ingest.topic.outcomes import Outcome

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from fleet_db.receipts import ChunkRecord
-from ingest.intake.chunk import Chunk
+from ingest.intake.store import Chunk
 from ingest.topic.outcomes import Outcome, Refused
 from ingest.topic.reference import (
     MOST_BYTES,
