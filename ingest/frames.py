@@ -102,11 +102,7 @@ def from_owned_arrays(
     dlc: npt.NDArray[np.uint8],
     data: npt.NDArray[np.uint8],
 ) -> FrameBatch:
-    """Return a batch of arrays that have no other owner: they are made read-only in place instead of copied.
-
-    Args:
-        t_ns, arbitration_id, dlc, data: As in ``FrameBatch``.
-    """
+    """Return a batch of arrays that have no other owner: they are made read-only in place instead of copied."""
     for array in (t_ns, arbitration_id, dlc, data):
         if array.base is None:
             array.flags.writeable = False
@@ -128,7 +124,6 @@ def concatenate(batches: Sequence[FrameBatch], channel: str | None = None) -> Fr
     """Return the frames of all batches, one after the other, as one bus.
 
     Args:
-        batches: Batches in their order.
         channel: Name of the bus; by default that of the first batch.
     """
     if not batches:

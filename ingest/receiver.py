@@ -57,8 +57,6 @@ class Receiver:
     """Takes recordings in.
 
     Args:
-        storage, raw: Where receipts and windows, and where raw bytes go.
-        catalogue: The frames of the vehicles' buses, or the choice among several.
         window_length_s: Length of a window; a whole number of sampling intervals.
         deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
     """

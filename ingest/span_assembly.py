@@ -17,10 +17,7 @@ class SpanAssembly:
     """The windows of a vehicle that overlap a span of its clock, and everything that went into them.
 
     Attributes:
-        vehicle: Code.
         from_ns, to_ns: Start of the first window of the span, end of its last.
-        sources: Digests of the recordings.
-        lookup: The registry.
         windows: All that recordings and registry give in the span, but for those of ``kept``.
         kept: Spans in which a recording cannot be read any more: what is stored of them stays.
         lost: Receipts of those whose raw file is lost or damaged, and was not purged.

@@ -74,7 +74,6 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
 
     Args:
         unit: An open transaction; nothing is committed here.
-        recorded_ns: Our time, ns UTC.
         verify: Whether the files of windows that have not changed are read and checked.
     """
     wanted = {_key(each.window): each for each in map(_assembled, assembly.windows)}

@@ -130,7 +130,6 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
 
     Args:
         decoded, batch: The batch, in the order of time, and what it contains.
-        interval_ns: Sampling interval, ns.
     """
     syncs = decoded.messages.get(SYNC_ID)
     times = time_frames(decoded, batch)
@@ -182,9 +181,6 @@ def _jumps(times: TimeFrames) -> int:
 
 def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
     """Check that the SYNCs of a time-ordered recording come at the sampling rate.
-
-    Args:
-        interval_ns: Sampling interval of the catalogue, ns.
 
     Raises:
         LogFileError: They come at another rate: the recording does not belong to this catalogue.

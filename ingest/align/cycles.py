@@ -110,7 +110,6 @@ def sync_clock_of(t_ns: IntArray, tick: IntArray, interval_ns: int) -> SyncClock
     Args:
         t_ns: (k,) stamps, ascending, ns.
         tick: (k,) numbers.
-        interval_ns: Sampling interval, ns.
     """
     if len(t_ns) == 0:
         return SyncClock(t_ns, tick, t_ns, interval_ns)

@@ -41,10 +41,6 @@ COLUMNS = "columns.npy"
 def read_table_apart(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTable:
     """Return the columns of a table, read in a process of its own; as :func:`ingest.exchange.table.read_table`.
 
-    Args:
-        path: A CSV or Parquet file.
-        layout: How a CSV file is written.
-
     Raises:
         ExchangeError: As there, or it cannot be read within the limits.
         PassingFaultError: There is no process or no space to read it with.
@@ -92,7 +88,6 @@ def main(path: str, layout: str, names: str, folder: str, parent: str, memory_by
 
     Args:
         folder: Where the columns are written.
-        memory_bytes: That it may take.
     """
     end_with(int(parent))
     csv, wanted = CsvTable.model_validate_json(layout), json.loads(names)

@@ -52,7 +52,6 @@ class BacklogWatch:
     """Says whether a chunk may come; asks database and disk at most once a second.
 
     Args:
-        storage: The database, of all fleets.
         folder: In which chunks are received before they are stored.
         now_s: A clock that never goes back, s.
     """

@@ -29,8 +29,6 @@ class Chunk:
 
     Attributes:
         vehicle: Code of the vehicle; it need not be registered yet.
-        suffix: Of its format, such as ``.blf``.
-        file_name: Under which it came.
         sender: Who sent it, or the folder it came through.
     """
 
@@ -40,11 +38,7 @@ class Chunk:
     sender: str | None
 
     def receipt(self, digest: str, size_bytes: int, now_ns: int) -> ChunkRecord:
-        """Return its receipt.
-
-        Args:
-            digest, size_bytes: Of its bytes.
-        """
+        """Return its receipt."""
         return ChunkRecord(
             digest=digest,
             vehicle=self.vehicle,
@@ -80,11 +74,7 @@ class Stored:
 
 
 class ChunkStorage:
-    """Stores arrivals: their bytes in the raw store first, then all receipts in one transaction.
-
-    Args:
-        storage, raw: Where receipts and bytes go.
-    """
+    """Stores arrivals: their bytes in the raw store first, then all receipts in one transaction."""
 
     def __init__(self, storage: SqlStorage, raw: RawStore, clock: Clock, announce: Announce = to_nobody) -> None:
         self._storage = storage

@@ -26,9 +26,6 @@ class ReceivedBus:
 def receive_buses(buses: Sequence[ReceivedBus], stop: threading.Event) -> None:
     """Receive buses until ``stop`` is set, or one of them is refused for good, which ends all of them.
 
-    Args:
-        stop: Set by whoever ends it.
-
     Raises:
         ConflictError: Another process receives one of the vehicles.
         StorageError: The folder of a spool cannot be used.

@@ -167,9 +167,6 @@ class Listening:
 def packed(message: can.Message) -> bytes:
     """Return a frame of python-can as bytes of the spool.
 
-    Args:
-        message: The frame.
-
     Raises:
         ValueError: It is no frame of a classic CAN bus.
     """

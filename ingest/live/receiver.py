@@ -28,11 +28,7 @@ REPORT_EVERY_S = 60.0
 
 
 class Spooling:
-    """Writes what is in the buffer until asked to end, then the rest of it.
-
-    Args:
-        piece_seconds: Length of a piece, s.
-    """
+    """Writes what is in the buffer until asked to end, then the rest of it."""
 
     def __init__(
         self, spool: Spool, buffer: FrameBuffer, piece_seconds: float, status: LiveStatus, reports: Reports
@@ -169,10 +165,7 @@ class LiveSettings:
     """Of a live receiver.
 
     Attributes:
-        vehicle: Code of the vehicle on the bus.
-        spool_dir: Folder of all spools.
         spool_bytes, memory_bytes: How much may wait on the disk, and in memory while the disk takes nothing.
-        piece_seconds: Length of a piece, s.
         shutdown_s: How long storing may go on after a stop is requested, s.
     """
 
@@ -195,7 +188,6 @@ def receive_live(
     """Receive a bus until ``stop`` is set. What has no receipt then stays in the spool for the next start.
 
     Args:
-        settings: Which vehicle, and how much may wait.
         stop: Set by whoever ends it; set here where bus or stores refuse for good.
 
     Raises:

@@ -59,9 +59,7 @@ def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:
     """Return the bytes of a frame.
 
     Args:
-        t_ns: Stamp of the recorder, ns.
         arbitration_id: With SocketCAN's flags.
-        dlc: 0 to 8.
         data: Payload; filled up with zeros to 8 bytes.
     """
     return _FRAME.pack(t_ns, arbitration_id, dlc, data)
@@ -74,11 +72,7 @@ def encode(record: Record) -> bytes:
 
 
 def decode(content: bytes) -> Contents:
-    """Return every whole record of a file, in order; what is torn or damaged is skipped.
-
-    Args:
-        content: The bytes of the file.
-    """
+    """Return every whole record of a file, in order; what is torn or damaged is skipped."""
     records: list[Record] = []
     at = end = skipped = 0
     while (start := content.find(MARK, at)) >= 0:

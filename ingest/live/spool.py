@@ -41,11 +41,7 @@ class TakenOver:
 
 
 def spool_folder(parent: Path, vehicle: str) -> Path:
-    """Return the folder of a vehicle.
-
-    Args:
-        parent: Folder of all spools.
-    """
+    """Return the folder of a vehicle."""
     name = quote(vehicle, safe=" ")
     return parent / (f"%2E{name[1:]}" if name.startswith(".") else name)
 
@@ -54,9 +50,6 @@ class Spool:
     """The spool of one vehicle, held by this process alone.
 
     One thread appends and closes pieces, another one takes the closed ones; both may ask for sizes.
-
-    Args:
-        limit_bytes: How much all pieces together may hold.
 
     Raises:
         ConflictError: Another process holds it.

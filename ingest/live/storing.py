@@ -111,7 +111,6 @@ class Storing:
     """Stores pieces until asked to end, then those that can be stored in the time that is left.
 
     Args:
-        spool, vehicle: Where pieces wait, and of which vehicle they are.
         stores: Where they go. An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
     """
 

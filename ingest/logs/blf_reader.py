@@ -85,9 +85,6 @@ def _moment_ns(moment: np.void, what: str, path: Path) -> int:
 def object_base(buffer: bytes, at: int, where: str, first_byte: int, path: Path) -> ObjectBase:
     """Return what the object at a byte begins with.
 
-    Args:
-        where: What the buffer is a part of, for messages.
-
     Raises:
         LogFileError: There is no object, or one without size.
     """
@@ -102,9 +99,6 @@ def object_base(buffer: bytes, at: int, where: str, first_byte: int, path: Path)
 
 def inflated_containers(file: BinaryIO, at: int, path: Path, limits: ReadLimits) -> Iterator[bytes]:
     """Yield the contents of the containers of a file.
-
-    Args:
-        limits: What it may inflate to.
 
     Raises:
         LogFileError: A container is damaged, or does not inflate to just what it declares, or to more than the limits
@@ -193,9 +187,6 @@ _STANDARD_BITS = 0x7FF
 
 def read_blf(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
     """Read all CAN frames of a BLF file.
-
-    Args:
-        limits: What reading may cost.
 
     Raises:
         LogFileError: The file is no BLF file, truncated, corrupt, too large when inflated, holds several buses or CAN

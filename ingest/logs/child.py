@@ -34,7 +34,6 @@ def main(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], pa
     """Read one file and end the process.
 
     Args:
-        limits: What reading may cost.
         answer: Descriptor that the answer is written to.
         parent: The process that started this one: with it this one ends.
     """

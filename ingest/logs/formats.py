@@ -30,7 +30,6 @@ def read_content(
     """Read a recording of one bus, in a process of its own.
 
     Args:
-        path: A file of one of ``FORMATS``.
         limits: What reading may cost; by default what a file of its size and format may need.
         cost: Takes what it cost, also of a file that is refused.
 

@@ -133,7 +133,6 @@ class FrameSink:
 
     Args:
         files: One for each of ``COLUMNS``.
-        limits: What may be written.
     """
 
     def __init__(self, files: Sequence[BinaryIO], limits: ReadLimits) -> None:

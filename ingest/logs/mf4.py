@@ -214,9 +214,6 @@ BYTES_PER_S = 128 << 10
 def read_mf4(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
     """Read an MF4 file of bus events.
 
-    Args:
-        limits: Held by the process that reads it, and by the sink.
-
     Raises:
         LogFileError: The file holds CAN FD frames, several buses, or more than the limits allow.
         PassingFaultError: The extra is not installed.

@@ -52,7 +52,6 @@ class LogContent:
     """What a log file holds.
 
     Attributes:
-        batch: Its frames.
         counts: What was left out or is strange, where there was any: ``lines_lost``, ``lines_not_frames``,
             ``objects_not_frames``, ``frames_out_of_time``, ``recorder_steps_back``, ``header_disagrees``.
     """
@@ -140,7 +139,6 @@ def read_in_process(
     """Read a log file in a process of its own.
 
     Args:
-        limits: What reading may cost.
         cost: Takes what it cost, also of a file that is refused.
 
     Raises:

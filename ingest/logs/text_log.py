@@ -29,14 +29,7 @@ line is no line of such a log."""
 
 @dataclass
 class TextLog:
-    """Reads one text log.
-
-    Attributes:
-        path: The file.
-        form: How its lines hold frames.
-        other: What lines without frames do.
-        sink: Takes the frames.
-    """
+    """Reads one text log."""
 
     path: Path
     form: LineFormat

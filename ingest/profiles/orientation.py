@@ -125,7 +125,6 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
     Args:
         y, z: (n,) mm, in the axes of the profile, y increasing on the whole.
         lines: (n,) of the file.
-        kind: ``"wheel"`` or ``"rail"``.
 
     Raises:
         ProfileError: There is a step; the message names its line and size.
@@ -210,7 +209,6 @@ def oriented(
 
     Args:
         points: Points in mm in the order of the file, and whether the file fixes z.
-        kind: ``"wheel"`` or ``"rail"``.
         mirror: Of a rail: whether its gauge side is at positive y of the file; None decides from the shape.
         origin: Of a wheel: what y = 0 of the file is.
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.

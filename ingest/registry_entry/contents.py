@@ -93,8 +93,6 @@ class Contradiction:
     """What is said against a record.
 
     Attributes:
-        rule: That refuses it.
-        record: Which record is refused.
         field: Of the record, as a registry file calls it.
         reason: What is wrong, in one sentence that names the other records.
         others: The records and windows that it contradicts; none where it is impossible by itself.

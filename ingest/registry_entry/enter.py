@@ -47,8 +47,6 @@ def enter(
 
     Args:
         unit: An open transaction; nothing is committed here.
-        entry: Who enters it and when, and what has been confirmed.
-        refusals: What is known to be wrong already.
 
     Raises:
         RegistryRefusedError: Something is impossible, contradicts what is on file, or refers to something unknown; it

@@ -192,7 +192,6 @@ def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: Whee
 
     Args:
         axle: Number of the axle, from 0.
-        motion: True motion of the wheelset over the run.
     """
     order = scenario.vehicles.index(run.vehicle)
     offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))

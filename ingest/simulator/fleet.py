@@ -155,7 +155,6 @@ def run_fleet(
         out: Folder, made where missing; recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``.
         vehicles: Codes of the vehicles to simulate; all by default. The registry always names all.
         workers: Processes; by default as many as cores, at most the recordings. With 1 everything runs in this process.
-        progress: Called after each recording.
 
     Raises:
         ScenarioError: The scenario cannot be run: unknown vehicle, too little track, a wheelset that derails.

@@ -28,11 +28,7 @@ Wear = Annotated[float, between(0.0, 5.0), MM]
 
 
 def impossible_bogies(offsets: Sequence[float], wheelbase: float) -> str | None:
-    """Return why axles at ``offsets`` are not in bogies of ``wheelbase``, both m; None where they are.
-
-    Args:
-        wheelbase: Of every bogie.
-    """
+    """Return why axles at ``offsets`` are not in bogies of ``wheelbase``, both m; None where they are."""
     if len(offsets) % AXLES_OF_A_BOGIE:
         return f"{len(offsets)} wheelsets, bogies have two each"
     for front, rear in zip(offsets[::2], offsets[1::2], strict=True):

@@ -303,6 +303,5 @@ def wheelset_truth(
         axle: Number of the axle, from 0.
         campaign: Number of the campaign, from 0.
         odometer: Of the vehicle, m.
-        geometry: Contact geometry and conicity of the wheelset at that mileage.
     """
     return WheelsetTruth(plan.code, axle + 1, campaign + 1, wear_at(plan.wheelsets[axle], odometer), geometry)

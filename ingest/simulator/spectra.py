@@ -31,7 +31,6 @@ def density(kind: Irregularity, wavenumber: FloatArray, level: float = ALIGNMENT
     Alignment: S = A Wc^2 / ((W^2 + Wr^2)(W^2 + Wc^2)). Gauge, as cross level: the same times W^2 / (W^2 + Ws^2).
 
     Args:
-        kind: Alignment or gauge.
         wavenumber: (n,) angular wavenumber, rad/m.
         level: A, m2 rad/m.
     """
@@ -44,7 +43,6 @@ def standard_deviation(kind: Irregularity, wavelengths: tuple[float, float], lev
     """Return the standard deviation, m, of the density over a band.
 
     Args:
-        kind: Alignment or gauge.
         wavelengths: Shortest and longest, m.
         level: A, m2 rad/m.
     """
@@ -68,7 +66,6 @@ def synthesise(
     removed and the standard deviation set on the stretch that is returned.
 
     Args:
-        kind: Alignment or gauge.
         length: Of the track, m.
         interval: Between points, m.
         target_std: Standard deviation of the result, m.
@@ -107,7 +104,6 @@ def periodic(
     """Return one period (size,) of an irregularity, of any level: every line inside the band has a random phase.
 
     Args:
-        kind: Alignment or gauge.
         interval: Between points, m.
         wavelengths: Shortest and longest, m.
 

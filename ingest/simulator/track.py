@@ -153,9 +153,6 @@ class TrackRecipe:
 def make_track(recipe: TrackRecipe, seed: np.random.SeedSequence) -> TrackTruth:
     """Return a track after the B176 spectra; alignment, gauge and all else have random streams of their own.
 
-    Args:
-        seed: Of all random streams.
-
     Raises:
         ParameterError: The recipe cannot be made; its field is that of a scenario's section.
     """

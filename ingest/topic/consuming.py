@@ -44,11 +44,7 @@ class Decoding:
 
 
 class Consuming:
-    """Takes messages until asked to end.
-
-    Args:
-        stopped: Whether an end is requested.
-    """
+    """Takes messages until asked to end."""
 
     def __init__(
         self,

@@ -36,7 +36,6 @@ class HeldReferences:
 
         Args:
             reference: To a chunk without a receipt.
-            error: What was raised, or would be.
 
         Raises:
             StorageError: The database cannot be reached.

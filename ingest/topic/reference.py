@@ -31,9 +31,7 @@ class Reference:
     Attributes:
         digest: sha256 of its bytes, in hexadecimal.
         suffix: Of its format, such as ``.blf``.
-        vehicle: Code.
         size_bytes: Of the chunk.
-        file_name: Under which it came.
         received_ns: When it was received, ns UTC of the clock of whoever published the reference.
     """
 

@@ -30,12 +30,7 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceTaking:
-    """Takes references in.
-
-    Args:
-        storage, raw: Where receipts go, and where the bytes must be.
-        backlog: Says whether more receipts may come.
-    """
+    """Takes references in."""
 
     storage: SqlStorage
     raw: RawStore
