@@ -1,21 +1,29 @@
-"""Recordings at which decoding failed: they stay stored with their reason, and are tried again ever more rarely."""
+"""Recordings at which decoding failed: they stay stored with their reason, and are tried again ever more rarely.
+
+Raw recordings that were found lost or damaged when windows were to be made again from them.
+
+They are kept in quarantine. Once their file is there again, copied back or received, their windows are made again: what
+changed meanwhile reaches them.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from estimation.errors import TreadwatchError
+from estimation.errors import PassingFaultError, TreadwatchError
 from estimation.failures import after_failure
 from estimation.jobs.isolation import fails_alone
 from estimation.storage import Clock
 from estimation.values.quarantine import Quarantined, SubjectKind, resolved
 from estimation.values.reasons import Reason
+from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
-from fleet_db.storage import SqlStorage
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import STAGE
 from fleet_db.stores.stale_spans import StaleSpan
+from ingest.assembly import extent
 
 ASSEMBLY = "assemble_windows"
 
@@ -115,3 +123,73 @@ class HeldVehicles:
 
 def _inputs(spans: Sequence[StaleSpan]) -> str:
     return f"{len(spans)} spans up to {max(span.id for span in spans)}"
+
+
+CAUSE = "its raw file is there again"
+
+
+@dataclass(frozen=True, slots=True)
+class LostRecordings:
+    """The quarantine of recordings that windows could not be made of again."""
+
+    storage: SqlStorage
+    raw: RawStore
+    clock: Clock
+
+    def note(self, unit: SqlUnitOfWork, lost: Iterable[ChunkRecord]) -> None:
+        """Keep that recordings were missing, in the transaction that stores what could be made without them."""
+        for record in lost:
+            fault: PassingFaultError
+            came = PassingFaultError("could not be read when windows were made again")
+            try:
+                fault = self.raw.fault(record.digest, record.suffix) or came
+            except PassingFaultError as away:  # of the store: the recording was missing all the same
+                fault = away
+            _hold(unit, record, fault, self.clock.now_ns())
+
+    def waits(self, record: ChunkRecord) -> bool:
+        """Whether a recording was missing when windows were made again, and they wait for it."""
+        with self.storage.read() as unit:
+            item = unit.quarantine.get(SubjectKind.RECORDING, record.digest, ASSEMBLY)
+        return item is not None and item != resolved(item)
+
+    def look(self, vehicle: str | None = None) -> None:
+        """Look for missing recordings, and let the windows of those that are there again be made again.
+
+        Args:
+            vehicle: The only one, whether another attempt is due or not; None for all that are due.
+        """
+        now_ns = self.clock.now_ns()
+        with self.storage.read() as unit:
+            held = [(item, unit.chunks.get(item.key)) for item in missing(unit)]
+        for item, record in held:
+            if record is None or record.state is not ChunkState.DECODED or record.purged_ns is not None:
+                self._resolve(item)  # it counts for no window, or will be decoded as a whole
+            elif record.vehicle == vehicle or (vehicle is None and not item.waits(record.vehicle, now_ns)):
+                try:
+                    fault = self.raw.fault(record.digest, record.suffix)
+                except PassingFaultError:
+                    return  # of the store: nothing is known of what is in it
+                if fault is None:
+                    self._resolve(item, record)
+                else:
+                    with self.storage.write() as unit:
+                        _hold(unit, record, fault, now_ns)
+
+    def _resolve(self, item: Quarantined, *found: ChunkRecord) -> None:
+        """End the quarantine of a recording, and let the windows of one that was found be made again."""
+        with self.storage.write() as unit:
+            for record in found:
+                for from_ns, to_ns in extent(record):
+                    unit.stale_spans.add(record.vehicle, from_ns, to_ns + 1, f"recording {record.digest[:12]}: {CAUSE}")
+            unit.quarantine.put(resolved(item))
+
+
+def missing(unit: SqlUnitOfWork) -> list[Quarantined]:
+    """Return what is in quarantine of recordings whose windows wait for their raw file."""
+    return [item for item in unit.quarantine.held(ASSEMBLY) if item.kind is SubjectKind.RECORDING]
+
+
+def _hold(unit: SqlUnitOfWork, record: ChunkRecord, fault: PassingFaultError, now_ns: int) -> None:
+    subject = (SubjectKind.RECORDING, record.digest, ASSEMBLY)
+    unit.quarantine.put(after_failure(unit.quarantine.get(*subject), subject, record.vehicle, fault, now_ns))

@@ -9,8 +9,8 @@ from pathlib import Path
 from estimation.errors import ConflictError
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
+from ingest.assembly import SpanAssembly
 from ingest.recordings import Recording
-from ingest.span_assembly import SpanAssembly
 
 UNDECODABLE = frozenset({ChunkState.REJECTED, ChunkState.SET_ASIDE, ChunkState.DELETED})
 """States of recordings that count for no window."""

@@ -25,15 +25,14 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler
 from ingest.catalogue import Catalogue
-from ingest.deleted import DeletedRecordings
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import write_bundle
 from ingest.exchange.intake import check_alone, checked_exchange
 from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
-from ingest.own_bus.choice import BusChoice
+from ingest.own_bus.bus import BusChoice
 from ingest.reassembly import Reassembler
-from ingest.receipts import Announce, enter_receipt, of_another_vehicle, to_nobody
+from ingest.receipts import Announce, DeletedRecordings, enter_receipt, of_another_vehicle, to_nobody
 from ingest.received import Decoded, ReceivedFile, check_undecided, printable_name, read_or_raise
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so

@@ -12,8 +12,7 @@ from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.assembled import AssembledWindow, StoredWindow
 from fleet_db.telemetry import window_digest
 from ingest.align.windows import MountedWindow
-from ingest.assembly import Assembler
-from ingest.span_assembly import SpanAssembly, registry_lookup
+from ingest.assembly import Assembler, SpanAssembly, registry_lookup
 
 
 @dataclass(frozen=True, slots=True)

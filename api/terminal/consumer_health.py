@@ -11,7 +11,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from api.terminal.health_server import Answer, Health, HealthAddress, json_answer, served
-from ingest.topic.outcomes import Outcome
+from ingest.topic.reference import Outcome
 from ingest.topic.status import ConsumerStatus
 
 PREFIX = "treadwatch_consumer_"

@@ -16,8 +16,7 @@ import numpy as np
 
 from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray, frozen_array
-from ingest.align.cycles import SyncClock, place_frames, sync_clock_of
-from ingest.align.stamp_order import UNPLACED
+from ingest.align.cycles import UNPLACED, SyncClock, place_frames, sync_clock_of
 from ingest.canopen import SYNC_ID, SYNC_PERIOD, TIME_ID, vehicle_time_ns
 from ingest.catalogue import ACCELERATION, EMERGENCY, HEARTBEAT, Catalogue, MessagePlan
 from ingest.codec import Decoded, FrameCounts, RawArray, decode

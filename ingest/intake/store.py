@@ -16,8 +16,7 @@ from fleet_db.raw import IncomingFile, RawStore
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.deleted import DeletedRecordings
-from ingest.receipts import Announce, enter_receipt, of_another_vehicle, to_nobody
+from ingest.receipts import Announce, DeletedRecordings, enter_receipt, of_another_vehicle, to_nobody
 from ingest.received import printable_name
 
 WAITING = Reason(ReasonCode.WAITS_FOR_DECODING, "it is received and waits to be decoded")

@@ -26,8 +26,7 @@ from estimation.errors import (
 from estimation.failures import first_line
 from estimation.values.reasons import ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState
-from ingest.dropped_frames import dropped_marker
-from ingest.frames import DEFAULT_CHANNEL, FrameBatch, concatenate, from_owned_arrays, sort_by_time
+from ingest.frames import DEFAULT_CHANNEL, FrameBatch, concatenate, dropped_marker, from_owned_arrays, sort_by_time
 from ingest.live.backoff import Backoff
 from ingest.live.records import FRAME, decode
 from ingest.live.spool import Piece, Spool

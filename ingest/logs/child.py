@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 
 from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
-from ingest.limited_process import end_with, limit_memory
+from ingest.bounded_file import end_with, limit_memory
 from ingest.logs.formats import format_of
 from ingest.logs.log_format import COLUMNS, MEBIBYTE, FrameSink, ReadLimits, SinkSummary
 

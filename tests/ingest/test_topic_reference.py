@@ -9,11 +9,12 @@ import pytest
 
 from fleet_db.receipts import ChunkRecord
 from ingest.intake.store import Chunk
-from ingest.topic.outcomes import Outcome, Refused
 from ingest.topic.reference import (
     MOST_BYTES,
     VERSION,
+    Outcome,
     Reference,
+    Refused,
     as_text,
     from_text,
     message_of,
