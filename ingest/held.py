@@ -76,11 +76,16 @@ class HeldRecordings:
 
     def release(self, digest: str) -> None:
         """End the quarantine of a recording, if it was in one."""
-        with self.storage.read() as unit:
-            item = unit.quarantine.get(SubjectKind.RECORDING, digest, STAGE)
-        if item is not None and item != resolved(item):
-            with self.storage.write() as unit:
-                unit.quarantine.put(resolved(item))
+        release_recording(self.storage, digest, STAGE)
+
+
+def release_recording(storage: SqlStorage, digest: str, stage: str) -> None:
+    """End the quarantine of a recording in a stage, if it was in one."""
+    with storage.read() as unit:
+        item = unit.quarantine.get(SubjectKind.RECORDING, digest, stage)
+    if item is not None and item != resolved(item):
+        with storage.write() as unit:
+            unit.quarantine.put(resolved(item))
 
 
 @dataclass(frozen=True, slots=True)

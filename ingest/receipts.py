@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from estimation.errors import ConflictError
+from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import extent
+from ingest.received import printable_name
 
 TAKE_DELETED = "--take-deleted"
 """The option that asks for it."""
@@ -115,3 +118,40 @@ def of_another_vehicle(found: ChunkRecord, vehicle: str, name: str) -> ConflictE
         f" where that is wrong: treadwatch recordings reassign {digest[:12]} --vehicle {vehicle}"
     )
     return ConflictError(reason, kind="chunk", key=digest)
+
+
+WAITING = Reason(ReasonCode.WAITS_FOR_DECODING, "it is received and waits to be decoded")
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """What a sender says of a chunk.
+
+    Attributes:
+        vehicle: Code of the vehicle; it need not be registered yet.
+        sender: Who sent it, or the folder it came through.
+    """
+
+    vehicle: str
+    suffix: str
+    file_name: str
+    sender: str | None
+
+    def receipt(self, digest: str, size_bytes: int, now_ns: int) -> ChunkRecord:
+        """Return its receipt."""
+        return ChunkRecord(
+            digest=digest,
+            vehicle=self.vehicle,
+            suffix=self.suffix,
+            size_bytes=size_bytes,
+            state=ChunkState.STORED,
+            reason=WAITING,
+            first_ns=None,
+            last_ns=None,
+            frames=0,
+            counts={},
+            received_ns=now_ns,
+            recorded_ns=now_ns,
+            file_name=printable_name(Path(self.file_name)),
+            sender=self.sender,
+        )

@@ -32,8 +32,8 @@ from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.bus import BusChoice
 from ingest.reassembly import Reassembler
-from ingest.receipts import Announce, DeletedRecordings, enter_receipt, of_another_vehicle, to_nobody
-from ingest.received import Decoded, ReceivedFile, check_undecided, printable_name, read_or_raise
+from ingest.receipts import Announce, Chunk, DeletedRecordings, enter_receipt, of_another_vehicle, to_nobody
+from ingest.received import Decoded, ReceivedFile, check_undecided, read_or_raise
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
 
@@ -282,22 +282,8 @@ class Receiver:
     def _receipt(self, path: Path, vehicle: str, digest: str) -> tuple[ChunkRecord, bool]:
         """Return the committed receipt, and whether it had been there before."""
         suffix = _suffix_of(path)
-        now_ns = self._clock.now_ns()
-        record = ChunkRecord(
-            digest=digest,
-            vehicle=vehicle,
-            suffix=suffix,
-            size_bytes=self._raw.size(digest, suffix),
-            state=ChunkState.STORED,
-            reason=None,
-            first_ns=None,
-            last_ns=None,
-            frames=0,
-            counts={},
-            received_ns=now_ns,
-            recorded_ns=now_ns,
-            file_name=printable_name(path),
-        )
+        chunk = Chunk(vehicle, suffix, str(path), sender=None)
+        record = replace(chunk.receipt(digest, self._raw.size(digest, suffix), self._clock.now_ns()), reason=None)
         with self._storage.write() as unit:
             found, known = enter_receipt(unit, record, self._deleted)
         if found.vehicle != vehicle:

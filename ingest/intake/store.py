@@ -7,53 +7,14 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from pathlib import Path
 
 from estimation.errors import BusyError, ConflictError
 from estimation.storage import Clock
-from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.raw import IncomingFile, RawStore
 from fleet_db.raw_files import check_raw_store
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlStorage
-from ingest.receipts import Announce, DeletedRecordings, enter_receipt, of_another_vehicle, to_nobody
-from ingest.received import printable_name
-
-WAITING = Reason(ReasonCode.WAITS_FOR_DECODING, "it is received and waits to be decoded")
-
-
-@dataclass(frozen=True, slots=True)
-class Chunk:
-    """What a sender says of a chunk.
-
-    Attributes:
-        vehicle: Code of the vehicle; it need not be registered yet.
-        sender: Who sent it, or the folder it came through.
-    """
-
-    vehicle: str
-    suffix: str
-    file_name: str
-    sender: str | None
-
-    def receipt(self, digest: str, size_bytes: int, now_ns: int) -> ChunkRecord:
-        """Return its receipt."""
-        return ChunkRecord(
-            digest=digest,
-            vehicle=self.vehicle,
-            suffix=self.suffix,
-            size_bytes=size_bytes,
-            state=ChunkState.STORED,
-            reason=WAITING,
-            first_ns=None,
-            last_ns=None,
-            frames=0,
-            counts={},
-            received_ns=now_ns,
-            recorded_ns=now_ns,
-            file_name=printable_name(Path(self.file_name)),
-            sender=self.sender,
-        )
+from ingest.receipts import Announce, Chunk, DeletedRecordings, enter_receipt, of_another_vehicle, to_nobody
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, Arrangement, BogieParameters
 from ingest.file_value import FileBeside, IncreasingPlaces, Inline, between
 from ingest.input_file import NotNegative, Positive, Text, field_error
-from ingest.simulator.drawn_plan import WheelName
 from ingest.simulator.scenario import Fault, VehiclePlan, WeakDamper, WheelsetPlan, usual_offsets
+from ingest.simulator.section import WheelName
 
 ROUNDING = 1e-3  # m, of axle offsets
 WHEELBASES = 0.5, 10.0  # m

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Self
@@ -10,7 +10,7 @@ from typing import Annotated, Self
 from annotated_types import Interval
 from pydantic import AfterValidator
 
-from estimation.contact.profiles import rail_profile
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.rail_wear import DEEPEST_BAND, RailWear
 from estimation.errors import ProfileError
 from estimation.values.file_units import DEG, MM, FileUnit, Key, M
@@ -31,12 +31,17 @@ SideMirrors = tuple[bool | None, bool | None]
 """Of left and right rail: whether the gauge side is at positive y of the file; None: the shape shows it."""
 
 
-def _rail(name: str) -> str:
-    try:
-        rail_profile(name)
-    except ProfileError as error:
-        raise field_error(error.reason) from error
-    return name
+def known(look_up: Callable[[str], Profile]) -> AfterValidator:
+    """Return the check that a profile of a name is built in."""
+
+    def check(name: str) -> str:
+        try:
+            look_up(name)
+        except ProfileError as error:
+            raise field_error(error.reason) from error
+        return name
+
+    return AfterValidator(check)
 
 
 def _as_built(run: float) -> float:
@@ -45,7 +50,8 @@ def _as_built(run: float) -> float:
     return 0.0 if run == 0.0 else 1.0 / run
 
 
-RailName = Annotated[Text, AfterValidator(_rail)]
+RailName = Annotated[Text, known(rail_profile)]
+WheelName = Annotated[Text, known(wheel_profile)]
 Inclination = Annotated[float, Interval(ge=LEAST_RUN), AfterValidator(lambda run: 1.0 / run)]
 """A tangent; in files 1 in so many."""
 

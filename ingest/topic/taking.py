@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 from estimation.errors import ConflictError, PassingFaultError
 from estimation.failures import after_failure
 from estimation.storage import Clock
-from estimation.values.quarantine import Quarantined, SubjectKind, resolved
+from estimation.values.quarantine import Quarantined, SubjectKind
 from estimation.values.reasons import ReasonCode, code_of
 from fleet_db.raw import LostRecordingError, RawStore
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
+from ingest.held import release_recording
 from ingest.intake.backlog import BacklogWatch, Behind
-from ingest.intake.store import Chunk
-from ingest.receipts import DeletedRecordings, enter_receipt
+from ingest.receipts import Chunk, DeletedRecordings, enter_receipt
 from ingest.topic.reference import Outcome, Reference, as_text, from_text
 
 STAGE = "consume"
@@ -63,11 +63,7 @@ class HeldReferences:
         Raises:
             StorageError: The database cannot be reached.
         """
-        with self.storage.read() as unit:
-            item = unit.quarantine.get(SubjectKind.RECORDING, digest, STAGE)
-        if item is not None and item != resolved(item):
-            with self.storage.write() as unit:
-                unit.quarantine.put(resolved(item))
+        release_recording(self.storage, digest, STAGE)
 
     def due(self) -> Sequence[Reference]:
         """Return references for which another attempt is due, at most :data:`AT_ONCE`.

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from fleet_db.receipts import ChunkRecord
-from ingest.intake.store import Chunk
+from ingest.receipts import Chunk
 from ingest.topic.reference import (
     MOST_BYTES,
     VERSION,
