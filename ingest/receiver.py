@@ -32,8 +32,18 @@ from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.bus import BusChoice
 from ingest.reassembly import Reassembler
-from ingest.receipts import Announce, Chunk, DeletedRecordings, enter_receipt, of_another_vehicle, to_nobody
-from ingest.received import Decoded, ReceivedFile, check_undecided, read_or_raise
+from ingest.receipts import (
+    Announce,
+    Chunk,
+    Decoded,
+    DeletedRecordings,
+    ReceivedFile,
+    check_undecided,
+    enter_receipt,
+    of_another_vehicle,
+    read_or_raise,
+    to_nobody,
+)
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
 
