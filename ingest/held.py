@@ -38,11 +38,7 @@ class HeldRecordings:
     clock: Clock
 
     def hold(self, record: ChunkRecord, error: Exception) -> ChunkRecord:
-        """Keep a failure at a stored recording; return its receipt, with the reason.
-
-        Raises:
-            StorageError: The database cannot be reached.
-        """
+        """Keep a failure at a stored recording; return its receipt, with the reason."""
         unexpected = None if isinstance(error, TreadwatchError) else error
         _log.warning("recording %s of %s is held: %s", record.digest, record.vehicle, error, exc_info=unexpected)
         with self.storage.write() as unit:
@@ -101,11 +97,7 @@ class HeldVehicles:
         return item is not None and item.waits(_inputs(spans), self.clock.now_ns())
 
     def hold(self, vehicle: str, spans: Sequence[StaleSpan], error: Exception) -> None:
-        """Keep a failure at the stale spans of a vehicle, where others may succeed.
-
-        Raises:
-            StorageError: The database cannot be reached.
-        """
+        """Keep a failure at the stale spans of a vehicle, where others may succeed."""
         unexpected = None if isinstance(error, TreadwatchError) else error
         _log.warning("windows of vehicle %s could not be assembled again: %s", vehicle, error, exc_info=unexpected)
         if fails_alone(error):

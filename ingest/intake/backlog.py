@@ -78,7 +78,6 @@ class BacklogWatch:
             size_bytes: Of the chunk, or what it may have at most.
 
         Raises:
-            StorageError: The database cannot be reached.
             PassingFaultError: The disk cannot be asked.
         """
         with self._lock:

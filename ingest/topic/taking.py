@@ -44,9 +44,6 @@ class HeldReferences:
 
         Args:
             reference: To a chunk without a receipt.
-
-        Raises:
-            StorageError: The database cannot be reached.
         """
         subject, text = (SubjectKind.RECORDING, reference.digest, STAGE), as_text(reference)
         with self.storage.write() as unit:
@@ -58,19 +55,11 @@ class HeldReferences:
             unit.quarantine.put(item)
 
     def release(self, digest: str) -> None:
-        """End the quarantine of a reference, if it was in one.
-
-        Raises:
-            StorageError: The database cannot be reached.
-        """
+        """End the quarantine of a reference, if it was in one."""
         release_recording(self.storage, digest, STAGE)
 
     def due(self) -> Sequence[Reference]:
-        """Return references for which another attempt is due, at most :data:`AT_ONCE`.
-
-        Raises:
-            StorageError: The database cannot be reached.
-        """
+        """Return references for which another attempt is due, at most :data:`AT_ONCE`."""
         with self.storage.read() as unit:
             items: Sequence[Quarantined] = unit.quarantine.due(STAGE, self.clock.now_ns(), AT_ONCE)
         found = [from_text(item.inputs) for item in items]
