@@ -14,7 +14,7 @@ from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.rail_wear import DEEPEST_BAND, RailWear
 from estimation.errors import ProfileError
 from estimation.values.file_units import DEG, MM, FileUnit, Key, M
-from ingest.file_value import As, FileBeside, Inline, between, taken
+from ingest.file_value import As, FileBeside, Inline, between, keys_of, taken
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.blows import TrackBlows
 from ingest.simulator.irregularity import CrossLevel, LoadVariation, Waves
@@ -209,7 +209,7 @@ class SectionTable(SectionPlan):
         self.check_rails()
         if self.file is None:
             _check_recipe(self.recipe)
-        for key in _RECIPE_KEYS if self.file is not None else ():
+        for key in keys_of(TrackRecipe) if self.file is not None else ():
             if key in given:
                 raise field_error("cannot be given beside 'file'", key)
         if self.recipe is not None:
@@ -264,21 +264,4 @@ def _check_curves(recipe: TrackRecipe) -> None:
                 raise field_error(f"{value:g} m; the section has {recipe.length:g} m", "curves", index, key)
 
 
-_RECIPE_KEYS = (
-    "length_m",
-    "interval_m",
-    "shortest_wavelength_m",
-    "longest_wavelength_m",
-    "alignment_std_mm",
-    "gauge_std_mm",
-    "gauge_offset_mm",
-    "curves",
-    "alignment_kurtosis",
-    "gauge_kurtosis",
-    "long_alignment",
-    "long_gauge",
-    "defects",
-    "switches",
-    "joints",
-)
 _ISOLATED_KEYS = {IsolatedKind.DEFECT: "defects", IsolatedKind.SWITCH: "switches", IsolatedKind.JOINT: "joints"}
