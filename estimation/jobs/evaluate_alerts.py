@@ -27,6 +27,7 @@ from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.jobs.worklist_rows import WORKLIST
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Finding, Transition
+from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.trend import TREND
@@ -202,7 +203,7 @@ ALERTS = Stage(
     job="evaluate_alerts",
     kind=SubjectKind.WHEELSET,
     facets=(
-        *(Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.RESTARTS, Facet.GEOMETRY, Facet.BESIDE),
+        *(Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.RESTARTS, GEOMETRY.stage, Facet.BESIDE),
         *(TREND.stage, IDENTITY_EVENT.stage),
     ),
     settings=lambda settings: (settings.trend, settings.rules.version),

@@ -23,6 +23,7 @@ from estimation.jobs.stages import ALL_STAGES
 from estimation.storage import Storage, UnitOfWork
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
+from estimation.values.geometry import GEOMETRY
 from estimation.values.quantities import with_interval
 from estimation.values.rails import CELLS
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
@@ -46,23 +47,25 @@ READS: Mapping[str, str] = {
     "registry.mountings_of": Facet.REGISTRY,
     "registry.vehicles_of": Facet.REGISTRY,
     "alerts.of_kind": Facet.RESTARTS,
-    "geometries.conicities": Facet.GEOMETRY,
+    "geometries.conicities_of": GEOMETRY.stage,
+    "geometries.conicities": GEOMETRY.stage,
     "registry.mountings": Facet.REGISTRY,
     "registry.wheelsets": Facet.REGISTRY,
     "registry.measured_wheelsets": Facet.REGISTRY,
     "tracks.sections": Facet.REGISTRY,
     "alerts.page": Facet.RESTARTS,
     "trends.latest": TREND.name,
-    "geometries.interval_digests": Facet.GEOMETRY,
-    "roll_ups.state": Facet.GEOMETRY,
-    "roll_ups.of": Facet.GEOMETRY,
-    "roll_ups.taken": Facet.GEOMETRY,
-    "tables.tabled": Facet.GEOMETRY,
+    "geometries.interval_digests": GEOMETRY.stage,
+    "roll_ups.state": GEOMETRY.stage,
+    "roll_ups.of": GEOMETRY.stage,
+    "due.of_wheelset": GEOMETRY.stage,
+    "tables.tabled": GEOMETRY.stage,
+    "tables.last_reading": GEOMETRY.stage,
     "rails.cells": CELLS,
-    "geometries.newest_numbers": Facet.GEOMETRY,
-    "geometries.interval_numbers": Facet.GEOMETRY,
-    "geometries.intervals": Facet.GEOMETRY,
-    "geometries.current": Facet.GEOMETRY,
+    "geometries.newest_numbers": GEOMETRY.stage,
+    "geometries.interval_numbers": GEOMETRY.stage,
+    "geometries.intervals": GEOMETRY.stage,
+    "geometries.current": GEOMETRY.stage,
     "registry.vehicles": Facet.REGISTRY,
     "registry.mounted_on": Facet.REGISTRY,
     "registry.newest_measurement_of": Facet.REGISTRY,
