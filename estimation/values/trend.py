@@ -18,7 +18,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
-from estimation.values.results import ResultKind
+from estimation.values.results import History, ResultKind
 from estimation.values.runs import SubjectKind
 from estimation.values.served import MM, Served
 
@@ -69,6 +69,11 @@ class WearTrend(FrozenArrays):
     ] = None
     few_behind: Reason | None = None  # why nothing is forecast: too few points behind the step; None where enough are
 
+    @property
+    def head(self) -> JsonValue:
+        """What is read of many trends: the time within which the step is; None where there is none."""
+        return None if self.step is None else [self.step.before_ns, self.step.after_ns]
+
 
 TREND = ResultKind("trend", SubjectKind.WHEELSET, WearTrend, one_in_force=True)
 """Trends of wheelsets; their parts are baselines."""
@@ -106,7 +111,7 @@ class SuspensionFinding:
         float, Served("Yaw stiffness over longitudinal creep coefficient of the vehicle's class.", "assumed_m")
     ]
     code_version: str
-    recorded_ns: int
+    recorded_ns: int = field(metadata={"made_from": False})
 
     @property
     def stiffness_ratio(
@@ -145,6 +150,9 @@ class SuspensionShown:
     newest: SuspensionChange | None  # None where too few findings are known
     stands: bool
     since_ns: int | None = None
+
+
+SUSPENSION = ResultKind("suspension", SubjectKind.VEHICLE, SuspensionShown, History.NEWEST)
 
 
 class StepCause(StrEnum):
