@@ -48,6 +48,11 @@ class Changes:
         """Something has happened to ``wheelset`` that jobs look at, and the worklist does not show."""
         self.touched.add(wheelset)
 
+    def touch_mounted(self, vehicle: str) -> None:
+        """Something has happened to a vehicle that jobs look at when they look at its wheelsets."""
+        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.to_ns.is_(None))
+        self.touched.update(self.connection.scalars(mounted))
+
     def on_section(self, section: str | None) -> None:
         """Something has happened to windows, positions or epochs of a section; None is no section.
 

@@ -147,7 +147,6 @@ RULES: Mapping[str, Rule] = {
     "window_positions": _of_wheelset,
     "window_adhesion": _of_wheelset,
     "window_dampers": _of_vehicle,
-    "gear_dampers": _of_vehicle,
     "webhooks": _of_webhook,
     "webhook_fleets": _of_webhook,
     "webhook_deliveries": _of_webhook,
@@ -158,7 +157,6 @@ RULES: Mapping[str, Rule] = {
     "rolling_sums": _of_wheelset,
     "taken_tables": _of_wheelset,
     "wear_signatures": _of_wheelset,
-    "signature_answers": _of_wheelset,
     "worklist_entries": _of_fleet,
     "worklist_alerts": _of_wheelset,
 }

@@ -17,6 +17,8 @@ class Facet(StrEnum):
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
     GEOMETRY = "geometry"
+    WINDOWS = "windows"  # which there are, their mileage, and what was judged of it
+    LAYOUTS = "layouts"  # sections and their layouts, on which all signatures rest
     ALIGNMENT = "alignment"  # versions of the alignment of a section
 
 

@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, and_, delete, exists, func, select, tuple_, union_all
 
 from estimation.errors import DamagedError
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from estimation.values.windows import PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.changes import Changes
+from fleet_db.due import samples_changed
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.taken_tables import take_back
@@ -102,15 +105,21 @@ class AssembledWindowStore:
         What that one has stored stays.
         """
         rows = [self._row(each, recorded_ns) for each in windows]
-        return insert_all_new(self.connection, WINDOWS, rows) == len(rows)
+        count = insert_all_new(self.connection, WINDOWS, rows)
+        samples_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
+        return count == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
         """Replace windows without bin tables by what they are now; they wait to be estimated."""
         not_purged = {"judged": False, "samples_purged_ns": None, "passed_over": None}
         rows = [self._row(each, recorded_ns) | not_purged for each in windows]
         if rows:
-            self._touch([(each.window.wheelset, each.window.start_ns) for each in windows])
+            keys = [(each.window.wheelset, each.window.start_ns) for each in windows]
+            self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
+            samples_changed(self.connection, keys)
+            for wheelset, _ in keys:
+                self.changes.subjects.raised(SubjectKind.WHEELSET, wheelset, Facet.WINDOWS)
 
     def forget_positions(self, keys: Sequence[WindowKey]) -> None:
         """Let it be found again where windows were."""
@@ -177,6 +186,7 @@ class AssembledWindowStore:
                 self.connection.execute(delete(table).where(*same))
             self.changes.note(record.wheelset)
             self.changes.on_section(record.track_section)
+            self.changes.subjects.raised(SubjectKind.WHEELSET, record.wheelset, Facet.WINDOWS)
         return removed
 
     def _stays(self, record: WindowRecord) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -99,6 +99,11 @@ class GeometryStore:
         """
         row = self.connection.execute(_version(), {"serial": wheelset}).first()
         return None if row is None else (row.geometry_id, row.recorded_ns, row.input_digest)
+
+    def having(self, wheelsets: Collection[str]) -> frozenset[str]:
+        """Return which of some wheelsets have a geometry."""
+        statement = select(GEOMETRIES.c.wheelset).where(GEOMETRIES.c.wheelset.in_(sorted(wheelsets))).distinct()
+        return frozenset(self.connection.scalars(statement))
 
     def newest_numbers(self) -> Mapping[str, int]:
         """Return by wheelset what changes whenever a geometry of it is appended: the number of the last."""

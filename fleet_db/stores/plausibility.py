@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, func, select, update
 
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from estimation.values.windows import MileageReading, PassedOver, WindowMark, WindowState
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import replace_all, table_of
@@ -104,6 +106,7 @@ class PlausibilityStore:
         if marks:
             self.windows.mark_all(marks)
             self.windows.changes.show(wheelset)  # its mileage is another now
+            self.windows.changes.subjects.raised(SubjectKind.WHEELSET, wheelset, Facet.WINDOWS)
         return len(marks)
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:

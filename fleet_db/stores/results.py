@@ -57,6 +57,12 @@ class ResultStore:
         """Return which of some subjects have a result."""
         return frozenset(self.connection.scalars(_in_force(kind, subjects).with_only_columns(RESULTS.c.subject)))
 
+    def made_from(self, kind: ResultKind[Any]) -> Mapping[str, tuple[str, str]]:
+        """Return by subject what the results in force are made from, and by which version of the numerics."""
+        columns = (RESULTS.c.subject, RESULTS.c.made_from, RESULTS.c.numerics)
+        statement = select(*columns).where(RESULTS.c.stage == kind.stage, RESULTS.c.superseded_ns.is_(None))
+        return {row.subject: (row.made_from, row.numerics) for row in self.connection.execute(statement)}
+
     def put_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Sequence[AnyResult]:
         """Put results in force; return those that are not made from what the ones before were made from.
 
@@ -82,6 +88,8 @@ class ResultStore:
         for result, values, was in news:
             if was is None or any(getattr(was, name) != values[name] for name in SHOWN):
                 self.changes.subjects.raised(kind.subject, result.subject, kind.stage)
+            if kind.subject == "vehicle":
+                self.changes.touch_mounted(result.subject)
             if kind.subject == "wheelset" and kind.history is History.APPENDED:  # the worklist shows no others
                 self.changes.show(result.subject)
         return [result for result, _, _ in news]

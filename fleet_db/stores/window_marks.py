@@ -11,6 +11,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, 
 from estimation.errors import NotFoundError
 from estimation.values.windows import PassedOver, WindowKey, WindowMark, WindowState
 from fleet_db.changes import Changes
+from fleet_db.due import estimated
 from fleet_db.rows import reason_columns, replace_all, table_of
 from fleet_db.stores.taken_tables import take_back
 from fleet_db.tables import WindowBinTableRow, WindowRow
@@ -61,6 +62,7 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
             elif mark.state is WindowState.REFUSED:
                 changes.show(mark.wheelset)  # another reason
     replace_all(connection, WINDOWS, changed)
+    estimated(connection, [mark.key for mark in held if mark.state is WindowState.ESTIMATED])
     remove_tables(connection, changes, gone)
     return held
 

@@ -24,6 +24,8 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from estimation.values.windows import (
     HUNTING_SHARE,
     NO_BLOWS,
@@ -39,6 +41,7 @@ from estimation.values.windows import (
     WindowState,
 )
 from fleet_db.changes import Changes
+from fleet_db.due import samples_changed
 from fleet_db.rows import (
     insert_new,
     key_given,
@@ -128,9 +131,13 @@ class WindowStore:
         self.changes.show(window.wheelset)
         self.changes.on_section(window.track_section)
         if found.content_digest is None:
-            # another transaction may have stored it since the look-up
-            return insert_new(self.connection, WINDOWS, values) or self.put(window, mileage_km, recorded_ns)
+            if not insert_new(self.connection, WINDOWS, values):  # another transaction has stored it meanwhile
+                return self.put(window, mileage_km, recorded_ns)
+            samples_changed(self.connection, [(window.wheelset, window.start_ns)])
+            return True
         replace(self.connection, WINDOWS, values)
+        samples_changed(self.connection, [(window.wheelset, window.start_ns)])
+        self.changes.subjects.raised(SubjectKind.WHEELSET, window.wheelset, Facet.WINDOWS)
         self.changes.on_section(found.track_section)
         remove_tables(self.connection, self.changes, [(window.wheelset, window.start_ns)])
         return True
@@ -223,6 +230,7 @@ class WindowStore:
         ).one()
         same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
         self.changes.on_section(standing.track_section)
+        samples_changed(self.connection, [(wheelset, start_ns)])
         if standing.state == WindowState.ESTIMATED.value:
             damaged = POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value
             self.connection.execute(delete(POSITIONS).where(*same, damaged))
@@ -374,6 +382,7 @@ class WindowStore:
         take_back(self.connection, window.wheelset, window.start_ns)
         self.changes.note(window.wheelset)
         self.changes.on_section(found.track_section)
+        self.changes.subjects.raised(SubjectKind.WHEELSET, window.wheelset, Facet.WINDOWS)
         return True
 
     def _records(self, statement: Select[Any]) -> builtins.list[WindowRecord]:

@@ -24,10 +24,8 @@ from fleet_db.tables.jobs import (
     WorkLeaseRow,
 )
 from fleet_db.tables.opinions import (
-    GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
-    SignatureAnswerRow,
     WearSignatureRow,
     WindowAdhesionRow,
     WindowDamperRow,
@@ -86,7 +84,6 @@ __all__ = [
     "ChunkRow",
     "FeedBranchRow",
     "FleetRow",
-    "GearDamperRow",
     "GeometryRow",
     "IdempotencyRow",
     "JobOwnerRow",
@@ -110,7 +107,6 @@ __all__ = [
     "SectionChangeRow",
     "SectionLookRow",
     "SensorChangeRow",
-    "SignatureAnswerRow",
     "StageMarkRow",
     "StaleSpanRow",
     "StoredSettingRow",
