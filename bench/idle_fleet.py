@@ -26,6 +26,7 @@ from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
 from fleet_db.changes import CHANGES
+from fleet_db.due import DUE
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables import (
@@ -157,11 +158,8 @@ def _copied(size: FleetSize, number: int, mounting: Mounting) -> Iterator[Insert
     yield _copy(WINDOWS, mounting.wheelset, own)
     yield _copy(POSITIONS, mounting.wheelset)
     yield _copy(ROLL_UPS, mounting.wheelset)
-    was, now = ROLL_UPS.alias("was"), ROLL_UPS.alias("now")
-    key = ("baseline", "baseline_interval", "side", "table_key", "vehicle_class")
-    of_key = [was.c[name] == now.c[name] for name in key]
-    roll_up = select(now.c.number).where(now.c.wheelset == mounting.wheelset, was.c.number == TABLES.c.roll_up, *of_key)
-    yield _copy(TABLES, mounting.wheelset, {"roll_up": roll_up.scalar_subquery(), "track_version": literal(1)})
+    yield _copy(TABLES, mounting.wheelset, {"track_version": literal(1)})
+    yield _copy(DUE, mounting.wheelset, {"vehicle": literal(mounting.vehicle)})
     for table in OF_WHEELSET:
         yield _copy(table, mounting.wheelset)
 

@@ -111,7 +111,7 @@ def whole_fleet(sections: Sequence[BenchSection], measured: int = 0) -> Scenario
         measured: Of how many wheelsets the profiles are on file.
     """
     vehicles: dict[str, VehiclePlan] = {vehicle.code: vehicle for one in sections for vehicle in one.scenario.vehicles}
-    drawn = DrawnFleet((), 0, 0, wear_alike=False, profiles_measured=measured, vehicle_class="", max_speed=0.0)
+    drawn = DrawnFleet(pairs=(), profiles_measured=measured)
     ordered = tuple(vehicles[code] for code in sorted(vehicles))
     return replace(sections[0].scenario, vehicles=ordered, drawn=drawn if measured else None)
 

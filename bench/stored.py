@@ -39,7 +39,7 @@ PER_WINDOW = {
     "bin tables": ("window_bin_tables",),
     "windows": ("windows", "window_positions", "track_epoch_windows"),
 }
-PER_INTERVAL = {"roll-ups": ("roll_ups", "roll_up_states", "rolling_sums", "taken_tables")}
+PER_INTERVAL = {"roll-ups": ("roll_ups", "roll_up_states", "rolling_sums", "window_due")}
 VERSIONS = {"geometries": "geometry_estimates", "results": "results"}
 Bytes = Mapping[str, float]
 

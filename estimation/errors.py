@@ -46,12 +46,7 @@ class InputError(TreadwatchError):
     """
 
     def __init__(
-        self,
-        reason: str,
-        *,
-        file: Path | str | None = None,
-        line: int | None = None,
-        field: str | None = None,
+        self, reason: str, *, file: Path | str | None = None, line: int | None = None, field: str | None = None
     ) -> None:
         self.reason = reason
         self.file = str(file) if file is not None else None

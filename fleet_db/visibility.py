@@ -155,7 +155,6 @@ RULES: Mapping[str, Rule] = {
     "roll_ups": _of_wheelset,
     "roll_up_states": _of_wheelset,
     "rolling_sums": _of_wheelset,
-    "taken_tables": _of_wheelset,
     "wear_signatures": _of_wheelset,
     "worklist_entries": _of_fleet,
     "worklist_alerts": _of_wheelset,

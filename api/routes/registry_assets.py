@@ -18,11 +18,10 @@ from api.schemas import registry, vehicle_classes
 from api.schemas.registry_changes import NewVehicle, NewWheelset, VehicleChange, VehicleClassFile, WheelsetChange
 from api.services import writer_slot
 from estimation.errors import ConflictError, InputError, NotFoundError
-from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.values.registry import SPEED_IN_FILES, VehicleRecord, WheelsetRecord
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
-from ingest.exact_units import in_unit
 from ingest.input_file import parse_toml
 from ingest.registry_entry.contents import RegistryContents
 from ingest.vehicle_class_file import parse_vehicle_class
@@ -153,7 +152,7 @@ def _vehicle(code: str, body: VehicleChange) -> VehicleRecord:
         _wrong("axle_offsets_m", f"{len(body.axle_offsets_m)} offsets for {body.axles} axles")
     if len(set(body.axle_offsets_m)) < body.axles:
         _wrong("axle_offsets_m", "two axles are at one place")
-    speed = in_unit(body.max_speed_m_s, lambda value: value / 3.6, 3.6) / 3.6
+    speed = SPEED_IN_FILES.read(SPEED_IN_FILES.write(body.max_speed_m_s))
     return VehicleRecord(code, body.fleet, body.vehicle_class, body.axles, speed, tuple(body.axle_offsets_m))
 
 

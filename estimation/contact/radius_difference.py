@@ -8,8 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.contact import kernels
-from estimation.contact.geometry import Setting, WheelsetOnTrack, search_contacts, search_setting
-from estimation.contact.table import ContactMethod, ContactTable
+from estimation.contact.geometry import (
+    ContactMethod,
+    ContactTable,
+    Setting,
+    WheelsetOnTrack,
+    search_contacts,
+    search_setting,
+)
 from estimation.values.arrays import FloatArray, IntArray, freeze, frozen_array
 
 _HOLD = 1.5 * kernels.CURVE_INTERVAL  # m, neighbours on both sides of a jump are no farther apart

@@ -56,8 +56,6 @@ def solve_with_shared_scales(
     Args:
         packed: (r, b, packed_size) moments of r replicates of b bins.
         weight: (r, b) sums of weights.
-        regressors: Number p of all regressors.
-        targets: Number t of targets.
         prior_stds: (q,) of the coefficients that are shared, which are those of the first regressors and zero
             beforehand.
         counted_as_one: (q,) samples that say as much of a shared coefficient as one with an error of its own would; by

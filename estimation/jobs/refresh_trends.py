@@ -75,6 +75,7 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
         part=f"{inputs.baseline:04d}",
         status=trend.status,
         reason=trend.reason,
+        head=trend.head,
         parameters=asdict(inputs.parameters),
     )
     return Outcome([part])

@@ -7,8 +7,7 @@ from typing import Self
 
 from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.sensor_noise import usable_cutoff
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, usable_cutoff
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,17 +79,13 @@ class _Stretch:
 
 
 def window_signatures(
-    window: Window,
-    parameters: WindowParameters,
-    signature: SignatureParameters,
-    layout: TrackLayout | None = None,
+    window: Window, parameters: WindowParameters, signature: SignatureParameters, layout: TrackLayout | None = None
 ) -> tuple[Signature, ...] | Reason:
     """Return the signatures of a window, one for each cell of the section that it passed whole.
 
     Where section or position are not known every stretch of that length has one, without a place.
 
     Args:
-        window: Measured accelerations of one wheelset, (n,) each.
         layout: Curves of the section, which are left out; None where none is on file.
     """
     placed = gate(window.quality, window.track_section, parameters.gates)

@@ -76,7 +76,6 @@ def merged_alignment(
 
     Args:
         prior: What was known before; None where nothing was.
-        p: Cut-off of the alignment, and the standard deviations that blocks of data cannot show.
     """
     grid = iterated.panel.grid
     found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
@@ -164,10 +163,5 @@ def _profile_uncertainty(iterated: IterationResult) -> _ProfileUncertainty:
 def _nothing_known(grid: SectionGrid) -> PriorAlignment:
     zero = np.zeros(grid.points)
     return PriorAlignment(
-        alignment=zero,
-        std=np.full_like(zero, np.inf),
-        passes=zero,
-        gauge=zero,
-        gauge_std=zero,
-        gauge_known=False,
+        alignment=zero, std=np.full_like(zero, np.inf), passes=zero, gauge=zero, gauge_std=zero, gauge_known=False
     )

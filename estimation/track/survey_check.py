@@ -123,11 +123,7 @@ def check_survey(
 
 
 def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
-    """Return whether an alignment of the fleet is certain enough to stand for a survey that is wrong.
-
-    Args:
-        fleet, survey: The alignments; they are compared at the wavelengths and places that the fleet knows.
-    """
+    """Return whether an alignment of the fleet is certain enough to stand for a survey that is wrong."""
     both = _on_one_grid(survey, fleet)
     if both is None:
         return False

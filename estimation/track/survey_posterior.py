@@ -195,13 +195,7 @@ def _passes(placed: Placed, solution: PanelSolution, panel: Panel, kernels: Sequ
 
 
 def _band(
-    number: int,
-    survey: FloatArray,
-    passes: _Passes,
-    compared: BoolArray,
-    filed: float,
-    systematic: float,
-    step: float,
+    number: int, survey: FloatArray, passes: _Passes, compared: BoolArray, filed: float, systematic: float, step: float
 ) -> Band:
     shortest = (*EDGES, SHORTEST)[number + 1]
     length = 0.5 * np.sqrt(EDGES[number] * shortest)  # m, of an independent sample

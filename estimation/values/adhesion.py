@@ -40,15 +40,7 @@ class FrictionSums(FrozenArrays):
 
 @dataclass(frozen=True, slots=True)
 class WindowAdhesion:
-    """Creep forces of one wheelset over one window, and what they say of the friction along its way.
-
-    Attributes:
-        wheelset, start_ns, vehicle, track_section: Of the window.
-        contact_force, lateral_creep, yaw_creep: Rms over the window, N and N m, in the band of wavelengths up to the
-            cut-off; the std of each is that of the filter and of the load.
-        used_adhesion: Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at
-            least that.
-    """
+    """Creep forces of one wheelset over one window, and what they say of the friction along its way."""
 
     wheelset: Annotated[str, Served(example="WS-0001")]
     start_ns: Annotated[int, Served("Start of the window.", "measured_from")]

@@ -36,22 +36,17 @@ class DamperSums(FrozenArrays):
 
 @dataclass(frozen=True, slots=True)
 class WindowDamper:
-    """What one window says of the damper of a running gear.
-
-    Attributes:
-        vehicle, first_axle, wheelset, start_ns: Which running gear, the wheelset of its first axle, and when.
-        innovation: Mean square of the innovations over the largest that is believed; None without a filter.
-    """
+    """What one window says of the damper of a running gear."""
 
     vehicle: str
     first_axle: int
-    wheelset: str
+    wheelset: str  # of the first axle
     start_ns: int
     odometer_km: float  # of the vehicle
     content_digest: str  # of the samples of that wheelset
     class_digest: str  # of the class that it was judged by: sums of another one do not add up with these
     mass_std: float  # relative, of the mass above the wheelsets on file. Accelerations show damping over mass
-    innovation: float | None = None
+    innovation: float | None = None  # mean square over the largest that is believed; None without a filter
     sums: DamperSums | None = None  # None with ``reason``
     reason: Reason | None = None
 

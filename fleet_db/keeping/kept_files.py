@@ -116,15 +116,11 @@ RAW = "raw"
 
 @dataclass(frozen=True, slots=True)
 class KeptRecording:
-    """A recording that a row refers to.
-
-    Attributes:
-        digest, suffix, size: Of its bytes.
-    """
+    """A recording that a row refers to."""
 
     digest: str
     suffix: str
-    size: int
+    size: int  # bytes
     owner: str  # whose it is, for messages
 
     @property

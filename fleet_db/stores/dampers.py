@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, and_, delete, select
@@ -59,14 +59,15 @@ class DamperStore:
         own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
         return self.connection.execute(delete(OF_WINDOWS).where(*own, OF_WINDOWS.c.start_ns < before_ns)).rowcount
 
-    def gear(self, vehicle: str, first_axle: int) -> GearDamper | None:
-        """Return the damper of a running gear; None where it was not looked at, or none begins at that axle."""
-        return next((one for one in self.of_vehicle(vehicle) if one.first_axle == first_axle), None)
-
     def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
         """Return the dampers of a vehicle by axle."""
-        found = self.results.in_force(GEAR_DAMPERS, [vehicle])
-        return sorted((one.value for one in found if one.value is not None), key=lambda one: one.first_axle)
+        return self.of_vehicles([vehicle])
+
+    def of_vehicles(self, vehicles: Collection[str]) -> Sequence[GearDamper]:
+        """Return the dampers of some vehicles, by vehicle and axle."""
+        found = self.results.in_force(GEAR_DAMPERS, vehicles)
+        dampers = (one.value for one in found if one.value is not None)
+        return sorted(dampers, key=lambda one: (one.vehicle, one.first_axle))
 
 
 def _values(found: WindowDamper) -> dict[str, object]:

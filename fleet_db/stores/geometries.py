@@ -81,7 +81,6 @@ class GeometryStore:
         self.changes.subjects.raised(SubjectKind.WHEELSET, record.wheelset, Facet.GEOMETRY)
         if record.interval is None:
             self._show_bins(record.wheelset)
-            self.changes.show(record.wheelset)
         return True
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
@@ -105,10 +104,11 @@ class GeometryStore:
         statement = select(GEOMETRIES.c.wheelset).where(GEOMETRIES.c.wheelset.in_(sorted(wheelsets))).distinct()
         return frozenset(self.connection.scalars(statement))
 
-    def newest_numbers(self) -> Mapping[str, int]:
+    def newest_numbers(self, wheelsets: Collection[str]) -> Mapping[str, int]:
         """Return by wheelset what changes whenever a geometry of it is appended: the number of the last."""
         last = select(func.max(GEOMETRIES.c.geometry_id)).where(GEOMETRIES.c.wheelset == WHEELSETS.c.serial)
-        rows = self.connection.execute(select(WHEELSETS.c.serial, last.scalar_subquery()))
+        chosen = select(WHEELSETS.c.serial, last.scalar_subquery()).where(WHEELSETS.c.serial.in_(wheelsets))
+        rows = self.connection.execute(chosen)
         return {serial: number for serial, number in rows if number is not None}
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:

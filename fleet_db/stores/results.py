@@ -25,6 +25,8 @@ NEWEST_FIRST = (RESULTS.c.recorded_ns.desc(), RESULTS.c.result_id.desc())
 SAME_INPUTS = ("part", "made_from", "numerics")
 SHOWN = ("part", "status", "reason_code", "head", "value")
 """Another one of these is another result for whoever reads it; else only its provenance is."""
+SAID = ("reason_code", "head", "value")
+"""A first result without any of these is no news."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +37,13 @@ class ResultStore:
     changes: Changes
 
     def in_force(
-        self, kind: ResultKind[V], subjects: Collection[str], as_of_ns: int | None = None
+        self, kind: ResultKind[V], subjects: Collection[str] | None = None, as_of_ns: int | None = None
     ) -> Sequence[Result[V]]:
-        """Return the newest result of each part of some subjects, as it was recorded at ``as_of_ns``, newest first."""
+        """Return the newest result of each part of subjects, as it was recorded at ``as_of_ns``, newest first.
+
+        Args:
+            subjects: None is all that have one.
+        """
         statement = _in_force(kind, subjects) if as_of_ns is None else _as_of(kind, subjects, as_of_ns)
         return [_result(kind, row) for row in self.connection.execute(statement.order_by(*NEWEST_FIRST))]
 
@@ -86,12 +92,10 @@ class ResultStore:
         else:
             self._replace([(values, was) for _, values, was in news])
         for result, values, was in news:
-            if was is None or any(getattr(was, name) != values[name] for name in SHOWN):
+            if any(getattr(was, name, None) != values[name] for name in SHOWN if was is not None or name in SAID):
                 self.changes.subjects.raised(kind.subject, result.subject, kind.stage)
-            if kind.subject == "vehicle":
-                self.changes.touch_mounted(result.subject)
-            if kind.subject == "wheelset" and kind.history is History.APPENDED:  # the worklist shows no others
-                self.changes.show(result.subject)
+            if kind.subject == "wheelset" and kind.history is History.APPENDED:
+                self.changes.touch(result.subject)
         return [result for result, _, _ in news]
 
     def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None:
@@ -138,18 +142,20 @@ def _key(kind: ResultKind[Any], result: AnyResult) -> tuple[str, str]:
     return result.subject, "" if kind.one_in_force else result.part
 
 
-def _in_force(kind: ResultKind[Any], subjects: Collection[str]) -> Select[Any]:
-    chosen = (RESULTS.c.stage == kind.stage, RESULTS.c.subject.in_(sorted(subjects)))
-    return select(RESULTS).where(*chosen, RESULTS.c.superseded_ns.is_(None))
+def _in_force(kind: ResultKind[Any], subjects: Collection[str] | None) -> Select[Any]:
+    found = select(RESULTS).where(RESULTS.c.stage == kind.stage, RESULTS.c.superseded_ns.is_(None))
+    return found if subjects is None else found.where(RESULTS.c.subject.in_(sorted(subjects)))
 
 
-def _as_of(kind: ResultKind[Any], subjects: Collection[str], as_of_ns: int) -> Select[Any]:
+def _as_of(kind: ResultKind[Any], subjects: Collection[str] | None, as_of_ns: int) -> Select[Any]:
     """Return the statement of what was in force: of each part the last that was recorded until then."""
     parts, then = RESULTS.alias("parts"), RESULTS.alias("then")
     same = (then.c[name] == parts.c[name] for name in ("stage", "subject", "part"))
     last = select(then.c.result_id).where(*same, then.c.recorded_ns <= as_of_ns)
     last = last.order_by(then.c.recorded_ns.desc(), then.c.result_id.desc()).limit(1).correlate(parts)
-    chosen = (parts.c.stage == kind.stage, parts.c.subject.in_(sorted(subjects)), parts.c.superseded_ns.is_(None))
+    chosen = [parts.c.stage == kind.stage, parts.c.superseded_ns.is_(None)]
+    if subjects is not None:
+        chosen.append(parts.c.subject.in_(sorted(subjects)))
     return select(RESULTS).where(RESULTS.c.result_id.in_(select(last.scalar_subquery()).where(*chosen)))
 
 

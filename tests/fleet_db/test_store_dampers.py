@@ -88,8 +88,6 @@ def test_the_damper_of_a_running_gear_is_replaced_and_comes_back(fleet: SqlStora
             put(unit, one)
             assert unit.dampers.of_vehicle("V-1") == [one]
         assert unit.dampers.of_vehicle("V-2") == []
-        assert unit.dampers.gear("V-1", 1) == known
-        assert unit.dampers.gear("V-1", 2) is unit.dampers.gear("V-2", 1) is None
 
 
 def test_a_blob_of_another_kind_is_damage() -> None:

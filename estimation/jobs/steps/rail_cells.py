@@ -165,7 +165,7 @@ class _CellReader:
     def interval_digest(self, part: Part, refused: Reason | None) -> str:
         """Return the digest of all that the cells of a mileage interval are made from."""
         text = self._common(self._assumed(part), refused)
-        text.update(f"{self.context.settings.rails.period_days!r} {part.roll_up.content_digest}".encode())
+        text.update(f"{self.context.settings.rails.period_days!r} {part.roll_up.content}".encode())
         return text.hexdigest()
 
     def interval(

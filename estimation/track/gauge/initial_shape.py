@@ -38,7 +38,6 @@ def initial_gauge_effect(
 
     Args:
         solution, panel: As solved without gauge.
-        prior: What is known of the gauge deviation.
     """
     vectors = _leading_vectors(passes, solution, panel)
     candidates = []

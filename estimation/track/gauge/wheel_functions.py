@@ -16,14 +16,7 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from estimation.track.gridded_pass import GriddedPass
-from estimation.track.panel.basis import (
-    Panel,
-    curve_displacement,
-    gauge_at,
-    gauge_curves,
-    known_shift,
-    pass_residual,
-)
+from estimation.track.panel.basis import Panel, curve_displacement, gauge_at, gauge_curves, known_shift, pass_residual
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
@@ -144,19 +137,12 @@ def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
     """Return what estimated gauge deviations are to be multiplied with: by the wheels that fit best.
 
     h1 and e have a common factor that the panel leaves open, a wheel does not.
-
-    Args:
-        seen: Contact samples by profile life.
     """
     return _best_factor(_misfits_by_factor(seen).sum(axis=0))
 
 
 def gauge_factor_with_std(seen: Mapping[ProfileLife, ContactSamples]) -> tuple[float, float]:
-    """Return ``gauge_factor`` and the std of its logarithm, by leaving out each wheelset; NaN of a single one.
-
-    Args:
-        seen: Contact samples by profile life.
-    """
+    """Return ``gauge_factor`` and the std of its logarithm, by leaving out each wheelset; NaN of a single one."""
     misfits = _misfits_by_factor(seen)
     whole = _best_factor(misfits.sum(axis=0))
     without = [_best_factor(np.delete(misfits, row, axis=0).sum(axis=0)) for row in range(len(misfits))]
@@ -184,9 +170,6 @@ def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[Profi
 
     It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
     what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
-
-    Args:
-        seen: Contact samples by profile life.
     """
     return 1 if sum(_outwards(one, shifts[name]) for name, one in seen.items()) >= 0 else -1
 

@@ -173,20 +173,9 @@ sa.Table(
     required("parameter_key", sa.String(128)),
     required("samples", BIG),
     sa.Column("content_digest", CODE),
-    required("rolled", FLAG, server_default=sa.false()),
-    sa.Column("roll_up", BIG),
     sa.Column("running_km", REAL),
-    sa.Column("line", CODE),
     required("packed", BLOB),
     sa.ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
-    sa.Index(None, "roll_up", "start_ns"),
-    sa.Index(
-        "ix_window_bin_tables_waiting",
-        "wheelset",
-        "start_ns",
-        sqlite_where=sa.text("rolled = 0"),
-        postgresql_where=sa.text("NOT rolled"),
-    ),
 )
 sa.Table(
     "window_due",
@@ -546,9 +535,11 @@ sa.Table(
     required("vehicle_class", CODE),
     required("windows", BIG),
     required("content", CODE),
+    required("first_ns", BIG),
+    required("last_ns", BIG),
     required("sealed", FLAG, server_default=sa.false()),
     required("summary", JSON),
-    sa.Column("plain", BLOB),
+    required("plain", BLOB),
     sa.Column("forgetting", BLOB),
     sa.CheckConstraint("windows >= 0", name="windows_counted"),
     sa.UniqueConstraint(
@@ -556,24 +547,11 @@ sa.Table(
     ),
 )
 sa.Table(
-    "taken_tables",
-    TABLES,
-    sa.Column("number", SERIAL, primary_key=True),
-    required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("roll_up", BIG),
-    required("start_ns", BIG),
-    required("running_km", REAL),
-    required("line", CODE),
-    required("packed", BLOB),
-    sa.Index(None, "wheelset"),
-)
-sa.Table(
     "roll_up_states",
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
     required("rules", CODE),
     required("classes", JSON),
-    required("odometers", JSON),
     sa.Column("earlier_digest", CODE),
     sa.Column("earlier", BLOB),
 )
@@ -1044,7 +1022,6 @@ sa.Table(
     sa.Column("trend_key", REAL),
     sa.Column("mileage_key", REAL),
     sa.Column("last_data_ns", BIG),
-    required("form", BIG),
     required("document", TEXT),
     one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
     one_of("urgency", ("over_limit", "critical_alert", "due", "warning_alert", "unknown", "not_due", "not_mounted")),
