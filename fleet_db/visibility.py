@@ -146,7 +146,6 @@ RULES: Mapping[str, Rule] = {
     "window_positions": _of_wheelset,
     "window_adhesion": _of_wheelset,
     "window_dampers": _of_vehicle,
-    "gear_dampers": _of_vehicle,
     "webhooks": _of_webhook,
     "webhook_fleets": _of_webhook,
     "webhook_deliveries": _of_webhook,
@@ -156,7 +155,6 @@ RULES: Mapping[str, Rule] = {
     "roll_up_states": _of_wheelset,
     "rolling_sums": _of_wheelset,
     "wear_signatures": _of_wheelset,
-    "signature_answers": _of_wheelset,
     "worklist_entries": _of_fleet,
     "worklist_alerts": _of_wheelset,
 }

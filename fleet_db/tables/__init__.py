@@ -24,10 +24,8 @@ from fleet_db.tables.jobs import (
     WorkLeaseRow,
 )
 from fleet_db.tables.opinions import (
-    GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
-    SignatureAnswerRow,
     WearSignatureRow,
     WindowAdhesionRow,
     WindowDamperRow,
@@ -85,7 +83,6 @@ __all__ = [
     "ChunkRow",
     "FeedBranchRow",
     "FleetRow",
-    "GearDamperRow",
     "IdempotencyRow",
     "JobOwnerRow",
     "JobRunRow",
@@ -108,7 +105,6 @@ __all__ = [
     "SectionChangeRow",
     "SectionLookRow",
     "SensorChangeRow",
-    "SignatureAnswerRow",
     "StageMarkRow",
     "StaleSpanRow",
     "StoredSettingRow",

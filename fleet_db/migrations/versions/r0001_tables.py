@@ -87,6 +87,7 @@ sa.Table(
     sa.Column("to_ns", BIG, primary_key=True),
     required("from_ns", BIG),
     required("code_version", TEXT),
+    required("made_with", CODE),
     required("packed", BLOB),
     sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
 )
@@ -293,15 +294,6 @@ sa.Table(
     sa.Column("start_ns", BIG, primary_key=True),
     required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
     required("content_digest", CODE),
-    required("packed", BLOB),
-    sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
-)
-sa.Table(
-    "gear_dampers",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("first_axle", INTEGER, primary_key=True),
-    required("code_version", TEXT),
     required("packed", BLOB),
     sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
 )
@@ -603,14 +595,6 @@ sa.Table(
     sa.Column("reason_code", CODE),
     required("packed", BLOB),
     sa.CheckConstraint("places >= 0", name="places_counted"),
-)
-sa.Table(
-    "signature_answers",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("packed", BLOB),
 )
 sa.Table(
     "stale_spans",
