@@ -18,7 +18,7 @@ from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.running_mileage import first_reading, known_mileage, read
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import TableSum
-from estimation.values.geometry import BinTable, FilledCells
+from estimation.values.geometry import BinTable
 from estimation.values.roll_up import (
     APART,
     Member,
@@ -346,15 +346,11 @@ def sums(unit: UnitOfWork, wheelset: str, part: Part) -> tuple[BinTable, BinTabl
     totals = None if stored is None else (TableSum(stored[0]), TableSum(stored[1]))
     weights = {one.start_ns: one.forgetting for one in part.added}
     for start_ns, cells in unit.tables.cells_of(wheelset, list(weights)):
-        plain, forgetting = totals = totals or (TableSum(_nothing(cells)), TableSum(_nothing(cells)))
+        if totals is None:
+            nothing = cells.table().without_samples
+            totals = TableSum(nothing), TableSum(nothing)
+        plain, forgetting = totals
         plain.add(cells)
         forgetting.add(cells, weights[start_ns])
     assert totals is not None  # a roll-up has windows
     return totals[0].table(), totals[1].table()
-
-
-def _nothing(cells: FilledCells) -> BinTable:
-    """Return the table of the same parameters without samples."""
-    none = slice(0)
-    rows = {name: getattr(cells, name)[none] for name in ("cells", "weight", "lateral", "yaw")}
-    return replace(cells, samples=0, windows=0, **rows).table()
