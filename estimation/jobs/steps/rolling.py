@@ -110,7 +110,7 @@ def _continued(
     for one in stored:
         before_last = one.key in new and new[one.key][0].start_ns <= one.last_ns
         if not one.sealed and (before_last or _is_touched(one, touched)):
-            again[one.key] = _standing(unit, rules, one, touched)
+            again[one.key] = _standing(unit, rules, one, due.keys() | mileages.keys())
     parts = _summed({one.key: Part(one, before=one.content) for one in stored}, new, again)
     added_to_sealed = any(part.roll_up.sealed and part.added for part in parts)
     return Rolled(
