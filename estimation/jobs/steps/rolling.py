@@ -62,8 +62,7 @@ class Rolled:
         mileages: By start, of the windows that have another one than is stored of them.
         looked_at: Start and version of the due windows.
         dropped: Numbers of roll-ups without windows.
-        late: Whether a window is not behind all that were there before.
-        again: Whether all were made again.
+        again: Whether some were made again, for there is more than windows behind all that were there before.
     """
 
     state: RollUpState
@@ -71,13 +70,12 @@ class Rolled:
     mileages: Mapping[int, float]
     looked_at: Mapping[int, int]
     dropped: tuple[int, ...] = ()
-    late: bool = False
     again: bool = False
 
     @property
     def due(self) -> bool:
         """Whether it is time to store it: else the windows wait, and are added again the next time."""
-        return self.again or self.late or len(self.looked_at) >= KEPT_WAITING
+        return self.again or len(self.looked_at) >= KEPT_WAITING
 
 
 def rolled(unit: UnitOfWork, rules: Membership) -> Rolled:
@@ -119,7 +117,7 @@ def _continued(
         mileages,
         due,
         dropped=tuple(p.roll_up.number for p in parts if p.roll_up.number is not None and not p.roll_up.windows),
-        late=bool(again) or added_to_sealed or not due.keys() <= mileages.keys(),
+        again=bool(again) or added_to_sealed or not due.keys() <= mileages.keys(),
     )
 
 
