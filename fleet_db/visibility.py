@@ -158,7 +158,6 @@ SHARED = frozenset(
     {
         "feed_branches",
         "idempotency_keys",
-        "job_owners",
         "job_runs",
         "purges",
         "section_adhesion",
@@ -171,6 +170,7 @@ SHARED = frozenset(
         "track_sections",
         "track_versions",
         "vehicle_classes",
+        "work_leases",
         "alembic_version",
     }
 )
@@ -185,7 +185,6 @@ HIDDEN = frozenset(
         "section_looks",
         "webhook_secrets",
         "work_claims",
-        "work_leases",
     }
 )
 """Tables that a bound caller does not see at all."""

@@ -12,7 +12,6 @@ from fleet_db.tables.alerts import (
 )
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
-    JobOwnerRow,
     JobRunRow,
     LookRow,
     SectionChangeRow,
@@ -88,7 +87,6 @@ __all__ = [
     "GearDamperRow",
     "GeometryRow",
     "IdempotencyRow",
-    "JobOwnerRow",
     "JobRunRow",
     "LookRow",
     "MeasuredProfilesRow",
