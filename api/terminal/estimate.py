@@ -46,6 +46,8 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
         with storage.owned(JobTrigger.CLI, process_name(), context.lease_s) as owned:
             runs = run_in_order(jobs, replace(context, storage=owned), console)
         Console().print(summary(runs))
+        for unfit in executor.unfit if executor is not None else ():
+            typer.echo(f"left out: {unfit}")
         with storage.read() as unit:
             without = summary_lines(fleet_reasons(unit))
     for line in without:

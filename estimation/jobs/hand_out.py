@@ -21,7 +21,6 @@ LOOK_S = 1.0
 """How often a stop is looked for while units are worked on, s."""
 UNITS_EACH = 4
 """Units per worker into which little work is divided at least, so that all end at about the same time."""
-UNFIT = "unfit_workers"
 
 Unit = tuple[str, ...]
 
@@ -58,8 +57,6 @@ def hand_out(context: JobContext, stage: Stage, units: Iterable[Unit], done: Cal
         for future in handing.handed:
             future.cancel()
         raise
-    if context.executor is not None and context.executor.unfit:
-        handing.counts[UNFIT] = len(context.executor.unfit)
     return handing.counts
 
 

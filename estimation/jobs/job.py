@@ -21,6 +21,7 @@ from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
 LEASE_S = 60.0
 """How long a claim lasts by default, s."""
+UNFIT = "unfit_workers"
 Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
@@ -192,7 +193,9 @@ def _remember(
 
 def _attempt(job: Job, context: JobContext) -> tuple[JobOutcome, Mapping[str, int], str | None]:
     try:
-        return JobOutcome.SUCCEEDED, dict(job.run(context)), None
+        counts = dict(job.run(context))
+        if context.executor is not None and context.executor.unfit:
+            counts[UNFIT] = len(context.executor.unfit)
     except (StoppedError, LeaseLostError) as error:
         return JobOutcome.ABANDONED, {}, str(error)
     except TreadwatchError as error:
@@ -201,3 +204,4 @@ def _attempt(job: Job, context: JobContext) -> tuple[JobOutcome, Mapping[str, in
     except Exception as error:  # noqa: BLE001 - whatever fails in a job is a fact of its run, never the end of the scheduler
         _log.exception("job %s failed", job.name)
         return JobOutcome.FAILED, {}, f"{type(error).__name__}: {error}".splitlines()[0]
+    return JobOutcome.SUCCEEDED, counts, None
