@@ -15,6 +15,7 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
     ├── NotFoundError              no such fleet, vehicle, wheelset, section, alert, job
     ├── ConflictError              the thing is not in the state that the request assumes
     ├── PassingFaultError          the machine cannot do it now: no space, mount, permission, memory, extra
+    ├── NotFiniteError             an estimated number is none: the result before it stays in force
     ├── WorkersEndedError          so many worker processes ended at one thing that it is set aside
     ├── WorkFailedError            a unit of work failed in its worker process
     ├── StoppedError               a job ended between two batches because the process is stopping
@@ -44,12 +45,7 @@ class InputError(TreadwatchError):
     """
 
     def __init__(
-        self,
-        reason: str,
-        *,
-        file: Path | str | None = None,
-        line: int | None = None,
-        field: str | None = None,
+        self, reason: str, *, file: Path | str | None = None, line: int | None = None, field: str | None = None
     ) -> None:
         self.reason = reason
         self.file = str(file) if file is not None else None
@@ -124,7 +120,7 @@ class PassingFaultError(TreadwatchError):
     Args:
         reason: What could not be done, in one sentence, without the place.
         file: The file it was to be done with, if any.
-        code: What is waited for: one of ``estimation.values.quarantine.PASSING``.
+        code: What is waited for: one of ``estimation.values.runs.PASSING``.
     """
 
     def __init__(self, reason: str, *, file: Path | str | None = None, code: str = "waits_for_storage") -> None:
@@ -141,6 +137,10 @@ class StoppedError(TreadwatchError):
         self.done = done
         self.total = total
         super().__init__(f"stopped on request after {done} of {total}")
+
+
+class NotFiniteError(TreadwatchError):
+    """A computation has an estimated number that is not finite."""
 
 
 class WorkersEndedError(TreadwatchError):

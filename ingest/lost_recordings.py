@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from estimation.errors import PassingFaultError
 from estimation.failures import after_failure
 from estimation.storage import Clock
-from estimation.values.quarantine import Quarantined, SubjectKind, resolved
+from estimation.values.runs import Quarantined, SubjectKind, resolved
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork

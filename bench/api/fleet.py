@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sqlalchemy import Insert, Table, func, insert, literal, select
 
-from estimation.alerts.rules.rule import estimate_evidence, unknown_evidence
+from estimation.alerts.rules.evidence import estimate_evidence, unknown_evidence
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord, WearTrend

@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from estimation.errors import LeaseLostError, StorageError, WorkersEndedError
-from estimation.jobs.job import JobContext, Stage, WorkUnit
+from estimation.jobs.job import JobContext, Work, WorkUnit
 from estimation.storage import LeasedStorage
-from estimation.values.claims import MOST_ENDED
+from estimation.values.runs import MOST_ENDED
 
 ELSEWHERE, LOST, SET_ASIDE = "worked_on_elsewhere", "leases_lost", "set_aside"
 
 
-def claimed_work(context: JobContext, stage: Stage, unit: WorkUnit) -> Counter[str]:
+def claimed_work(context: JobContext, stage: Work, unit: WorkUnit) -> Counter[str]:
     """Do the keys of a unit that nobody else works on; return what was counted.
 
     Raises:
@@ -27,7 +27,7 @@ def claimed_work(context: JobContext, stage: Stage, unit: WorkUnit) -> Counter[s
 
 
 def _leased(
-    context: JobContext, stage: Stage, unit: WorkUnit, ended: int = 0
+    context: JobContext, stage: Work, unit: WorkUnit, ended: int = 0
 ) -> tuple[Counter[str], Sequence[tuple[str, int]]]:
     """Return what was counted, and the keys that are to be done alone with how many workers have ended at each."""
     counts: Counter[str] = Counter()
@@ -41,7 +41,7 @@ def _leased(
 
 
 def _done(
-    context: JobContext, leased: LeasedStorage, stage: Stage, keys: Sequence[str], ended: int
+    context: JobContext, leased: LeasedStorage, stage: Work, keys: Sequence[str], ended: int
 ) -> Mapping[str, int]:
     try:
         if ended < MOST_ENDED:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 from estimation.errors import WorkFailedError
 from estimation.jobs.claimed_work import claimed_work
-from estimation.jobs.job import JobContext, Stage, WorkUnit
-from estimation.values.claims import MOST_ENDED
+from estimation.jobs.job import JobContext, Work, WorkUnit
+from estimation.values.runs import MOST_ENDED
 
 AHEAD = 2
 """Units in hand per unit that is worked on, so that no worker waits for the next."""
@@ -34,7 +34,7 @@ class _Handed:
     ended: int = 0
 
 
-def hand_out(context: JobContext, stage: Stage, units: Iterable[Unit], done: Callable[[int], None]) -> Counter[str]:
+def hand_out(context: JobContext, stage: Work, units: Iterable[Unit], done: Callable[[int], None]) -> Counter[str]:
     """Let units be worked on and return what was counted, summed.
 
     Args:
@@ -76,7 +76,7 @@ class _Handing:
     """What is handed out, by the future of its counts."""
 
     context: JobContext
-    stage: Stage
+    stage: Work
     done: Callable[[int], None]
     counts: Counter[str] = field(default_factory=Counter)
     handed: dict[Future[Mapping[str, int]], _Handed] = field(default_factory=dict)

@@ -68,7 +68,7 @@ class JobContext:
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class Work:
     """Work of a job that is done in units: some keys each, such as the serials of wheelsets.
 
     Whoever does a unit claims its keys in the database and stores what comes of them; what is handed back are counts.

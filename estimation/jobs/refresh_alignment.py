@@ -16,7 +16,7 @@ from dataclasses import replace
 from estimation.errors import TreadwatchError
 from estimation.jobs.hand_out import hand_out
 from estimation.jobs.isolation import Isolation, fails_alone, no_inputs
-from estimation.jobs.job import Job, JobContext, Stage
+from estimation.jobs.job import Job, JobContext, Work
 from estimation.jobs.steps.epoch_inputs import FileLookup, entries, given, input_digest
 from estimation.jobs.steps.epoch_passes import epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
@@ -33,13 +33,12 @@ from estimation.jobs.steps.store_alignment import (
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_positions import Solved
 from estimation.storage import UnitOfWork
-from estimation.track.journeys import NANOSECONDS, Journey
 from estimation.track.partition import Entry, Group, first_epoch, newest_within
+from estimation.track.passes import NANOSECONDS, Journey
 from estimation.track.placing import place_alone
 from estimation.track.update import UpdateOutcome, update_alignment
-from estimation.values.quarantine import SubjectKind
-from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
-from estimation.values.track_epochs import OPEN_NS, TrackEpoch
+from estimation.values.runs import SubjectKind
+from estimation.values.track import OPEN_NS, Correction, TrackAlignment, TrackEpoch, TrackSectionRecord
 
 _COUNTED = {
     UpdateOutcome.UNESTIMATED: "unestimated",
@@ -133,7 +132,7 @@ def _set_aside(context: JobContext, code: str, error: TreadwatchError) -> None:
 
 
 JOB = Job("refresh_alignment", "Find the alignment of sections and the positions of windows", every_s=600.0, run=run)
-STAGE = Stage(JOB.name, _work, _set_aside)
+STAGE = Work(JOB.name, _work, _set_aside)
 
 
 def _first_due(context: JobContext, section: TrackSectionRecord) -> Due | None:

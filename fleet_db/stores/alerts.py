@@ -11,7 +11,9 @@ from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
-from estimation.values.identity import IDENTITY, UNREGISTERED_CHANGE
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
+from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.session import to_json
@@ -47,6 +49,10 @@ class AlertStore:
         """Return open alerts by number, of one wheelset or of all."""
         statement = _open() if wheelset is None else _open().where(ALERTS.c.wheelset == wheelset)
         return self._alerts(statement.order_by(ALERTS.c.alert_id))
+
+    def open_of(self, wheelsets: Collection[str]) -> Sequence[Alert]:
+        """Return the open alerts of some wheelsets, by number."""
+        return self._alerts(_open().where(ALERTS.c.wheelset.in_(wheelsets)).order_by(ALERTS.c.alert_id))
 
     def open_in_fleet(self, fleet: str) -> Sequence[Alert]:
         """Return the open alerts of a fleet and of its wheelsets, by number."""
@@ -96,6 +102,11 @@ class AlertStore:
         """Return at most ``limit`` alerts that match every filter given, by number, from behind ``after_id`` on."""
         chosen = AlertChoice(fleet, wheelset, kind, condition, severity, scope, fleet_alert_id, open_only=open_only)
         return self._alerts(page_of(select(ALERTS), chosen, after_id, limit, newest_first=newest_first))
+
+    def of_kind(self, kind: str, wheelsets: Collection[str]) -> Sequence[Alert]:
+        """Return every alert of a kind that there has been of some wheelsets, by number."""
+        chosen = (ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(wheelsets))
+        return self._alerts(select(ALERTS).where(*chosen).order_by(ALERTS.c.alert_id))
 
     def outlines(
         self, choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool = False
@@ -210,9 +221,11 @@ class AlertStore:
         for row in rows:
             self.connection.execute(insert(EVENTS).values(**row))
         if saved.wheelset is not None:
-            self.changes.show(saved.wheelset)
+            self.changes.touch(saved.wheelset)
+            self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.ALERTS)
         if events and saved.kind in RESTARTING and saved.wheelset is not None:
             self.changes.note(saved.wheelset)  # its geometry starts again from the change
+            self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.RESTARTS)
         return saved
 
     def _in_feed(self, alert: Alert) -> bool:

@@ -9,8 +9,13 @@ from typing import Any
 from sqlalchemy import Row
 
 from estimation.errors import DamagedError
-from estimation.values.geometry import WheelsetGeometry
-from estimation.values.interval_conicities import IntervalConicities, KnownConicity, known_conicities, why_no_conicity
+from estimation.values.geometry import (
+    IntervalConicities,
+    KnownConicity,
+    WheelsetGeometry,
+    known_conicities,
+    why_no_conicity,
+)
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.rows import nan_if_null, table_of
 from fleet_db.tables import GeometryRow

@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile
 from estimation.contact.radius_difference import refined_curve
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.profile_files import rails_of, wheels_of
 from ingest.simulator.running import CONTACT_STEP
-from ingest.simulator.scenario import SectionPlan, WheelsetPlan
+from ingest.simulator.scenario import WheelsetPlan
+from ingest.simulator.section import SectionPlan
 
 AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from estimation.errors import PassingFaultError
 from estimation.failures import after_failure
 from estimation.storage import Clock
-from estimation.values.quarantine import Quarantined, SubjectKind, resolved
+from estimation.values.runs import Quarantined, SubjectKind, resolved
 from fleet_db.raw import LostRecordingError
 from fleet_db.storage import SqlStorage
 from ingest.topic.reference import Reference, as_text, from_text

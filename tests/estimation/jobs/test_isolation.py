@@ -16,10 +16,9 @@ from wheelset_life import SetClock
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
-from estimation.values.quarantine import QuarantineState, SubjectKind, delay_s
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.runs import JobTrigger
+from estimation.values.runs import JobTrigger, QuarantineState, SubjectKind, delay_s
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowRecord, WindowState
 from fleet_db.rows import table_of
