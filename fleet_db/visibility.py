@@ -162,7 +162,6 @@ SHARED = frozenset(
     {
         "feed_branches",
         "idempotency_keys",
-        "job_owners",
         "job_runs",
         "purges",
         "section_adhesion",
@@ -174,6 +173,7 @@ SHARED = frozenset(
         "track_sections",
         "track_versions",
         "vehicle_classes",
+        "work_leases",
         "alembic_version",
     }
 )
@@ -191,7 +191,6 @@ HIDDEN = frozenset(
         "webhook_secrets",
         "window_due",
         "work_claims",
-        "work_leases",
     }
 )
 """Tables that a bound caller does not see at all."""

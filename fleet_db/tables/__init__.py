@@ -12,7 +12,6 @@ from fleet_db.tables.alerts import (
 )
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
-    JobOwnerRow,
     JobRunRow,
     LookRow,
     SectionChangeRow,
@@ -84,7 +83,6 @@ __all__ = [
     "FeedBranchRow",
     "FleetRow",
     "IdempotencyRow",
-    "JobOwnerRow",
     "JobRunRow",
     "LookRow",
     "MeasuredProfilesRow",
