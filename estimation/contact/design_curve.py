@@ -38,8 +38,7 @@ HEAD_DEPTH = 5.0  # mm below its top, where the middle of a head is taken
 _MILLIMETRE = 1e-3
 _TREADS = ("S1002", "1/40")
 
-_Movement = tuple[float, float, float]
-"""Shift across and down (mm) after a turn about the origin (rad)."""
+_Movement = tuple[float, float, float]  # shift across and down (mm) after a turn about the origin (rad)
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,8 +76,7 @@ class ContactTable(FrozenArrays):
         return self.contact_angle_left + self.contact_angle_right
 
 
-FLANGE_BACK_DISTANCE = 1.360
-"""Usual distance between the flange backs of a wheelset for 1435 mm, m."""
+FLANGE_BACK_DISTANCE = 1.360  # usual distance between the flange backs of a wheelset for 1435 mm, m
 
 _REASONS = {
     kernels.NO_OVERLAP: "a wheel is not above its rail",

@@ -41,11 +41,9 @@ class MeasuredProfiles:
 
 ProfileKind = Literal["wheel", "rail"]
 
-TREAD_DATUM = 0.070
-"""Distance of a wheel's tread datum from its flange back, m."""
+TREAD_DATUM = 0.070  # distance of a wheel's tread datum from its flange back, m
 
-SAMPLING_STEP_MM = 0.05
-"""Distance between the points of an analytic profile, along its surface."""
+SAMPLING_STEP_MM = 0.05  # distance between the points of an analytic profile, along its surface
 
 _FEWEST_POINTS = 4
 _MILLIMETRE = 1e-3

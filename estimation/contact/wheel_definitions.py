@@ -144,8 +144,7 @@ WHEEL_DEFINITIONS: Mapping[str, Callable[[], tuple[Segment, ...]]] = MappingProx
 )
 
 
-_UPRIGHT = 99.0
-"""Slope of vertical sides; profiles are heights over y."""
+_UPRIGHT = 99.0  # slope of vertical sides; profiles are heights over y
 
 _SIDE_DEPTH = 8.0
 

@@ -138,8 +138,7 @@ class WindowPosition:
     reason: Reason | None = None
 
 
-WindowKey = tuple[str, int]
-"""Wheelset and start of a window, in vehicle time."""
+WindowKey = tuple[str, int]  # wheelset and start of a window, in vehicle time
 
 
 @dataclass(frozen=True, slots=True)
