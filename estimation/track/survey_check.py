@@ -74,13 +74,7 @@ class SurveyCheck:
     samples: float  # independent ones
 
 
-def check_survey(
-    recorded: TrackAlignment,
-    fleet: TrackAlignment,
-    *,
-    place_std: float = 0.0,
-    parameters: SurveyCheckParameters | None = None,
-) -> SurveyCheck:
+def check_survey(recorded: TrackAlignment, fleet: TrackAlignment, *, place_std: float = 0.0) -> SurveyCheck:
     """Return whether a recorded alignment may be used, by an alignment that was found without it.
 
     Args:
@@ -89,7 +83,7 @@ def check_survey(
         place_std: Std of the position of the fleet as a whole along the section, m: the scatter of its journeys'
             positions over the root of their number. A shift within it is not held against the survey.
     """
-    p = parameters or SurveyCheckParameters()
+    p = SurveyCheckParameters()
     both = _on_one_grid(recorded, fleet)
     if both is None:
         return _nothing(NOT_ASSESSABLE)
