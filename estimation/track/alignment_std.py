@@ -24,9 +24,8 @@ from estimation.values.track import AlignmentSource, TrackAlignment
 
 @dataclass(frozen=True, slots=True)
 class LongWaveAlignment:
-    """Mean of y - h(R) over the passes, high-passed at ``cutoff_wavelength`` only."""
+    """Mean of y - h(R) over the passes, high-passed at one cut-off wavelength only."""
 
-    cutoff_wavelength: float  # m
     alignment: FloatArray  # (n,) m, zero where no pass
     pass_std: float  # m, of one pass, from the spread of the passes
     passes: FloatArray  # (n,) sum of their weights
@@ -60,7 +59,7 @@ def long_wave_alignment(
     mean = total / shared
     several = count > 1
     spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
-    return LongWaveAlignment(cutoff_wavelength, mean, float(np.sqrt(max(spread, 0.0))), count, curves / shared)
+    return LongWaveAlignment(mean, float(np.sqrt(max(spread, 0.0))), count, curves / shared)
 
 
 SENSOR_RESIDUAL = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
