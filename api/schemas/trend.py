@@ -10,8 +10,7 @@ from api.schemas.common import Links, Representation, Uncertain, finite, finite_
 from api.schemas.registry import segment
 from api.schemas.unestimated import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, times_to_rfc3339, to_rfc3339
-from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.trend.points import QUANTITY
+from estimation.trend.extrapolation import QUANTITY, conicity_at_limit_amplitude
 from estimation.values import trend as values
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status

@@ -17,8 +17,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from estimation.contact.en13715 import NAMES as EN13715_NAMES
 from estimation.contact.en13715 import en13715_wheel
-from estimation.contact.segments import Segment, sample
-from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment, sample
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, frozen_array
 

@@ -14,8 +14,7 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.steps.identities import identity_change, suspected
 from estimation.jobs.steps.roster import roster
 from estimation.storage import UnitOfWork
-from estimation.trend.extrapolation import LIMIT_AMPLITUDE
-from estimation.trend.points import conicity_points
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_points
 from estimation.trend.steps import behind_step, newest_step, with_step
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.geometry import IntervalConicities

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
-from estimation.track.gridded_pass import GriddedPass
+from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
 from estimation.track.panel.solution import PanelSolution, between_pass_std_ratio
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.results import SectionResults, findings
-from estimation.track.section_grid import SectionGrid
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status

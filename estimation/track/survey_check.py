@@ -21,8 +21,7 @@ from scipy import fft
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.track.alignment_std import GAUGE_EFFECT
 from estimation.track.correlation import peak_position
-from estimation.track.gauge.initial_shape import LEAST_GAUGE
-from estimation.track.gauge.wheel_functions import contact_samples, gauge_factor_with_std
+from estimation.track.gauge.wheel_functions import LEAST_GAUGE, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import log10_chance

@@ -20,8 +20,7 @@ from estimation.alerts.rules.rule import (
     too_few_windows,
     unknown_evidence,
 )
-from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_at_limit_amplitude
-from estimation.trend.points import QUANTITY
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, QUANTITY, conicity_at_limit_amplitude
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason

@@ -19,7 +19,7 @@ from estimation.alerts.rules.rule import (
     number_evidence,
     unknown_evidence,
 )
-from estimation.trend.points import QUANTITY
+from estimation.trend.extrapolation import QUANTITY
 from estimation.values.alerts import Finding, Severity
 from estimation.values.reasons import code_of
 
