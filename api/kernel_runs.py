@@ -32,14 +32,11 @@ from estimation.motion.integration import integrate_once, integrate_twice, take_
 from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, mirror, write_pieces
 from estimation.motion.track_lookup import evaluate, extent
-from estimation.tables.bin_table import BinParameters, fill_cells, group_of, init
-from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
+from estimation.tables.bin_table import BinParameters, fill_cells, group_of
 from estimation.tables.least_squares import collect
 from estimation.track.panel.normal_equations import add_filtered_hats
 from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.geometry import FilledCells
-from estimation.values.roll_up import HALF
 from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import Signals, regression
@@ -293,36 +290,6 @@ class Cones:
         return (self.rolling_radius_left - self.rolling_radius_right) / 1.5
 
 
-def _exact_sums() -> Iterator[FloatArray]:
-    parameters = BinParameters(vehicle=VehicleParameters())
-    start = nothing(init(parameters), parameters)
-    columns = (start.lateral, start.upper.shape[1] - 1 - start.lateral)
-    cells = FilledCells(
-        parameter_key=start.parameter_key,
-        edges=start.edges,
-        groups=start.groups,
-        cells=np.arange(2),
-        weight=np.array([1.5, 2.0]),
-        lateral=np.full((2, columns[0]), -0.3),
-        yaw=np.full((2, columns[1]), 1e-9),
-        samples=2,
-        windows=1,
-    )
-    found = ExactSum(start)
-    for _ in range(3):
-        found.add(cells, 0.7)
-    found.take(cells, 0.7)
-    yield found.result().lower.astype(float)
-    largest = 0.75 * LARGEST * 2.0 ** (start.exponent + HALF)
-    for heavy in ([largest, largest], [np.nan, 1.0]):
-        too_much = ExactSum(start)
-        try:
-            for _ in range(2):
-                too_much.add(replace(cells, weight=np.array(heavy)))
-        except OverflowError as error:
-            yield np.array([len(str(error))])
-
-
 def _passes() -> Iterator[FloatArray]:
     rng = np.random.default_rng(7)
     signals, at = rng.standard_normal((3, 40)), np.cumsum(rng.uniform(0.05, 0.2, 40))
@@ -363,7 +330,6 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _saturation,
     _rolling_radius,
     _smoothing_spline,
-    _exact_sums,
     _frames,
     _simulator,
     _running_gears,

@@ -87,6 +87,7 @@ class Settings(BaseSettings):
             password may contain any character.
         rules_file: TOML file of alert rules; left out, the rules shipped with the package.
         retention_file: TOML file of how long what is kept; left out, the shipped numbers of days.
+        host, port: Where the REST API listens.
         access: ``keys``: who asks needs a key or a token. ``open``: nobody does; on loopback alone, unless it says
             ``open to everyone who reaches this address``.
         hosts, origins: Names under which the REST API is reached, and origins of pages that may change something,

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.adhesion_wrong import WrongFile, as_on_file
+from ingest.file_value import read_value
+from ingest.input_file import InputFile
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import ScenarioTable
 
@@ -80,7 +82,7 @@ def quiet_scenario(folder: Path, row: QuietRow) -> Scenario:
     path = folder / f"{OF}.toml"
     tables = tomllib.loads(path.read_text(encoding="utf-8"))
     changed = {name: tables.get(name, {}) | dict(table) for name, table in row.tables.items()}
-    return ScenarioTable.model_validate(tables | changed).scenario(folder)
+    return read_value(InputFile(path, tables | changed), ScenarioTable).scenario()
 
 
 def as_seen(fleet: Fleet, row: QuietRow) -> Fleet:

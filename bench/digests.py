@@ -58,7 +58,7 @@ DEFAULT = ("known", "unknown")
 ALL = (*DEFAULT, "tiny")
 
 ESTIMATE_KEYS = {"value", "std", "interval_95", "n_windows", "status"}
-KEPT = {
+KEPT: dict[str, set[str] | None] = {
     "geometry": ESTIMATE_KEYS
     | {
         *("wheelset", "baseline", "mileage_km", "measured_from", "measured_to", "equivalent_conicity_1"),
@@ -93,8 +93,17 @@ KEPT = {
         *("quality", "coverage_1", "longest_gap_s", "gaps", "clipped_1", "invalid_1", "speed_min_m_s"),
         *("speed_max_m_s", "position_quality_1", "sensor_fault"),
     },
+    "adhesion": None,
+    "rails": None,
+    "signature": None,
+    "dampers": None,
+    "worklist": None,
 }
-"""Keys that are compared, at any depth; a key that an answer gains later changes no digest."""
+"""Keys that are compared, at any depth; a key that an answer gains later changes no digest. None: all but these:"""
+
+LEFT_OUT = {"links", "recorded_at", "opened_at", "code_version", "input_digest", "parameters", "id"} | {
+    *("reason", "text", "sentence", "description", "content_digest", "revision"),
+}
 
 TIME = re.compile(r"\d{4}-\d\d-\d\dT[\d:]+(\.\d+)?Z")
 
@@ -260,12 +269,22 @@ def _items(url: str, path: str) -> list[Any]:
 def _results(url: str) -> dict[str, Any]:
     wheelsets = sorted(item["serial"] for item in _items(url, "/v1/wheelsets"))
     sections = sorted(item["code"] for item in _items(url, "/v1/track-sections"))
+    vehicles = sorted(item["code"] for item in _items(url, "/v1/vehicles"))
+
+    def of_each(place: str, names: Sequence[str], kind: str) -> dict[str, Any]:
+        return {name: _get(url, f"/v1/{place}/{_quoted(name)}/{kind}") for name in names}
+
     answers = {
         "geometry": {serial: _recorded(url, f"/v1/wheelsets/{_quoted(serial)}/geometry") for serial in wheelsets},
         "trend": {serial: _recorded(url, f"/v1/wheelsets/{_quoted(serial)}/trend") for serial in wheelsets},
         "alerts": _alerts(url),
         "tracks": {code: _track(url, f"/v1/track-sections/{_quoted(code)}") for code in sections},
         "windows": {serial: _items(url, f"/v1/wheelsets/{_quoted(serial)}/windows") for serial in wheelsets},
+        "adhesion": of_each("track-sections", sections, "adhesion") | of_each("wheelsets", wheelsets, "creep-forces"),
+        "rails": of_each("track-sections", sections, "rails") | of_each("wheelsets", wheelsets, "rails"),
+        "signature": of_each("wheelsets", wheelsets, "signature"),
+        "dampers": of_each("vehicles", vehicles, "dampers"),
+        "worklist": {row["serial"]: row for row in _items(url, "/v1/wheelsets")},
     }
     return {
         group: {key: _kept(answer, KEPT[group]) for key, answer in by_key.items()} for group, by_key in answers.items()
@@ -295,10 +314,11 @@ def _track(url: str, path: str) -> dict[str, Any]:
     }
 
 
-def _kept(value: Any, names: set[str]) -> Any:  # noqa: ANN401 - JSON
+def _kept(value: Any, names: set[str] | None) -> Any:  # noqa: ANN401 - JSON
     """Return the comparable part of an answer: named keys, and times as seconds."""
     if isinstance(value, dict):
-        kept = {name: _kept(item, names) for name, item in sorted(value.items()) if name in names}
+        chosen = sorted(set(value) - LEFT_OUT if names is None else names & set(value))
+        kept = {name: _kept(value[name], names) for name in chosen}
         if isinstance(value.get("refused_windows"), dict):  # its keys are sentences
             kept["refused_windows"] = sum(value["refused_windows"].values())
         return kept

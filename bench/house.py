@@ -2,6 +2,8 @@
 
 Definitions, in the order of the table:
 
+product lines, modules
+    Of the Python files of the four packages.
 loose modules
     Files directly in ``estimation/`` but ``__init__.py``.
 import cycles
@@ -20,6 +22,8 @@ files entered by one frame
     values (``estimation/values``, files of which only special methods run) and infrastructure (``INFRASTRUCTURE``: the
     command line, settings, transactions, records of job runs, logs, HTTP without content). Two rows: to the geometry,
     the answer that the frame's own data end in, and to trend and alerts besides.
+SQL statements
+    Of each job over six windows of two wheelsets on a new database (``bench/job_statements.py``).
 start
     CPU seconds (user and system) of the command line, median of five.
 loose words
@@ -43,6 +47,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import grimp
 import numpy as np
@@ -58,6 +63,7 @@ SCREEN = 50
 COMPLEXITY = 10
 LONG_FILE = 400
 STARTS = 5
+CORE_JOBS = ("refresh_alignment", "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
 ALIGNMENT_JOB = "refresh_alignment"
 API_START = "start of the REST API"
 TO_GEOMETRY = ("ingest", "estimate_windows", "refresh_geometry", "/v1/wheelsets/{serial}/geometry")
@@ -89,7 +95,7 @@ DUNDER = re.compile(r"(.*\.)?__\w+__")
 
 @dataclass(frozen=True)
 class Count:
-    """One row: what was counted at commit aad8566, now, what is to be reached, and the places."""
+    """One row: what was counted before the house was put in order, now, what is to be reached, and the places."""
 
     what: str
     before: str
@@ -109,7 +115,7 @@ def main(arguments: Sequence[str]) -> int:
     root = given.root.resolve()
     counts = [*static_counts(root)]
     if not given.static:
-        counts += [*frame_counts(root), *start_counts(root)]
+        counts += [*frame_counts(root), *statement_counts(root), *start_counts(root)]
     table = Table("what", "before", "now", "reach", title="treadwatch house", title_justify="left")
     for count in counts:
         table.add_row(count.what, count.before, count.now, count.reach)
@@ -123,6 +129,9 @@ def main(arguments: Sequence[str]) -> int:
 
 def static_counts(root: Path) -> Iterator[Count]:
     """Yield what is counted from the sources alone."""
+    sources = [text for _, text in _sources(root)]
+    yield Count("product lines", "119363", str(sum(len(text.splitlines()) for text in sources)), "<= 92000")
+    yield Count("modules", "981", str(len(sources)), "<= 640")
     loose = tuple(sorted(path.name for path in (root / "estimation").glob("*.py") if path.name != "__init__.py"))
     yield Count("modules loose at the top of estimation/", "33", str(len(loose)), "<= 6", loose)
     cycles, arrows = import_faults(root)
@@ -264,10 +273,49 @@ def frame_counts(root: Path) -> Iterator[Count]:
     """Yield the files that one frame enters, to the geometry and to all answers."""
     traced = trace(root)
     to_geometry = {stage: files for stage, files in traced.items() if stage in TO_GEOMETRY}
-    for name, before, stages in (("its geometry", "62", to_geometry), ("geometry, trend and alerts", "84", traced)):
+    for name, before, reach, stages in (
+        ("its geometry", "175", "<= 80", to_geometry),
+        ("geometry, trend and alerts", "216", "<= 110", traced),
+    ):
         files = entered_files(stages)
         places = tuple(f"{file}  ({entered})" for file, entered in files.items())
-        yield Count(f"files entered by one frame, from log to {name}", before, str(len(files)), "<= 45", places)
+        yield Count(f"files entered by one frame, from log to {name}", before, str(len(files)), reach, places)
+
+
+def statement_counts(root: Path) -> Iterator[Count]:
+    """Yield the SQL statements from alignment to alerts, and of each job."""
+    executed = job_statements(root)
+    places = tuple(f"{job}: {count}" for job, count in executed.items())
+    core = sum(executed[job] for job in CORE_JOBS)
+    yield Count("SQL statements from alignment to alerts, 6 windows of 2 wheelsets", "890", str(core), "<= 200", places)
+    yield Count("SQL statements of any job, the same windows", "370", str(max(executed.values())), "<= 150", places)
+
+
+def job_statements(root: Path) -> dict[str, int]:
+    """Return how many SQL statements each job executes over six windows of two wheelsets."""
+    with tempfile.TemporaryDirectory(prefix="treadwatch-house-") as name:
+        folder = Path(name)
+        environment = environment_of(folder) | {"PYTHONPATH": str(root), "TREADWATCH_WINDOW_LENGTH_S": "120"}
+        simulated = simulate("frame", folder, environment)
+        command(["db", "upgrade"], folder, environment)
+        recordings = map(str, sorted(simulated.glob("*/*.blf")))
+        command(["ingest", "--registry", str(simulated / "registry.json"), *recordings], folder, environment)
+        return _script("job_statements.py", folder, environment)
+
+
+def _script(name: str, folder: Path, environment: dict[str, str], *arguments: str) -> Any:  # noqa: ANN401 - JSON
+    """Return what a script beside this file prints as JSON."""
+    done = subprocess.run(  # noqa: S603 - our own script
+        [sys.executable, "-P", str(Path(__file__).with_name(name)), *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return json.loads(done.stdout)
 
 
 def trace(root: Path) -> dict[str, dict[str, list[str]]]:
@@ -280,19 +328,7 @@ def trace(root: Path) -> dict[str, dict[str, list[str]]]:
         command(["db", "upgrade"], folder, environment)
         command(["ingest", "--registry", str(simulated / "registry.json"), *map(str, earlier)], folder, environment)
         command(["estimate"], folder, environment)
-        tracer = Path(__file__).with_name("frame_trace.py")
-        done = subprocess.run(  # noqa: S603 - our own script
-            [sys.executable, "-P", str(tracer), "T-A2", str(last)],
-            cwd=folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    if done.returncode:
-        raise RuntimeError(done.stderr)
-    found: dict[str, dict[str, list[str]]] = json.loads(done.stdout)
-    return found
+        return _script("frame_trace.py", folder, environment, "T-A2", str(last))
 
 
 def entered_files(traced: dict[str, dict[str, list[str]]]) -> dict[str, str]:

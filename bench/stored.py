@@ -33,14 +33,14 @@ DAYS_AFTER = 10  # of them, after the purge
 MB = 1e6
 REACH_MB = 200.0
 GEOMETRIES_A_RUN = 2  # the current one, and that of the newest interval
-JOB_S = {"geometries": 900.0, "trends": 900.0}  # a trend follows a geometry
+JOB_S = {"geometries": 900.0, "results": 900.0}  # a trend follows a geometry
 PER_WINDOW = {
     "samples of windows": (),
     "bin tables": ("window_bin_tables",),
     "windows": ("windows", "window_positions", "track_epoch_windows"),
 }
-PER_INTERVAL = {"roll-ups": ("roll_ups", "roll_up_states", "rolling_sums", "taken_tables")}
-VERSIONS = {"geometries": "geometry_estimates", "trends": "trends"}
+PER_INTERVAL = {"roll-ups": ("roll_ups", "roll_up_states", "rolling_sums", "window_due")}
+VERSIONS = {"geometries": "geometry_estimates", "results": "results"}
 Bytes = Mapping[str, float]
 
 

@@ -15,16 +15,17 @@ from api.factory import job_context, open_store
 from api.settings import Settings
 from bench.report import BenchRow
 from bench.wheelset_year import SERIAL, WheelsetYear, recorded
+from estimation.values.trend import TREND
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import TrendRow
+from fleet_db.tables import ResultRow
 from tests.postgres_server import SAFE, stoppable_server
 
 VERSIONS, AT_ONCE, ROUNDS, READS = 70_000, 5_000, 11, 40
 SECOND_NS = 1_000_000_000
 REACH_MS = 2.0
-TRENDS = table_of(TrendRow)
+RESULTS = table_of(ResultRow)
 
 
 def rows() -> Iterator[BenchRow]:
@@ -47,16 +48,21 @@ def rows() -> Iterator[BenchRow]:
 def _copied(storage: SqlStorage) -> int:
     """Store the newest trend again and again, each a second later; return when the first copy was recorded, ns."""
     with storage.read() as unit:
-        newest = select(TRENDS).where(TRENDS.c.wheelset == SERIAL).order_by(TRENDS.c.trend_id.desc()).limit(1)
-        row = unit.connection.execute(newest).mappings().one()
-    values = {name: value for name, value in row.items() if name != "trend_id"}
+        newest = select(RESULTS).where(RESULTS.c.stage == TREND.stage, RESULTS.c.subject == SERIAL)
+        row = unit.connection.execute(newest.order_by(RESULTS.c.result_id.desc()).limit(1)).mappings().one()
+    values = {name: value for name, value in row.items() if name != "result_id"}
     first_ns = row["recorded_ns"] + SECOND_NS
     for begin in range(0, VERSIONS, AT_ONCE):
         numbers = range(begin, min(begin + AT_ONCE, VERSIONS))
         with storage.write() as unit:
-            copies = [values | {"recorded_ns": first_ns + number * SECOND_NS} for number in numbers]
-            unit.connection.execute(insert(TRENDS), copies)
+            copies = [values | _times(first_ns + number * SECOND_NS) for number in numbers]
+            unit.connection.execute(insert(RESULTS), copies)
     return int(first_ns)
+
+
+def _times(recorded_ns: int) -> dict[str, int]:
+    """Return the times of a trend that was followed by another a second later; the one in force stays so."""
+    return {"recorded_ns": recorded_ns, "superseded_ns": recorded_ns + SECOND_NS}
 
 
 def _row(what: str, storage: SqlStorage, as_of_ns: int | None) -> BenchRow:

@@ -15,6 +15,7 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
     ├── NotFoundError              no such fleet, vehicle, wheelset, section, alert, job
     ├── ConflictError              the thing is not in the state that the request assumes
     ├── PassingFaultError          the machine cannot do it now: no space, mount, permission, memory, extra
+    ├── NotFiniteError             an estimated number is none: the result before it stays in force
     ├── WorkersEndedError          so many worker processes ended at one thing that it is set aside
     ├── WorkFailedError            a unit of work failed in its worker process
     ├── StoppedError               a job ended between two batches because the process is stopping
@@ -137,6 +138,10 @@ class StoppedError(TreadwatchError):
         self.done = done
         self.total = total
         super().__init__(f"stopped on request after {done} of {total}")
+
+
+class NotFiniteError(TreadwatchError):
+    """A computation has an estimated number that is not finite."""
 
 
 class WorkersEndedError(TreadwatchError):

@@ -6,15 +6,15 @@ What the worklist shows of them is made again then, too (``fleet_db.stores.workl
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
-from sqlalchemy import Connection, Select, select, update
+from sqlalchemy import Connection, select, update
 
 from fleet_db.rows import insert_new, table_of
-from fleet_db.tables import SectionChangeRow, TrackEpochWindowRow, WheelsetChangeRow, WindowRow
+from fleet_db.subjects import Subjects
+from fleet_db.tables import MountingRow, SectionChangeRow, WheelsetChangeRow
 
 CHANGES, OF_SECTIONS = table_of(WheelsetChangeRow), table_of(SectionChangeRow)
-MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)
+MOUNTINGS = table_of(MountingRow)
 
 
 @dataclass(slots=True)
@@ -26,6 +26,7 @@ class Changes:
     """
 
     connection: Connection
+    subjects: Subjects
     noted: set[str] = field(default_factory=set)
     shown: set[str] = field(default_factory=set)
     touched: set[str] = field(default_factory=set)  # noted or shown since they were written last
@@ -57,16 +58,14 @@ class Changes:
     def refile(self, wheelset: str) -> None:
         """Something on file of ``wheelset`` has changed that its geometry, windows and epochs rest on."""
         self.note(wheelset)
-        for table, column in ((WINDOWS, WINDOWS.c.track_section), (MEMBERS, MEMBERS.c.section)):
-            self._on_sections(select(column).where(table.c.wheelset == wheelset))
+        self.sections.update(self.subjects.wheelset_on_file(wheelset))
 
     def refile_vehicle(self, vehicle: str) -> None:
-        """Something on file of ``vehicle`` has changed that its windows rest on."""
-        self._on_sections(select(WINDOWS.c.track_section).where(WINDOWS.c.vehicle == vehicle))
-
-    def _on_sections(self, found: Select[Any]) -> None:
-        for section in self.connection.scalars(found.distinct()):
-            self.on_section(section)
+        """Something on file of ``vehicle`` has changed that its windows rest on, and the worklist shows."""
+        self.sections.update(self.subjects.vehicle_on_file(vehicle))
+        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.to_ns.is_(None))
+        for serial in self.connection.scalars(mounted):
+            self.show(serial)
 
     def take_shown(self) -> list[str]:
         """Return the serials whose row of the worklist is to be made again, in their order; they are forgotten here."""
@@ -76,6 +75,7 @@ class Changes:
 
     def flush(self) -> None:
         """Write what was noted."""
+        self.subjects.flush()
         for wheelset in sorted(self.touched):
             more = 1 if wheelset in self.noted else 0
             counted = update(CHANGES).where(CHANGES.c.wheelset == wheelset)

@@ -14,6 +14,7 @@ from estimation.errors import StorageError
 from estimation.values.runs import Claimed, JobTrigger
 from fleet_db import locks
 from fleet_db.changes import Changes
+from fleet_db.due import WindowDueStore
 from fleet_db.locks import (
     Lease,
     UnendedLease,
@@ -49,11 +50,13 @@ from fleet_db.stores.recorded_times import RecordedTimeStore
 from fleet_db.stores.recording_changes import RecordingChangeStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore
+from fleet_db.stores.results import ResultStore
 from fleet_db.stores.roll_ups import RollUpStore
 from fleet_db.stores.section_looks import SectionLookStore
 from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.signatures import SignatureStore
+from fleet_db.stores.stage_marks import StageMarkStore
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.suspension import SuspensionStore
 from fleet_db.stores.track_epochs import EpochStore
@@ -65,6 +68,7 @@ from fleet_db.stores.windows import WindowStore
 from fleet_db.stores.work_claims import WorkClaimStore
 from fleet_db.stores.worklist import WorklistStore
 from fleet_db.stores.worklist_inputs import WorklistReader
+from fleet_db.subjects import Subjects
 from fleet_db.telemetry import WindowFiles
 from fleet_db.visibility import VISIBLE
 
@@ -80,6 +84,7 @@ class SqlUnitOfWork:
     writing: bool
     shipped: Shipped = no_class
     owner: int | None = None  # token of the process that runs jobs
+    subjects: Subjects = field(init=False)
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
     settings: StoredSettingStore = field(init=False)
@@ -97,7 +102,10 @@ class SqlUnitOfWork:
     windows: WindowStore = field(init=False)
     assembled: AssembledWindowStore = field(init=False)
     tables: BinTableStore = field(init=False)
+    due: WindowDueStore = field(init=False)
     geometries: GeometryStore = field(init=False)
+    marks: StageMarkStore = field(init=False)
+    results: ResultStore = field(init=False)
     trends: TrendStore = field(init=False)
     suspensions: SuspensionStore = field(init=False)
     adhesion: AdhesionStore = field(init=False)
@@ -121,7 +129,8 @@ class SqlUnitOfWork:
 
     def __post_init__(self) -> None:
         connection = self.connection
-        self.changes = Changes(connection)
+        self.subjects = Subjects(connection)
+        self.changes = Changes(connection, self.subjects)
         self.chunks = ChunkStore(connection)
         self.settings = StoredSettingStore(connection)
         self.stale_spans = StaleSpanStore(connection)
@@ -131,17 +140,20 @@ class SqlUnitOfWork:
         self.recording_changes = RecordingChangeStore(connection)
         self.registry = RegistryStore(connection, self.changes, self.shipped)
         self.tracks = TrackStore(connection, self.changes)
-        self.registry_history = RegistryHistoryStore(connection)
+        self.registry_history = RegistryHistoryStore(connection, self.changes)
         self.sensor_changes = SensorChangeStore(connection, self.changes)
         self.corrections = CorrectionStore(
-            connection, self.changes, self.registry, self.tracks, self.registry_history, self.sensor_changes
+            connection, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
         self.epochs = EpochStore(connection, self.changes)
         self.windows = WindowStore(connection, self.changes, self.files)
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.changes)
-        self.trends = TrendStore(connection, self.changes)
+        self.due = WindowDueStore(connection)
+        self.marks = StageMarkStore(connection, self.subjects, self.due)
+        self.results = ResultStore(connection, self.changes)
+        self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection)
         self.adhesion = AdhesionStore(connection)
         self.dampers = DamperStore(connection, self.changes)
@@ -158,7 +170,7 @@ class SqlUnitOfWork:
         self.audit = AuditStore(connection)
         self.looks = LookStore(connection, self.changes)
         self.section_looks = SectionLookStore(connection)
-        self.rails = RailsStore(connection)
+        self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)

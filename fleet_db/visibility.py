@@ -96,6 +96,15 @@ def _of_subject(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     return or_(of_wheelset, of_vehicle)
 
 
+def _of_result(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
+    """Return the results of wheelsets and vehicles of the fleets; sections are of none."""
+    return or_(
+        and_(columns.kind == "wheelset", _in(columns.subject, _WHEELSETS, "serial", fleets)),
+        and_(columns.kind == "vehicle", _in(columns.subject, _VEHICLES, "code", fleets)),
+        columns.kind == "section",
+    )
+
+
 def _of_quarantined(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     """Return what is kept apart of recordings, windows, wheelsets and vehicles of the fleets; sections are of none."""
     chunks, serials = _CHUNKS.alias(), _WHEELSETS.alias()
@@ -131,7 +140,7 @@ RULES: Mapping[str, Rule] = {
     "reprofilings": _of_wheelset,
     "measured_profiles": _of_wheelset,
     "geometry_estimates": _of_wheelset,
-    "trends": _of_wheelset,
+    "results": _of_result,
     "wheelset_changes": _of_wheelset,
     "wheelset_bins": _of_wheelset,
     "window_bin_tables": _of_wheelset,
@@ -144,11 +153,9 @@ RULES: Mapping[str, Rule] = {
     "webhook_deliveries": _of_webhook,
     "looks": _of_wheelset,
     "rail_cells": _of_wheelset,
-    "wheelset_rails": _of_wheelset,
     "roll_ups": _of_wheelset,
     "roll_up_states": _of_wheelset,
     "rolling_sums": _of_wheelset,
-    "taken_tables": _of_wheelset,
     "wear_signatures": _of_wheelset,
     "signature_answers": _of_wheelset,
     "worklist_entries": _of_fleet,
@@ -162,7 +169,6 @@ SHARED = frozenset(
         "job_runs",
         "purges",
         "section_adhesion",
-        "section_rails",
         "stored_settings",
         "track_alignments",
         "track_epochs",
@@ -183,7 +189,10 @@ HIDDEN = frozenset(
         "raw_scrubs",
         "section_changes",
         "section_looks",
+        "stage_marks",
+        "subject_versions",
         "webhook_secrets",
+        "window_due",
         "work_claims",
         "work_leases",
     }

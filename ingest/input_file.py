@@ -28,6 +28,7 @@ from ingest.bounded_file import SETTINGS_BYTES, read_text_within
 
 Location = tuple[str | int, ...]
 Model = TypeVar("Model", bound=BaseModel)
+Values = TypeVar("Values", bound=Sequence[float])
 
 _HEADER = re.compile(r"^\s*(\[\[|\[)\s*([A-Za-z0-9_.\-]+)\s*\]")
 _KEY = re.compile(r"^\s*([A-Za-z0-9_\-]+)\s*=")
@@ -68,7 +69,8 @@ def _one_short_line(text: str) -> str:
     return text
 
 
-def _increasing(values: list[float]) -> list[float]:
+def increasing(values: Values) -> Values:
+    """Refuse numbers that do not increase."""
     if any(later <= earlier for earlier, later in pairwise(values)):
         raise field_error("the list must increase")
     return values
@@ -82,7 +84,7 @@ Text = Annotated[FreeText, AfterValidator(_not_empty)]
 Code = Annotated[Text, AfterValidator(_one_short_line)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
-IncreasingNumbers = Annotated[list[NotNegative], AfterValidator(_increasing)]
+IncreasingNumbers = Annotated[list[NotNegative], AfterValidator(increasing)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +129,7 @@ class InputFile:
                 the first in the order of the schema is reported.
         """
         try:
-            return model.model_validate(self.at(location))
+            return model.model_validate(self.at(location), context=self.path.parent)
         except ValidationError as error:
             raise self._errors(error, model, location)[0] from error
 

@@ -10,14 +10,14 @@ from urllib.parse import quote
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
+from estimation.values.file_units import MM
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import utc_text
-from estimation.values.registry import Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.vehicle.vehicle_class import class_document
 from fleet_db.atomic_files import write_atomically
 from fleet_db.storage import SqlUnitOfWork
-from ingest.exact_units import in_unit, thousandths
+from ingest.file_value import entry_of
 from ingest.profiles.stored_profile import SUFFIX, stored_profile_text
 from ingest.registry_schema import FORMAT
 from ingest.section_line import COLUMNS as LINE_COLUMNS
@@ -47,18 +47,16 @@ def export_registry(unit: SqlUnitOfWork, folder: str) -> ExportedRegistry:
     wheelsets = [registry.wheelset(serial) for serial in serials]
     vehicles = registry.vehicles_page(None, None, MOST_VEHICLES)
     arrays: dict[str, Sequence[Entry]] = {
-        "fleets": [{"code": one.code, "name": one.name} for one in registry.fleets()],
+        "fleets": [entry_of(one) for one in registry.fleets()],
         "vehicle_classes": [{"recorded": class_document(one.vehicle_class)} for one in registry.vehicle_classes()],
-        "vehicles": [_vehicle(one) for one in vehicles],
-        "wheelsets": [_wheelset(one) for one in wheelsets],
-        "mountings": [_mounting(one) for serial in serials for one in registry.mountings(serial)],
-        "reprofilings": [_reprofiling(one) for wheelset in wheelsets for one in wheelset.reprofilings],
+        "vehicles": [entry_of(one) for one in vehicles],
+        "wheelsets": [entry_of(one) for one in wheelsets],
+        "mountings": [entry_of(one) for serial in serials for one in registry.mountings(serial)],
+        "reprofilings": [entry_of(one) for wheelset in wheelsets for one in wheelset.reprofilings],
         "measured_profiles": [
             _measurement(one, files) for serial in serials for one in registry.measured_profiles(serial)
         ],
-        "sensor_changes": [
-            _sensor_change(one) for vehicle in vehicles for one in unit.sensor_changes.list(vehicle.code)
-        ],
+        "sensor_changes": [entry_of(one) for vehicle in vehicles for one in unit.sensor_changes.list(vehicle.code)],
         "track_sections": [_section(unit, one, files) for one in unit.tracks.sections()],
     }
     filled = {name: list(entries) for name, entries in arrays.items() if entries}
@@ -104,69 +102,19 @@ class _Files:
         return {"file": name}
 
 
-def _vehicle(one: VehicleRecord) -> Entry:
-    return {
-        "code": one.code,
-        "fleet": one.fleet,
-        "vehicle_class": one.vehicle_class,
-        "axles": one.axles,
-        "max_speed_km_h": in_unit(one.max_speed_m_s, lambda value: value / 3.6, 3.6),
-        "axle_offsets_m": list(one.axle_offsets_m),
-    }
-
-
-def _wheelset(one: WheelsetRecord) -> Entry:
-    return {
-        "serial": one.serial,
-        "fleet": one.fleet,
-        "wheel_profile": one.wheel_profile,
-        "nominal_radius_mm": thousandths(one.nominal_radius_m),
-    }
-
-
-def _mounting(one: Mounting) -> Entry:
-    return {
-        "wheelset": one.wheelset,
-        "vehicle": one.vehicle,
-        "axle": one.axle,
-        "from": utc_text(one.from_ns),
-        "to": None if one.to_ns is None else utc_text(one.to_ns),
-        "vehicle_odometer_km": one.vehicle_odometer_km,
-        "wheelset_mileage_km": one.wheelset_mileage_km,
-        "reversed": one.reversed,
-    }
-
-
-def _reprofiling(one: Reprofiling) -> Entry:
-    return {"wheelset": one.wheelset, "at": utc_text(one.at_ns), "mileage_km": one.mileage_km, "note": one.note}
-
-
-def _sensor_change(one: SensorChange) -> Entry:
-    place: Entry = {"vehicle": one.vehicle, "axle": one.axle, "at": utc_text(one.at_ns), "work": one.work.value}
-    return {**place, "removed": one.removed, "fitted": one.fitted, "note": one.note}
-
-
 def _measurement(one: MeasuredProfiles, files: _Files) -> Entry:
     sides = {
         side: files.add(f"{one.wheelset}_{side}", SUFFIX, stored_profile_text(profile))
         for side, profile in (("left", one.left), ("right", one.right))
     }
     entry: Entry = {"wheelset": one.wheelset, "at": utc_text(one.at_ns), "mileage_km": one.mileage_km}
-    return {**entry, **sides, "std_mm": thousandths(one.std)}
+    return {**entry, **sides, "std_mm": MM.write(one.std)}
 
 
 def _section(unit: SqlUnitOfWork, one: TrackSectionRecord, files: _Files) -> Entry:
-    entry: Entry = {
-        "code": one.code,
-        "number": one.number,
-        "name": one.name,
-        "rail_profile": one.rail_profile,
-        "rail_inclination": one.rail_inclination,
-        "nominal_gauge_mm": thousandths(one.nominal_gauge_m),
-        "length_m": one.length_m,
-    }
-    if one.tonnage_mgt_per_year is not None:
-        entry["tonnage_mgt_per_year"] = one.tonnage_mgt_per_year
+    entry = entry_of(one)
+    if one.tonnage_mgt_per_year is None:
+        del entry["tonnage_mgt_per_year"]
     registered = unit.tracks.registered(one.code)
     alignment = None if registered is None else unit.tracks.alignment(one.code, registered)
     if alignment is not None:
@@ -181,19 +129,19 @@ def _section(unit: SqlUnitOfWork, one: TrackSectionRecord, files: _Files) -> Ent
 
 def _alignment(one: TrackAlignment, files: _Files) -> Entry:
     """Return the entry of an alignment; one of the gauge alone has no standard deviation."""
-    gauge = map(thousandths, one.gauge_deviation.tolist())
-    gauge_std = thousandths(float(one.gauge_deviation_std[0]))
+    gauge = map(MM.write, one.gauge_deviation.tolist())
+    gauge_std = MM.write(float(one.gauge_deviation_std[0]))
     s, std = one.s.tolist(), float(one.alignment_std[0])
     if std != std:  # noqa: PLR0124 - NaN
         content = _csv(GAUGE_COLUMNS, zip(s, gauge, strict=True))
         return {**files.add(one.section, ".csv", content), "gauge_deviation_std_mm": gauge_std}
-    content = _csv(COLUMNS, zip(s, map(thousandths, one.alignment.tolist()), gauge, strict=True))
-    stds: Entry = {"alignment_std_mm": thousandths(std), "gauge_deviation_std_mm": gauge_std}
+    content = _csv(COLUMNS, zip(s, map(MM.write, one.alignment.tolist()), gauge, strict=True))
+    stds: Entry = {"alignment_std_mm": MM.write(std), "gauge_deviation_std_mm": gauge_std}
     return {**files.add(one.section, ".csv", content), **stds}
 
 
 def _layout(one: TrackLayout) -> str:
-    curvature, cant = (map(thousandths, values.tolist()) for values in (one.curvature, one.cant))
+    curvature, cant = (map(MM.write, values.tolist()) for values in (one.curvature, one.cant))
     return _csv((COLUMNS[0], *LAYOUT_COLUMNS), zip(one.s.tolist(), curvature, cant, strict=True))
 
 

@@ -22,6 +22,7 @@ from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRec
 from estimation.vehicle.vehicle_class import VehicleClass, class_of_document
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
+from ingest.file_value import read_value, table_of
 from ingest.input_file import InputFile, Location, read_json
 from ingest.profiles.wheel_profile import read_wheel_profile
 from ingest.registry_entry.contents import (
@@ -34,8 +35,8 @@ from ingest.registry_entry.contents import (
 from ingest.registry_entry.enter import enter
 from ingest.registry_schema import (
     AlignmentEntry,
-    ClassFileEntry,
     MeasurementEntry,
+    NamedFile,
     RecordedClassEntry,
     RegistryObject,
     SectionEntry,
@@ -74,7 +75,7 @@ def read_classes(file: InputFile, count: int) -> tuple[VehicleClass, ...]:
 
 def _class(file: InputFile, location: Location) -> VehicleClass:
     if "file" in file.at(location):
-        name = file.parse(ClassFileEntry, location).file
+        name = read_value(file, NamedFile, location).file
         return read_vehicle_class(file.path.parent / name)
     if "recorded" in file.at(location):
         return _recorded(file, location)
@@ -133,10 +134,10 @@ def read_registry(path: Path) -> RegistryContents:
 
 def _contents(file: InputFile) -> tuple[RegistryContents, list[Refusal]]:
     """Return what a file holds as far as it can be read, and what cannot be."""
-    wrong = [Refusal(error) for error in file.problems(RegistryObject)]
+    wrong = [Refusal(error) for error in file.problems(table_of(RegistryObject))]
     if wrong:
         raise RegistryRefusedError(tuple(wrong))
-    entries = file.parse(RegistryObject)
+    entries = read_value(file, RegistryObject)
 
     def read(reading: Callable[[], _Read]) -> list[_Read]:
         try:
@@ -157,14 +158,14 @@ def _contents(file: InputFile) -> tuple[RegistryContents, list[Refusal]]:
         for one in read(partial(_section, file, entry, ("track_sections", index)))
     ]
     contents = RegistryContents(
-        fleets=tuple(entry.record() for entry in entries.fleets),
+        fleets=entries.fleets,
         classes=classes[0] if classes else (),
-        vehicles=tuple(entry.record() for entry in entries.vehicles),
-        wheelsets=tuple(entry.record() for entry in entries.wheelsets),
-        mountings=tuple(entry.record() for entry in entries.mountings),
-        reprofilings=tuple(entry.record() for entry in entries.reprofilings),
+        vehicles=entries.vehicles,
+        wheelsets=entries.wheelsets,
+        mountings=entries.mountings,
+        reprofilings=entries.reprofilings,
         measured_profiles=tuple(measured),
-        sensor_changes=tuple(entry.record() for entry in entries.sensor_changes),
+        sensor_changes=entries.sensor_changes,
         sections=tuple(section for section, _, _ in sections),
         alignments=tuple(alignment for _, alignment, _ in sections if alignment is not None),
         layouts=tuple(layout for _, _, layout in sections if layout is not None),
@@ -176,11 +177,11 @@ def _measured_profiles(file: InputFile, entry: MeasurementEntry, location: Locat
     """Return the measured profiles of a wheelset; ``location`` is that of its entry."""
     return MeasuredProfiles(
         wheelset=entry.wheelset,
-        at_ns=entry.at,
+        at_ns=entry.at_ns,
         mileage_km=entry.mileage_km,
         left=_wheel(file, entry.left.file, (*location, "left", "file")),
         right=_wheel(file, entry.right.file, (*location, "right", "file")),
-        std=1e-3 * entry.std_mm,
+        std=entry.std,
     )
 
 
@@ -196,7 +197,7 @@ def _section(
     file: InputFile, entry: SectionEntry, location: Location
 ) -> tuple[TrackSectionRecord, TrackAlignment | None, TrackLayout | None]:
     """Return a section with the track that the files of its entry hold; a layout of its own comes before the other."""
-    section, folder = entry.record(), file.path.parent
+    section, folder = entry.record, file.path.parent
     alignment = layout = None
     if entry.coordinates is not None:
         section = replace(section, line=read_line(folder / entry.coordinates.file, section))
@@ -228,7 +229,7 @@ def _alignment(file: InputFile, entry: AlignmentEntry, section: str, location: L
     if not uniform_distance(s):
         raise InputError("distances must be evenly spaced", file=track_file, field="s_m")
     n = len(s)
-    std = np.nan if entry.alignment_std_mm is None else 1e-3 * entry.alignment_std_mm
+    std = np.nan if entry.alignment_std is None else entry.alignment_std
     return TrackAlignment(
         section=section,
         version=0,
@@ -236,7 +237,7 @@ def _alignment(file: InputFile, entry: AlignmentEntry, section: str, location: L
         alignment=alignment,
         alignment_std=np.full(n, std),
         gauge_deviation=gauge,
-        gauge_deviation_std=np.full(n, 1e-3 * entry.gauge_deviation_std_mm),
+        gauge_deviation_std=np.full(n, entry.gauge_deviation_std),
         passes=np.zeros(n, dtype=np.int64),
         status=Status.ESTIMATED if np.isfinite(std) else Status.UNESTIMATED,
     )
@@ -249,7 +250,7 @@ def _columns(
 
     A standard deviation of an alignment that the file does not have is an error: the column may be misspelt.
     """
-    if entry.alignment_std_mm is None:
+    if entry.alignment_std is None:
         of_gauge = read_gauge_columns(track_file)
         if of_gauge is None:
             raise file.error("is missing", (*location, "alignment_std_mm"))

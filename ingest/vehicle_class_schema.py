@@ -14,6 +14,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from estimation.errors import ParameterError
+from estimation.values.json_value import JsonValue
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.kalker import (
     RAIL_CONDITION_STD,
@@ -336,6 +337,17 @@ _LOCATIONS: Mapping[str, tuple[str, str]] = {  # table and key of a field of Veh
     "secondary_yaw_stiffness": ("secondary_suspension", "yaw_stiffness_n_m_rad"),
     "secondary_yaw_damping": ("secondary_suspension", "yaw_damping_n_m_s_rad"),
 }
+
+
+def class_tables(*values: VehicleParameters | BogieParameters | None) -> dict[str, dict[str, JsonValue]]:
+    """Return parameters as the tables of a class file have them."""
+    tables: dict[str, dict[str, JsonValue]] = {}
+    for field, (table, key) in _LOCATIONS.items():
+        for one in values:
+            if hasattr(one, field):
+                value = getattr(one, field)
+                tables.setdefault(table, {})[key] = round(1e3 * value, 6) if key.endswith("_mm") else value
+    return tables
 
 
 def _number(field: str, number: UncertainNumber, key: str) -> tuple[float, float]:

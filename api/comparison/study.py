@@ -34,7 +34,8 @@ from estimation.jobs.job import JobContext
 from estimation.storage import Storage
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.geometry import WheelsetGeometry
-from ingest.simulator.scenario import Scenario, SurveyPlan
+from ingest.simulator.scenario import Scenario
+from ingest.simulator.section import SurveyPlan
 
 AMPLITUDES = tuple(float(a) for a in np.arange(4, 13) * 0.25e-3)  # m: 1.0 to 3.0 mm
 _CURVES = ("displacement", "difference", "radius_sum", "angle_sum", "angle_difference")

@@ -21,7 +21,8 @@ from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
 from ingest.registry_file import load_registry
 from ingest.simulator.fleet import Recording, prepare, run_fleet
-from ingest.simulator.scenario import Scenario, SurveyPlan
+from ingest.simulator.scenario import Scenario
+from ingest.simulator.section import SurveyPlan
 from ingest.simulator.side_files import TRUTH_FILE
 
 Progress = Callable[[str, int, int], None]  # what, done, of

@@ -8,9 +8,8 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, WithJsonSchema
 
 from api.schemas.common import Links, Representation, Request, finite
-from api.schemas.evidence import Evidence
+from api.schemas.evidence import AnyEvidence, evidence_of
 from api.schemas.registry import segment
-from api.schemas.stored_evidence import evidence_of
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue
@@ -68,7 +67,7 @@ class Alert(Representation):
     raise_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
     clear_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
     limit_unit: str | None = Field(examples=["1"], description="Unit of both limits; fixed for a kind.")
-    evidence: Evidence = Field(
+    evidence: AnyEvidence = Field(
         description="Numbers, intervals, windows and limits that led to it; of a fleet alert, how many members it has."
     )
     action: str = Field(description="Suggested action, from a code list.", examples=["reprofile"])

@@ -18,7 +18,7 @@ from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.trend import TrendRecord
 from estimation.values.window_reasons import WithoutEstimate
 
-_BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
+BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
 _NO_CURRENT = Estimate.unknown(
     Reason(ReasonCode.NO_GEOMETRY_SINCE_REPROFILING, "no current geometry of the profile that the trend is of")
 )
@@ -123,7 +123,7 @@ def distance_forecast(forecast: Forecast, unknown: Reason | None) -> DistanceFor
         unknown: Why one is missing; None where it is beyond the horizon.
     """
     p10, p50, p90 = finite(forecast.p10), finite(forecast.p50), finite(forecast.p90)
-    reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
+    reason = (unknown or BEYOND) if None in (p10, p50, p90) else None
     return DistanceForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
 
 
@@ -140,7 +140,7 @@ def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
         unknown: Why one is missing; None where it is beyond the horizon.
     """
     p10, p50, p90 = _moment(forecast.p10), _moment(forecast.p50), _moment(forecast.p90)
-    reason = (unknown or _BEYOND) if None in (p10, p50, p90) else None
+    reason = (unknown or BEYOND) if None in (p10, p50, p90) else None
     return DateForecast(p10=p10, p50=p50, p90=p90, reason=text_of(reason), reason_code=code_of(reason))
 
 

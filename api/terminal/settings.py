@@ -41,8 +41,8 @@ def default_of(name: str) -> str:
 
 def described(documentation: str) -> Iterator[tuple[Sequence[str], str]]:
     """Yield the names of settings and what they mean, as the class documents its parameters."""
-    _, _, parameters = documentation.partition("----------\n")
-    for names, meaning in re.findall(r"^(\S.*)\n((?:    .*\n?)+)", parameters, re.MULTILINE):
+    _, _, parameters = documentation.partition("Args:\n")
+    for names, meaning in re.findall(r"^    (\S[^:]*): (.*\n?(?:        .*\n?)*)", parameters, re.MULTILINE):
         yield names.split(", "), " ".join(meaning.split()).replace("``", "")
 
 

@@ -22,7 +22,7 @@ from api.factory import process_name
 from api.settings import load_settings
 from api.workers.process import UnitDone, UnitOfWork, context_of, work_on
 from estimation.errors import PassingFaultError, TreadwatchError, WorkFailedError
-from estimation.jobs.job import JobContext, Stage
+from estimation.jobs.job import JobContext, Work
 from estimation.values.reasons import ReasonCode
 
 CONNECT_S = 10.0
@@ -65,7 +65,7 @@ class DaskExecutor:
         """Return the numbers of the processes of all workers, on whatever machine."""
         return [int(number) for number in self._connected().run(os.getpid).values()]
 
-    def submit(self, context: JobContext, stage: Stage, keys: Sequence[str]) -> Future[Mapping[str, int]]:
+    def submit(self, context: JobContext, stage: Work, keys: Sequence[str]) -> Future[Mapping[str, int]]:
         """Return what will hold the counts of a unit.
 
         Args:

@@ -21,7 +21,7 @@ from api.factory import process_name
 from api.settings import Settings
 from api.workers.process import UnitDone, UnitOfWork, run_worker
 from estimation.errors import StorageError, WorkFailedError
-from estimation.jobs.job import JobContext, Stage
+from estimation.jobs.job import JobContext, Work
 from fleet_db.storage import SqlStorage
 
 RECYCLED_AFTER = 500
@@ -81,7 +81,7 @@ class ProcessPool:
         """Return the numbers of the processes that are running now."""
         return [worker.process.pid for worker in list(self._workers.values()) if worker.process.pid is not None]
 
-    def submit(self, context: JobContext, stage: Stage, keys: Sequence[str]) -> Future[Mapping[str, int]]:
+    def submit(self, context: JobContext, stage: Work, keys: Sequence[str]) -> Future[Mapping[str, int]]:
         """Return what will hold the counts of a unit.
 
         Args:

@@ -10,7 +10,7 @@ from sqlalchemy import text
 from estimation.alerts.rules.hunting import HuntingRule
 from estimation.alerts.rules.sensor_fault import SensorFaultRule
 from estimation.values.alerts import Alert
-from fleet_db.packed_values import pack_geometry, pack_trend
+from fleet_db.packed_values import pack_geometry, pack_value
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 ROWS = {
@@ -72,4 +72,4 @@ def _trends(unit: SqlUnitOfWork) -> Iterator[str]:
     for wheelset in unit.registry.wheelsets():
         latest = unit.trends.latest(wheelset.serial)
         if latest is not None:
-            yield repr((wheelset.serial, latest.baseline, hashlib.sha256(pack_trend(latest.trend)).hexdigest()))
+            yield repr((wheelset.serial, latest.baseline, hashlib.sha256(pack_value(latest.trend)).hexdigest()))

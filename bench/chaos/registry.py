@@ -23,7 +23,7 @@ from bench.standing_clock import StandingClock
 from estimation.jobs.job import run_job
 from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.migrate import upgrade
-from fleet_db.packed_values import pack_bin_table, pack_geometry, pack_trend
+from fleet_db.packed_values import pack_bin_table, pack_geometry, pack_value
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.receiver import Receiver
@@ -178,7 +178,7 @@ def derived(storage: SqlStorage) -> Mapping[str, object]:
                 if r.geometry.windows
             ]
             trend = unit.trends.latest(serial)
-            found[f"trend {serial}"] = None if trend is None else (trend.baseline, _digest(pack_trend(trend.trend)))
+            found[f"trend {serial}"] = None if trend is None else (trend.baseline, _digest(pack_value(trend.trend)))
         found["alerts"] = sorted((a.wheelset or "", a.kind, str(a.severity)) for a in unit.alerts.all_open())
     return found
 

@@ -15,7 +15,9 @@ from estimation.jobs import (
     refresh_signatures,
     refresh_trends,
 )
-from estimation.jobs.job import Job, JobContext, Stage, run_job
+from estimation.jobs.job import Job, JobContext, Work, run_job
+from estimation.jobs.runner import work_of
+from estimation.jobs.stages import ALL_STAGES
 from estimation.values.runs import JobRun, JobTrigger
 
 ALL_JOBS: tuple[Job, ...] = (
@@ -29,11 +31,11 @@ ALL_JOBS: tuple[Job, ...] = (
     refresh_signatures.JOB,
 )
 
-STAGES = (refresh_alignment.STAGE, estimate_windows.STAGE, refresh_geometry.STAGE)
+STAGES = (refresh_alignment.STAGE, estimate_windows.STAGE, refresh_geometry.STAGE, *map(work_of, ALL_STAGES))
 """Work that is done in units, by other processes where there are some."""
 
 
-def stage_named(name: str) -> Stage:
+def stage_named(name: str) -> Work:
     """Return the stage of a name.
 
     Raises:

@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from estimation.errors import LeaseLostError, StorageError, WorkersEndedError
-from estimation.jobs.job import JobContext, Stage
+from estimation.jobs.job import JobContext, Work
 from estimation.storage import LeasedStorage
 from estimation.values.runs import MOST_ENDED
 
 ELSEWHERE, LOST, SET_ASIDE = "worked_on_elsewhere", "leases_lost", "set_aside"
 
 
-def claimed_work(context: JobContext, stage: Stage, keys: Sequence[str]) -> Counter[str]:
+def claimed_work(context: JobContext, stage: Work, keys: Sequence[str]) -> Counter[str]:
     """Do the keys of a unit that nobody else works on; return what was counted.
 
     Args:
@@ -30,7 +30,7 @@ def claimed_work(context: JobContext, stage: Stage, keys: Sequence[str]) -> Coun
 
 
 def _leased(
-    context: JobContext, stage: Stage, keys: Sequence[str], ended: int = 0
+    context: JobContext, stage: Work, keys: Sequence[str], ended: int = 0
 ) -> tuple[Counter[str], Sequence[tuple[str, int]]]:
     """Return what was counted, and the keys that are to be done alone with how many workers have ended at each."""
     counts: Counter[str] = Counter()
@@ -44,7 +44,7 @@ def _leased(
 
 
 def _done(
-    context: JobContext, leased: LeasedStorage, stage: Stage, keys: Sequence[str], ended: int
+    context: JobContext, leased: LeasedStorage, stage: Work, keys: Sequence[str], ended: int
 ) -> Mapping[str, int]:
     try:
         if ended < MOST_ENDED:

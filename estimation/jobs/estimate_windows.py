@@ -15,13 +15,12 @@ from estimation.adhesion.left_out import away_from_low_adhesion, refused_for_low
 from estimation.errors import DamagedError, PassingFaultError, TreadwatchError
 from estimation.jobs.hand_out import Unit, hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone
-from estimation.jobs.job import Job, JobContext, Stage
+from estimation.jobs.job import Job, JobContext, Work
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.failed_windows import (
     FailedWindow,
     attempted,
     key_of,
-    key_of_text,
     let_due_wait_again,
     refuse_failed,
     release_others,
@@ -46,7 +45,15 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.roll_up import RollingSums, WindowRollingSums
 from estimation.values.runs import TRIED_AGAIN
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import Window, WindowKey, WindowMark, WindowPosition, WindowRecord, WindowState
+from estimation.values.windows import (
+    Window,
+    WindowKey,
+    WindowMark,
+    WindowPosition,
+    WindowRecord,
+    WindowState,
+    key_of_text,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -134,7 +141,7 @@ def _waits_for_place(record: AlignmentRecord) -> bool:
 
 
 JOB = Job("estimate_windows", "Reduce pending windows to bin tables", every_s=60.0, run=run)
-STAGE = Stage(JOB.name, _work, _set_aside)
+STAGE = Work(JOB.name, _work, _set_aside)
 _DONE = ("estimated", "refused", "quarantined")
 _PAGE = 16  # units whose keys are read together
 

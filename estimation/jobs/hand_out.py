@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from estimation.errors import WorkFailedError
 from estimation.jobs.claimed_work import claimed_work
-from estimation.jobs.job import JobContext, Stage
+from estimation.jobs.job import JobContext, Work
 
 AHEAD = 2
 """Units in hand per unit that is worked on, so that no worker waits for the next."""
@@ -33,7 +33,7 @@ class InThisProcess:
         """One."""
         return 1
 
-    def submit(self, context: JobContext, stage: Stage, keys: Sequence[str]) -> Future[Mapping[str, int]]:
+    def submit(self, context: JobContext, stage: Work, keys: Sequence[str]) -> Future[Mapping[str, int]]:
         """Do a unit.
 
         Args:
@@ -48,7 +48,7 @@ class InThisProcess:
         return done
 
 
-def hand_out(context: JobContext, stage: Stage, units: Iterable[Unit], done: Callable[[int], None]) -> Counter[str]:
+def hand_out(context: JobContext, stage: Work, units: Iterable[Unit], done: Callable[[int], None]) -> Counter[str]:
     """Let units be worked on and return what was counted, summed.
 
     Args:
@@ -89,7 +89,7 @@ def unit_size(context: JobContext, total: int, most: int) -> int:
 
 
 def _collect(
-    context: JobContext, stage: Stage, handed: _Handed, counts: Counter[str], done: Callable[[int], None]
+    context: JobContext, stage: Work, handed: _Handed, counts: Counter[str], done: Callable[[int], None]
 ) -> None:
     """Wait until units are done; hand those out again that failed."""
     ended, _ = wait(handed, LOOK_S, FIRST_COMPLETED)

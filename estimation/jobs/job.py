@@ -65,7 +65,7 @@ class JobContext:
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class Work:
     """Work of a job that is done in units: some keys each, such as the serials of wheelsets.
 
     Whoever does a unit claims its keys in the database and stores what comes of them; what is handed back are counts.
@@ -91,7 +91,7 @@ class WorkExecutor(Protocol):
 
     @property
     def width(self) -> int: ...  # noqa: D102 - of a Protocol
-    def submit(self, context: JobContext, stage: Stage, keys: Sequence[str]) -> Future[Mapping[str, int]]: ...  # noqa: D102 - the same
+    def submit(self, context: JobContext, stage: Work, keys: Sequence[str]) -> Future[Mapping[str, int]]: ...  # noqa: D102 - the same
 
 
 @dataclass(frozen=True, slots=True)

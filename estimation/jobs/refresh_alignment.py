@@ -16,7 +16,7 @@ from dataclasses import replace
 from estimation.errors import TreadwatchError
 from estimation.jobs.hand_out import hand_out
 from estimation.jobs.isolation import Isolation, fails_alone, no_inputs
-from estimation.jobs.job import Job, JobContext, Stage
+from estimation.jobs.job import Job, JobContext, Work
 from estimation.jobs.steps.epoch_inputs import FileLookup, entries, given, input_digest
 from estimation.jobs.steps.epoch_passes import epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
@@ -132,7 +132,7 @@ def _set_aside(context: JobContext, code: str, error: TreadwatchError) -> None:
 
 
 JOB = Job("refresh_alignment", "Find the alignment of sections and the positions of windows", every_s=600.0, run=run)
-STAGE = Stage(JOB.name, _work, _set_aside)
+STAGE = Work(JOB.name, _work, _set_aside)
 
 
 def _first_due(context: JobContext, section: TrackSectionRecord) -> Due | None:

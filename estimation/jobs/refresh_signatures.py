@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from estimation.errors import DamagedError
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.steps.failed_windows import key_of_text, text_of_key
 from estimation.jobs.steps.identities import identity_change, suspected
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import VERSION, refresh_windows, usable
@@ -40,6 +39,7 @@ from estimation.values.signatures import (
     SignatureAnswer,
     SignatureRecord,
 )
+from estimation.values.windows import key_of_text, text_of_key
 
 STAGE = "refresh_signatures"
 NEWEST = 12  # windows that a wheelset is judged by

@@ -1,121 +1,82 @@
-"""Job: refresh the trend of every wheelset whose interval geometries or limit have changed."""
+"""Stage: the trend of a wheelset, from the conicities of its mileage intervals and the limit of its vehicle."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 
-from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.jobs.isolation import Isolation, inputs_of
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.steps.identities import identity_change, suspected
-from estimation.jobs.steps.roster import roster
+from estimation.jobs.runner import run
+from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.steps.identities import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_points
 from estimation.trend.steps import behind_step, newest_step, with_step
 from estimation.trend.trend import TrendParameters, refresh
 from estimation.values.geometry import IntervalConicities
-from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.runs import Look, SubjectKind
-from estimation.values.trend import IdentityChange, TrendRecord, WearTrend, since_change
-
-STAGE = "refresh_trends"
-
-
-def run(context: JobContext) -> Mapping[str, int]:
-    """Refresh trends; each wheelset is committed on its own, and one without news is not even looked at."""
-    isolation = Isolation(context, STAGE)
-    with context.storage.read() as unit:
-        seen, now = unit.looks.of(STAGE), _inputs(unit, context)
-    counts = dict.fromkeys(("wheelsets", "refreshed", "unchanged", "without_limit"), 0)
-    failed = {item.key for item in isolation.held(SubjectKind.WHEELSET)}
-    for done, (serial, inputs) in enumerate(now.items()):
-        context.checkpoint(done, len(now))
-        if (look := seen.get(serial)) is not None and look.inputs == inputs.digest and serial not in failed:
-            counts["without_limit" if inputs.limit is None else "unchanged"] += 1
-            counts["wheelsets"] += 1
-            continue
-        changes = inputs_of(context, serial)
-        if isolation.waits(SubjectKind.WHEELSET, serial, changes):
-            continue
-        with isolation.alone(SubjectKind.WHEELSET, serial, changes):
-            counts[_refresh(context, serial, inputs)] += 1
-            counts["wheelsets"] += 1
-    counts["quarantined"] = isolation.quarantined
-    return counts
+from estimation.values.registry import VehicleRecord
+from estimation.values.subjects import Facet
+from estimation.values.trend import TREND as TRENDS
+from estimation.values.trend import WearTrend, since_change
 
 
 @dataclass(frozen=True, slots=True)
-class _Inputs:
-    """What stands for everything that the trend of a wheelset is made from; with another one it is looked at again."""
+class TrendInputs:
+    """What the trend of a wheelset is made from.
+
+    Attributes:
+        conicities: Of the intervals with windows since the last reprofiling and the last change of identity.
+        limit: Of the conicity at 3 mm, in the vehicle it runs in or ran in last; None where there is none.
+    """
 
     baseline: int
-    newest_geometry: int | None  # number of the one that was appended last
+    conicities: tuple[IntervalConicities, ...]
     limit: float | None
-    change: IdentityChange | None
-    common: str  # what is the same for all wheelsets: parameters and version of the numerics
-
-    @property
-    def digest(self) -> str:
-        """Digest of all of it."""
-        return hashlib.sha256(repr(self).encode()).hexdigest()
+    parameters: TrendParameters
 
 
-def _inputs(unit: UnitOfWork, context: JobContext) -> dict[str, _Inputs]:
-    """Return the inputs of all wheelsets by serial: some statements for all, not some for each."""
-    geometries = unit.geometries.newest_numbers()
-    on_file, changed = roster(unit), suspected(unit)
-    common = repr((LIMIT_AMPLITUDE, context.settings.trend, context.code_version))
-
-    def inputs(wheelset: WheelsetRecord) -> _Inputs:
-        return _Inputs(
-            baseline=len(wheelset.reprofilings),
-            newest_geometry=geometries.get(wheelset.serial),
-            limit=_limit(unit, wheelset, context.settings.rules, on_file.vehicles),
-            change=identity_change(unit, wheelset.serial) if wheelset.serial in changed else None,
-            common=common,
+def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, TrendInputs]:
+    """Return what the trends of some wheelsets are made from."""
+    vehicles, changes = _vehicles(unit, serials), identity_changes(unit, serials)
+    inputs = {}
+    for wheelset in unit.registry.wheelsets_of(serials):
+        serial, baseline, vehicle = wheelset.serial, len(wheelset.reprofilings), vehicles.get(wheelset.serial)
+        conicities = since_change(unit.geometries.conicities(serial, baseline), changes.get(serial))
+        rules = None if vehicle is None else context.settings.rules.of(wheelset.fleet, vehicle.vehicle_class)
+        inputs[serial] = TrendInputs(
+            baseline=baseline,
+            conicities=tuple(one for one in conicities if one.windows),  # others were followed by empty ones
+            limit=None if rules is None or vehicle is None else rules.rule(ConicityLimitRule).limit_for(vehicle),
+            parameters=context.settings.trend,
         )
+    return inputs
 
-    return {wheelset.serial: inputs(wheelset) for wheelset in on_file.wheelsets}
+
+def _vehicles(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, VehicleRecord]:
+    """Return the vehicle that each wheelset runs in, or ran in last."""
+    last = {
+        serial: next((one for one in mountings if one.to_ns is None), mountings[-1])
+        for serial, mountings in unit.registry.mountings_of(serials).items()
+    }
+    vehicles = unit.registry.vehicles_of({mounting.vehicle for mounting in last.values()})
+    return {serial: vehicles[mounting.vehicle] for serial, mounting in last.items()}
 
 
-def _refresh(context: JobContext, serial: str, inputs: _Inputs) -> str:
-    """Store the trend of a wheelset if it is another by now, and with what it was looked at."""
-    record = None if inputs.limit is None else _news(context, serial, inputs, inputs.limit)
-    with context.storage.write() as unit:
-        refreshed = record is not None and unit.trends.put(record)
-        unit.looks.note(STAGE, serial, Look(inputs.digest))
+def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
+    """Return the trend, where a limit is in force."""
     if inputs.limit is None:
-        return "without_limit"
-    return "refreshed" if refreshed else "unchanged"
-
-
-def _news(context: JobContext, serial: str, inputs: _Inputs, limit: float) -> TrendRecord | None:
-    """Return the trend of a wheelset; None where it would be the newest one again."""
-    with context.storage.read() as unit:
-        known = since_change(unit.geometries.conicities(serial, inputs.baseline), inputs.change)
-        records = [record for record in known if record.windows]  # others were followed by empty ones
-        latest = unit.trends.latest(serial)
-    params = context.settings.trend
-    digest = _digest(records, limit, params)
-    if latest is not None and (latest.baseline, latest.input_digest, latest.code_version) == (
-        inputs.baseline,
-        digest,
-        context.code_version,
-    ):
-        return None
-    return TrendRecord(
-        wheelset=serial,
-        baseline=inputs.baseline,
-        trend=trend_of(records, limit, params),
-        input_digest=digest,
-        code_version=context.code_version,
-        recorded_ns=context.clock.now_ns(),
-        parameters=asdict(params),
+        return Outcome(counted="without_limit")
+    trend = trend_of(inputs.conicities, inputs.limit, inputs.parameters)
+    part = Part(
+        trend,
+        part=f"{inputs.baseline:04d}",
+        status=trend.status,
+        reason=trend.reason,
+        parameters=asdict(inputs.parameters),
     )
+    return Outcome([part])
 
 
 def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: TrendParameters) -> WearTrend:
@@ -138,26 +99,21 @@ def trend_of(records: Sequence[IntervalConicities], limit: float, parameters: Tr
     return trend if step is None else with_step(trend, step)
 
 
-def _limit(
-    unit: UnitOfWork, wheelset: WheelsetRecord, book: RuleBook, vehicles: Mapping[str, VehicleRecord]
-) -> float | None:
-    """Return the conicity limit in the vehicle it runs in, or ran in last."""
-    mounting = wheelset.mounting or max(unit.registry.mountings(wheelset.serial), key=lambda m: m.from_ns, default=None)
-    if mounting is None:
-        return None
-    vehicle = vehicles[mounting.vehicle]
-    return book.of(wheelset.fleet, vehicle.vehicle_class).rule(ConicityLimitRule).limit_for(vehicle)
-
-
-def _digest(records: Sequence[IntervalConicities], limit: float, params: TrendParameters) -> str:
-    inputs = [[r.interval, r.input_digest, r.mileage_km, r.code_version] for r in records]
-    text = json.dumps([inputs, limit, LIMIT_AMPLITUDE, asdict(params)], sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
+TREND = Stage(
+    name=TRENDS.stage,
+    job="refresh_trends",
+    kind=TRENDS.subject,
+    facets=(Facet.REGISTRY, Facet.RESTARTS, Facet.GEOMETRY),
+    settings=lambda settings: (LIMIT_AMPLITUDE, settings.trend, settings.rules.version),
+    load=load,
+    compute=compute,
+    counted=Counted(looked="wheelsets", changed="refreshed", same="unchanged", more=("without_limit",)),
+    results=TRENDS,
+    at_once=32,
+)
 JOB = Job(
-    name=STAGE,
+    name=TREND.job,
     description="Refresh the wear trend of every wheelset with new geometry",
     every_s=300.0,
-    run=run,
+    run=partial(run, TREND),
 )

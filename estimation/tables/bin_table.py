@@ -43,19 +43,23 @@ class TableSum:
     """What has been added so far, the newest with weight 1.
 
     Adding and forgetting in turn gives the same bits as ``estimation.tables.bin_table.merge`` table by table.
+
+    Attributes:
+        start: The table to which others are added: without samples, or a sum that goes on.
     """
 
-    empty: BinTable  # the table of the same parameters without samples
+    start: BinTable
     _weight: FloatArray = field(init=False)
     _lateral: FloatArray = field(init=False)
     _yaw: FloatArray = field(init=False)
-    _samples: int = 0
-    _windows: int = 0
+    _samples: int = field(init=False)
+    _windows: int = field(init=False)
 
     def __post_init__(self) -> None:
         self._weight, self._lateral, self._yaw = (
-            array.copy() for array in (self.empty.weight, self.empty.lateral, self.empty.yaw)
+            array.copy() for array in (self.start.weight, self.start.lateral, self.start.yaw)
         )
+        self._samples, self._windows = self.start.samples, self.start.windows
 
     def forget(self, weight: float) -> None:
         """Give what was added so far another weight.
@@ -67,29 +71,30 @@ class TableSum:
             for array in (self._weight, self._lateral, self._yaw):
                 np.multiply(array, weight, out=array)
 
-    def add(self, table: BinTable | FilledCells) -> None:
-        """Add a table with weight 1.
+    def add(self, table: BinTable | FilledCells, weight: float = 1.0) -> None:
+        """Add a table times a weight; samples and windows are counted without weights.
 
         Args:
             table: Whole, or its filled cells.
         """
-        if table.parameter_key != self.empty.parameter_key:
-            both = f"{self.empty.parameter_key} and {table.parameter_key}"
+        if table.parameter_key != self.start.parameter_key:
+            both = f"{self.start.parameter_key} and {table.parameter_key}"
             raise ValueError(f"bin tables of parameters {both} do not merge")
         sums = (self._weight, self._lateral, self._yaw)
         for whole, added in zip(sums, (table.weight, table.lateral, table.yaw), strict=True):
+            share = added if weight == 1.0 else weight * added
             if isinstance(table, FilledCells):
-                whole.reshape(-1, *whole.shape[2:])[table.cells] += added
+                whole.reshape(-1, *whole.shape[2:])[table.cells] += share
             else:
-                np.add(whole, added, out=whole)
+                np.add(whole, share, out=whole)
         self._samples += table.samples
         self._windows += table.windows
 
     def table(self) -> BinTable:
         """Return the sum."""
         return BinTable(
-            parameter_key=self.empty.parameter_key,
-            edges=self.empty.edges,
+            parameter_key=self.start.parameter_key,
+            edges=self.start.edges,
             weight=np.array(self._weight),
             lateral=np.array(self._lateral),
             yaw=np.array(self._yaw),

@@ -8,6 +8,7 @@ from typing import Annotated
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason
+from estimation.values.served import Served
 
 SHARES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2, 1.5, 2.0)
 """Particles: shares of the damping on file at which sums are kept; between them innovations are interpolated."""
@@ -54,17 +55,24 @@ class WindowDamper:
 
 @dataclass(frozen=True, slots=True)
 class GearDamper:
-    """The damper of a running gear, from its newest windows."""
+    """The damper of a running gear, from its newest windows; ``windows`` say something of it."""
 
     vehicle: str
-    first_axle: int
-    share: Estimate  # damping over that of the class on file
-    weak_probability: float | None  # of a share below the limit; None where the share is not estimated
-    weak: bool | None  # whether that is likely; None where nothing is known
-    windows: int  # that say something
-    diverged: int  # windows that were not followed
-    refused: int  # windows of no use
-    from_ns: int  # start of the first window that counts
-    to_ns: int  # start of the last one
-    from_km: float  # the odometer there
-    to_km: float
+    first_axle: Annotated[int, Served("First axle of the running gear, from 1.")]
+    share: Annotated[
+        Estimate,
+        Served(
+            "Damping over that of the vehicle class on file; `n_windows` counts those that show it.", "damping_share_1"
+        ),
+    ]
+    weak_probability: Annotated[
+        float | None, Served("That less than half of it is left; null where unknown.", "weak_probability_1")
+    ]
+    weak: Annotated[bool | None, Served("Whether less than half of the damping is likely left; null where unknown.")]
+    windows: int
+    diverged: Annotated[int, Served("Windows that the filter did not follow.", "diverged_windows")]
+    refused: Annotated[int, Served("Windows that say nothing of the damper.", "refused_windows")]
+    from_ns: Annotated[int, Served("Start of the first window that counts.")]
+    to_ns: Annotated[int, Served("Start of the last window that counts.")]
+    from_km: Annotated[float, Served("Odometer of the vehicle at the first window.", "odometer_from_km")]
+    to_km: Annotated[float, Served("Odometer of the vehicle at the last window.", "odometer_to_km")]

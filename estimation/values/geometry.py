@@ -280,10 +280,11 @@ class GeometryRecord:
 
 @dataclass(frozen=True, slots=True)
 class IntervalDigest:
-    """What the newest geometry of an interval was made from, and of how many windows."""
+    """What the newest geometry of an interval was made from, of how many windows, and why it holds no number."""
 
     input_digest: str
     windows: int
+    reason: Reason | None = None
 
 
 class KnownConicity(NamedTuple):

@@ -2,52 +2,95 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated, Self
+
+from annotated_types import Interval
+
+from estimation.errors import ParameterError
+from estimation.values.file_units import MM, FileDefault, FileForm, FileUnit, Key
+from estimation.values.served import MM as IN_MM
+from estimation.values.served import Served
+
+MAX_AXLES = 8
+MOST_KM = 1e8
+FARTHEST_M = 1000.0  # of an axle from the reference point
+
+SPEED_IN_FILES = FileUnit("_km_h", divisor=3.6)
+Code = Annotated[str, FileForm.CODE]
+Axle = Annotated[int, Interval(ge=1, le=MAX_AXLES)]
+Kilometres = Annotated[float, Interval(ge=0.0, le=MOST_KM)]
+MomentNs = Annotated[int, FileForm.MOMENT]
+FreeText = Annotated[str, FileForm.FREE_TEXT]
+Text = Annotated[str, FileForm.TEXT]
 
 
 @dataclass(frozen=True, slots=True)
 class FleetRecord:
     """A fleet: who operates what."""
 
-    code: str
-    name: str
+    code: Annotated[Code, Served(example="demo")]
+    name: Annotated[Text, Served(example="Demonstration fleet")]
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleRecord:
     """A vehicle and what its rules depend on."""
 
-    code: str
-    fleet: str
-    vehicle_class: str
-    axles: int
-    max_speed_m_s: float
-    axle_offsets_m: tuple[float, ...]  # distance of each axle behind the position reference, m
+    code: Annotated[Code, Served(example="V-101")]
+    fleet: Annotated[Code, Served(example="demo")]
+    vehicle_class: Annotated[
+        Code, Served("Code of its class; while that is not on file the vehicle is not estimated.", example="coach")
+    ]
+    axles: Annotated[Axle, Served(example=4)]
+    max_speed_m_s: Annotated[
+        float, Interval(ge=1.0, le=600.0), SPEED_IN_FILES, Key("max_speed_km_h"), Served(example=44.4)
+    ]
+    axle_offsets_m: Annotated[
+        tuple[Annotated[float, Interval(ge=-FARTHEST_M, le=FARTHEST_M)], ...], Served(example=(2.0, 4.5, 16.0, 18.5))
+    ]
+    """Distance of each axle behind the position reference, m."""
+
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse offsets that are not those of the axles."""
+        if len(self.axle_offsets_m) != self.axles:
+            reason = f"{len(self.axle_offsets_m)} offsets for {self.axles} axles"
+            raise ParameterError(reason, field="axle_offsets_m")
+        if len(set(self.axle_offsets_m)) < self.axles:
+            raise ParameterError("two axles are at one place", field="axle_offsets_m")
+        return self
 
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
     """Which wheelset ran at which axle of which vehicle, ``[from_ns, to_ns)`` on the vehicle's clock."""
 
-    wheelset: str
-    vehicle: str
-    axle: int
-    from_ns: int
-    to_ns: int | None
-    vehicle_odometer_km: float  # at from_ns
-    wheelset_mileage_km: float  # at from_ns
-    reversed: bool = False  # left wheel on the right-hand side
+    wheelset: Annotated[Code, Served(example="WS-0001")]
+    vehicle: Annotated[Code, Served(example="V-101")]
+    axle: Annotated[Axle, Served(example=1)]
+    from_ns: Annotated[MomentNs, Key("from"), Served(name="mounted_from")]
+    to_ns: Annotated[MomentNs | None, Key("to"), FileDefault(None), Served(name="mounted_to")]
+    vehicle_odometer_km: Kilometres  # at from_ns
+    wheelset_mileage_km: Kilometres  # at from_ns
+    reversed: Annotated[bool, Served("The left wheel runs on the right-hand side.")] = False
+
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse an end before the start."""
+        if self.to_ns is not None and self.to_ns <= self.from_ns:
+            raise ParameterError("must be later than 'from'", field="to")
+        return self
 
 
 @dataclass(frozen=True, slots=True)
 class Reprofiling:
     """A wheelset came back from the lathe; every later window belongs to a new baseline."""
 
-    wheelset: str
-    at_ns: int
-    mileage_km: float
-    note: str = ""
+    wheelset: Annotated[Code, Served(example="WS-0001")]
+    at_ns: Annotated[MomentNs, Key("at"), Served(name="reprofiled_at")]
+    mileage_km: Annotated[Kilometres, Served(example=151200.0)]
+    note: FreeText = ""
 
 
 class SensorWork(StrEnum):
@@ -61,22 +104,28 @@ class SensorWork(StrEnum):
 class SensorChange:
     """The sensors of an axle were exchanged or calibrated; what was wrong with them before says nothing of them now."""
 
-    vehicle: str
-    axle: int
-    at_ns: int
-    work: SensorWork
-    removed: str = ""  # serial number of what was taken off
-    fitted: str = ""  # of what is there since
-    note: str = ""
+    vehicle: Annotated[Code, Served(example="V-101")]
+    axle: Annotated[Axle, Served(example=2)]
+    at_ns: Annotated[MomentNs, Key("at"), Served(name="worked_at")]
+    work: Annotated[SensorWork, FileForm.CHOICE]
+    removed: Annotated[FreeText, Served("Serial number of what was taken off.", example="N-0815")] = ""
+    fitted: Annotated[FreeText, Served("Serial number of what is there since.", example="N-0816")] = ""
+    note: Annotated[FreeText, Served(example="cable chafed")] = ""
 
 
 @dataclass(frozen=True, slots=True)
 class WheelsetRecord:
     """A wheelset by serial, with where it is now and its history of lathes."""
 
-    serial: str
-    fleet: str
-    wheel_profile: str
-    nominal_radius_m: float
-    mounting: Mounting | None
-    reprofilings: tuple[Reprofiling, ...] = ()
+    serial: Annotated[Code, Served(example="WS-0001")]
+    fleet: Annotated[Code, Served(example="demo")]
+    wheel_profile: Annotated[Text, Served(example="P8")]
+    nominal_radius_m: Annotated[
+        float,
+        Interval(ge=100.0, le=1000.0),
+        MM,
+        Key("nominal_radius_mm"),
+        Served(name="nominal_radius_mm", scale=IN_MM, example=460.0),
+    ]
+    mounting: Annotated[Mounting | None, Key(None)] = None
+    reprofilings: Annotated[tuple[Reprofiling, ...], Key(None)] = ()

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Annotated
 
 from estimation.values.reasons import ReasonCode
+from estimation.values.served import Served
 
 
 class JobTrigger(StrEnum):
@@ -30,8 +32,8 @@ class JobOutcome(StrEnum):
 class JobRun:
     """One run of one job; ``finished_ns`` None until its end is recorded. ``counts`` are what it did."""
 
-    run_id: int
-    job: str
+    run_id: Annotated[int, Served("", "id", example=42)]
+    job: Annotated[str, Served(example="estimate_windows")]
     trigger: JobTrigger
     started_ns: int
     finished_ns: int | None
@@ -113,15 +115,15 @@ class Quarantined:
     """One thing at which one stage of the work failed."""
 
     kind: SubjectKind
-    key: str
-    stage: str  # job in which it failed; ``ingest`` for recordings
-    code: ReasonCode
-    error: str  # its first line
+    key: Annotated[str, Served("Digest, serial or code; of a window `serial@start in ns`.", example="WS-0001")]
+    stage: Annotated[str, Served("The job, or `ingest` for recordings.", example="refresh_geometry")]
+    code: Annotated[ReasonCode, Served("", "reason_code")]
+    error: str
     inputs: str  # digest or counter of what it was made from; with another one it is tried at once
-    first_ns: int  # failure, ns UTC of our clock
-    last_ns: int  # failure
-    due_ns: int  # begin of the next attempt
-    attempts: int  # failures in a row
+    first_ns: Annotated[int, Served("", "first_failed_at")]
+    last_ns: Annotated[int, Served("", "last_failed_at")]
+    due_ns: int
+    attempts: Annotated[int, Served("Failures in a row.")]
     state: QuarantineState = QuarantineState.HELD  # held, or resolved by a later success
 
     def waits(self, inputs: str, now_ns: int) -> bool:

@@ -8,12 +8,16 @@ from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, freeze
+from estimation.values.file_units import MM, FileForm, Key
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.windows import WindowRecord
+
+MOST_TONNAGE_MGT = 1000.0  # a year, on one section
 
 
 class AlignmentSource(StrEnum):
@@ -124,15 +128,15 @@ class TrackSectionRecord:
     ``tonnage_mgt_per_year`` is the traffic that wears its rails, million gross tonnes a year; None where not known.
     """
 
-    code: str
-    number: int
-    name: str
-    rail_profile: str
-    rail_inclination: float
-    nominal_gauge_m: float
-    length_m: float
-    line: SectionLine | None = None
-    tonnage_mgt_per_year: float | None = None
+    code: Annotated[str, FileForm.CODE]
+    number: Annotated[int, Interval(ge=1, le=65534)]
+    name: Annotated[str, FileForm.TEXT]
+    rail_profile: Annotated[str, FileForm.TEXT]
+    rail_inclination: Annotated[float, Interval(ge=0.0, le=0.5)]
+    nominal_gauge_m: Annotated[float, Interval(ge=500.0, le=2000.0), MM, Key("nominal_gauge_mm")]
+    length_m: Annotated[float, Interval(ge=1.0)]
+    line: Annotated[SectionLine | None, Key(None)] = None
+    tonnage_mgt_per_year: Annotated[float, Interval(gt=0.0, le=MOST_TONNAGE_MGT)] | None = None
 
     def __post_init__(self) -> None:
         if self.line is not None:  # lists, as JSON has them

@@ -16,8 +16,11 @@ from typing import Annotated, Protocol, TypeVar
 from estimation.values.alerts import Alert
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.json_value import JsonValue
-from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
+from estimation.values.results import ResultKind
+from estimation.values.runs import SubjectKind
+from estimation.values.served import Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,10 @@ class WearTrend(FrozenArrays):
     few_behind: Reason | None = None  # why nothing is forecast: too few points behind the step; None where enough are
 
 
+TREND = ResultKind("trend", SubjectKind.WHEELSET, WearTrend, one_in_force=True)
+"""Trends of wheelsets; their parts are baselines."""
+
+
 @dataclass(frozen=True, slots=True)
 class TrendRecord:
     """A trend as refreshed at ``recorded_ns``."""
@@ -87,9 +94,18 @@ class SuspensionFinding:
     to_ns: int  # end of the last
     ratio: float
     ratio_std: float
-    assumed: float  # m, k_psi / f11
+    assumed: Annotated[
+        float, Served("Yaw stiffness over longitudinal creep coefficient of the vehicle's class.", "assumed_m")
+    ]
     code_version: str
     recorded_ns: int
+
+    @property
+    def stiffness_ratio(
+        self,
+    ) -> Annotated[Estimate, Served("Relative to the assumed one; it moves with the creep too.", "stiffness_ratio_1")]:
+        """The ratio with its interval."""
+        return with_interval(self.ratio, self.ratio_std)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,12 +115,19 @@ class SuspensionChange:
     vehicle: str
     change: float  # relative: -0.3 is softer by 30 %, or of 43 % more creep coefficient
     std: float
-    past: int  # findings
-    recent: int
-    others: int  # vehicles on the same sections at the same time
-    recent_ns: int  # end of the newest
+    past: Annotated[int, Served("", "past_findings")]  # findings
+    recent: Annotated[int, Served("", "recent_findings")]
+    others: Annotated[
+        int, Served("Vehicles on the same sections at the same time, which show friction.", "other_vehicles")
+    ]
+    recent_ns: Annotated[int, Served("", "measured_to")]  # end of the newest
     step_probability: float | None = None  # of a sudden change, which the recent ones are behind; None without one
     since_ns: int | None = None  # begin of the first finding behind it
+
+    @property
+    def estimate(self) -> Annotated[Estimate, Served("Relative; -0.3 is softer by 30 %.", "change_1")]:
+        """The change with its interval."""
+        return with_interval(self.change, self.std, count=float(self.recent))
 
 
 @dataclass(frozen=True, slots=True)

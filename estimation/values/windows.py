@@ -9,6 +9,7 @@ from typing import Annotated
 
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason
+from estimation.values.served import Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +53,18 @@ NO_BLOWS = TurnBlows(0.0, 0.0, 0.0, 0)
 class WindowQuality:
     """What gates look at before a window is estimated."""
 
-    coverage: float  # share of grid points with a valid sample, 0 to 1
-    longest_gap_s: float
+    coverage: Annotated[
+        float, Served(name="coverage_1", finite=False)
+    ]  # share of grid points with a valid sample, 0 to 1
+    longest_gap_s: Annotated[float, Served(finite=False)]
     gaps: int
-    clipped: float  # share of samples with the clipping bit or a raw value at its limit
-    invalid: float  # share of samples marked invalid by the sensor
-    speed_min_m_s: float
-    speed_max_m_s: float
-    position_quality: float  # 0 (unknown) to 1
+    clipped: Annotated[
+        float, Served(name="clipped_1", finite=False)
+    ]  # share of samples with the clipping bit or a raw value at its limit
+    invalid: Annotated[float, Served(name="invalid_1", finite=False)]  # share of samples marked invalid by the sensor
+    speed_min_m_s: Annotated[float, Served(finite=False)]
+    speed_max_m_s: Annotated[float, Served(finite=False)]
+    position_quality: Annotated[float, Served(name="position_quality_1", finite=False)]  # 0 (unknown) to 1
     sensor_fault: bool  # self-test failed or an emergency was sent
     hunting: Hunting = NOT_HUNTING  # found from all samples, clipped ones too
     blows: TurnBlows = NO_BLOWS  # likewise
@@ -121,6 +126,12 @@ class PassedOver(StrEnum):
     RECORD_CHANGED = "record_changed"  # its mounting or mileage: its table is wrong
 
 
+class DueStage(StrEnum):
+    """Stages that list the windows that they have not made from what these are now."""
+
+    SUMS = "sums"
+
+
 @dataclass(frozen=True, slots=True)
 class WindowPosition:
     """Where a window was along its section: true position = measured + offset + scale (measured - middle).
@@ -141,17 +152,28 @@ class WindowPosition:
 WindowKey = tuple[str, int]  # wheelset and start of a window, in vehicle time
 
 
+def text_of_key(wheelset: str, start_ns: int) -> str:
+    """Return the key of a window as text."""
+    return f"{wheelset}@{start_ns}"
+
+
+def key_of_text(text: str) -> WindowKey:
+    """Return wheelset and start of a window from its key as text."""
+    wheelset, _, start = text.rpartition("@")
+    return wheelset, int(start)
+
+
 @dataclass(frozen=True, slots=True)
 class WindowRecord:
     """A stored window without its samples. Key: (wheelset, start_ns)."""
 
     wheelset: str
-    start_ns: int
+    start_ns: Annotated[int, Served(name="measured_from")]
     length_ns: int
     vehicle: str
     axle: int
     track_section: str | None
-    mileage_km: float  # of the wheelset since new, at the start
+    mileage_km: Annotated[float, Served(finite=False)]  # of the wheelset since new, at the start
     quality: WindowQuality
     state: WindowState
     reason: Reason | None

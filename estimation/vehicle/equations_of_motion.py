@@ -19,9 +19,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from annotated_types import Ge
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
@@ -47,21 +49,21 @@ class VehicleParameters:
         ParameterError: A parameter is not finite, or is not positive where it must be.
     """
 
-    longitudinal_creep_coefficient: float = 7.44e6  # f11, N
-    lateral_creep_coefficient: float = 6.79e6  # f22, N
-    lateral_spin_creep_coefficient: float = 13.7e3  # f23, N m
-    spin_creep_coefficient: float = 0.0  # f33, N m2
-    lateral_damping: float = 50e3  # fy, N s/m
-    yaw_damping: float = 0.0  # f_psi, N m s
-    yaw_inertia: float = 700.0  # I, kg m2
-    pitch_inertia: float = 200.0  # Iwy, kg m2
-    half_contact_distance: float = 0.7452  # l, m
-    wheelset_mass: float = 1250.0  # m, kg
-    suspended_mass: float = 8000.0  # mm, kg
-    lateral_stiffness: float = 0.23e6  # ky, N/m
-    yaw_stiffness: float = 2.5e6  # k_psi, N m
-    load: float = 12263.0  # W, N
-    nominal_radius: float = 0.45  # r0, m
+    longitudinal_creep_coefficient: Annotated[float, Ge(0.0)] = 7.44e6  # f11, N
+    lateral_creep_coefficient: Annotated[float, Ge(0.0)] = 6.79e6  # f22, N
+    lateral_spin_creep_coefficient: Annotated[float, Ge(0.0)] = 13.7e3  # f23, N m
+    spin_creep_coefficient: Annotated[float, Ge(0.0)] = 0.0  # f33, N m2
+    lateral_damping: Annotated[float, Ge(0.0)] = 50e3  # fy, N s/m
+    yaw_damping: Annotated[float, Ge(0.0)] = 0.0  # f_psi, N m s
+    yaw_inertia: Annotated[float, Ge(0.0)] = 700.0  # I, kg m2
+    pitch_inertia: Annotated[float, Ge(0.0)] = 200.0  # Iwy, kg m2
+    half_contact_distance: Annotated[float, Ge(0.0)] = 0.7452  # l, m
+    wheelset_mass: Annotated[float, Ge(0.0)] = 1250.0  # m, kg
+    suspended_mass: Annotated[float, Ge(0.0)] = 8000.0  # mm, kg
+    lateral_stiffness: Annotated[float, Ge(0.0)] = 0.23e6  # ky, N/m
+    yaw_stiffness: Annotated[float, Ge(0.0)] = 2.5e6  # k_psi, N m
+    load: Annotated[float, Ge(0.0)] = 12263.0  # W, N
+    nominal_radius: Annotated[float, Ge(0.0)] = 0.45  # r0, m
 
     def __post_init__(self) -> None:
         for item in fields(self):

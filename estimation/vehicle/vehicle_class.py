@@ -12,9 +12,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from enum import StrEnum
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Gt
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
@@ -38,14 +39,14 @@ class BogieParameters:
         ParameterError: A parameter is not finite, is negative, or is zero where it must not be.
     """
 
-    wheelbase: float  # m, between its two axles
-    frame_mass: float  # kg
-    frame_yaw_inertia: float  # kg m2
-    body_mass: float  # kg, of the body that rests on one bogie
-    secondary_lateral_stiffness: float = 0.0  # N/m, of one bogie
-    secondary_lateral_damping: float = 0.0  # N s/m
-    secondary_yaw_stiffness: float = 0.0  # N m/rad
-    secondary_yaw_damping: float = 0.0  # N m s/rad
+    wheelbase: Annotated[float, Gt(0.0)]  # m, between its two axles
+    frame_mass: Annotated[float, Gt(0.0)]  # kg
+    frame_yaw_inertia: Annotated[float, Gt(0.0)]  # kg m2
+    body_mass: Annotated[float, Gt(0.0)]  # kg, of the body that rests on one bogie
+    secondary_lateral_stiffness: Annotated[float, Ge(0.0)] = 0.0  # N/m, of one bogie
+    secondary_lateral_damping: Annotated[float, Ge(0.0)] = 0.0  # N s/m
+    secondary_yaw_stiffness: Annotated[float, Ge(0.0)] = 0.0  # N m/rad
+    secondary_yaw_damping: Annotated[float, Ge(0.0)] = 0.0  # N m s/rad
 
     def __post_init__(self) -> None:
         for item in fields(self):

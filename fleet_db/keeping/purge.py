@@ -26,13 +26,15 @@ from sqlalchemy import (
 from estimation.jobs.job import Job, JobContext
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import TRIED_AGAIN, JobOutcome
-from estimation.values.windows import WindowState
+from estimation.values.windows import DueStage, WindowState
+from fleet_db.due import is_due
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.expired_tables import KEYS as ESTIMATES
-from fleet_db.keeping.expired_tables import expired_tables, forget_estimates, replaced_within_a_day, seal
+from fleet_db.keeping.expired_tables import expired_tables, seal
 from fleet_db.keeping.kept_files import SAMPLES
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
+from fleet_db.keeping.thinned_estimates import NUMBERS as ESTIMATES
+from fleet_db.keeping.thinned_estimates import forget_estimates, replaced_within_a_day
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import unlink_old
 from fleet_db.rows import table_of
@@ -43,10 +45,10 @@ from fleet_db.tables import (
     IdempotencyRow,
     JobRunRow,
     PurgeRow,
+    ResultRow,
     TrackEpochRow,
     TrackEpochWindowRow,
     TrackReportRow,
-    TrendRow,
     WebhookDeliveryRow,
     WindowBinTableRow,
     WindowRow,
@@ -63,16 +65,13 @@ WAITING = (ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.CLASS_UNKNOWN, ReasonCode.FI
 def expired_samples(connection: Connection, before_ns: int, limit: int) -> Sequence[Row[Any, Any, Any, Any]]:
     """Return windows whose samples may go, oldest first: wheelset, start_ns, content_digest, sample_bytes.
 
-    A window is estimated and rolled up, or refused for good. It is of no epoch of an alignment that may be computed
-    again when a recording comes late: nor of one that identified nothing, until a later one has.
+    A window is estimated and its table summed, or it is refused for good. It is of no epoch of an alignment that may be
+    computed again when a recording comes late: nor of one that identified nothing, until a later one has.
 
     Args:
         before_ns: They start before it, ns UTC.
     """
-    rolled = exists().where(
-        TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns, TABLES.c.rolled
-    )
-    estimated = and_(WINDOWS.c.state == WindowState.ESTIMATED.value, rolled)
+    summed = and_(WINDOWS.c.state == WindowState.ESTIMATED.value, ~is_due(DueStage.SUMS, WINDOWS))
     waits = WINDOWS.c.reason_code.in_([code.value for code in WAITING])
     refused = and_(WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code.is_not(None), ~waits)
     over = exists().where(
@@ -85,7 +84,7 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
     columns = (WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.content_digest, WINDOWS.c.sample_bytes)
     return connection.execute(
         select(*columns)
-        .where(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.start_ns < before_ns, or_(estimated, refused), ~needed)
+        .where(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.start_ns < before_ns, or_(summed, refused), ~needed)
         .order_by(WINDOWS.c.start_ns)
         .limit(limit)
     ).all()
@@ -100,7 +99,7 @@ def mark_purged(connection: Connection, windows: Sequence[Row[Any, Any, Any, Any
 
 RUNS, KEYS, PURGES = table_of(JobRunRow), table_of(IdempotencyRow), table_of(PurgeRow)
 ENTRIES, DELIVERIES = table_of(AuditRow), table_of(WebhookDeliveryRow)
-GEOMETRIES, TRENDS, REPORTS = table_of(GeometryRow), table_of(TrendRow), table_of(TrackReportRow)
+GEOMETRIES, RESULTS, REPORTS = table_of(GeometryRow), table_of(ResultRow), table_of(TrackReportRow)
 BATCH = 1000  # rows a transaction: others wait for a fraction of a second
 
 BY_DATA = frozenset(
@@ -231,7 +230,7 @@ def _expired(kind: Kept, before_ns: int) -> Sequence[_Expired]:
         return [_replaced(REPORTS.c.report_id, ("section", "version"), before_ns)]
     return [
         _replaced(GEOMETRIES.c.geometry_id, ("wheelset", "baseline", "baseline_interval"), before_ns),
-        _replaced(TRENDS.c.trend_id, ("wheelset", "baseline", "quantity"), before_ns),
+        _Expired(RESULTS.c.result_id, RESULTS.c.superseded_ns < before_ns),
     ]
 
 

@@ -177,9 +177,9 @@ OTHER = "other"
 TABLES: Mapping[str, tuple[str, ...]] = {
     "windows": ("windows", "window_positions"),
     "bin tables": ("window_bin_tables",),
-    "roll-ups": ("roll_ups", "taken_tables", "roll_up_states", "rolling_sums"),
+    "roll-ups": ("roll_ups", "window_due", "roll_up_states", "rolling_sums"),
     "geometries": ("geometry_estimates", "wheelset_bins"),
-    "trends": ("trends",),
+    "results": ("results",),
     "signatures": ("wear_signatures", "signature_answers"),
     "dampers": ("window_dampers", "gear_dampers"),
     "alignments": ("track_alignments", "track_versions", "track_reports", "track_epochs", "track_epoch_windows"),

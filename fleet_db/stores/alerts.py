@@ -11,6 +11,8 @@ from sqlalchemy import Connection, Select, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
@@ -96,6 +98,11 @@ class AlertStore:
         """Return at most ``limit`` alerts that match every filter given, by number, from behind ``after_id`` on."""
         chosen = AlertChoice(fleet, wheelset, kind, condition, severity, scope, fleet_alert_id, open_only=open_only)
         return self._alerts(page_of(select(ALERTS), chosen, after_id, limit, newest_first=newest_first))
+
+    def of_kind(self, kind: str, wheelsets: Collection[str]) -> Sequence[Alert]:
+        """Return every alert of a kind that there has been of some wheelsets, by number."""
+        chosen = (ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(wheelsets))
+        return self._alerts(select(ALERTS).where(*chosen).order_by(ALERTS.c.alert_id))
 
     def outlines(
         self, choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool = False
@@ -213,6 +220,7 @@ class AlertStore:
             self.changes.show(saved.wheelset)
         if events and saved.kind in RESTARTING and saved.wheelset is not None:
             self.changes.note(saved.wheelset)  # its geometry starts again from the change
+            self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.RESTARTS)
         return saved
 
     def _in_feed(self, alert: Alert) -> bool:

@@ -12,8 +12,7 @@ from estimation.values.windows import PassedOver, Window, WindowKey, WindowRecor
 from fleet_db.changes import Changes
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
-from fleet_db.stores.taken_tables import take_back
-from fleet_db.stores.window_marks import pass_over
+from fleet_db.stores.window_marks import list_for_sums, pass_over
 from fleet_db.stores.windows import to_window_record, window_values
 from fleet_db.tables import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.telemetry import WindowFiles
@@ -170,8 +169,8 @@ class AssembledWindowStore:
         One whose bin table has been purged stays, for it cannot be taken from its roll-up.
         """
         removed = [record for record in records if not self._stays(record)]
+        list_for_sums(self.connection, [record.key for record in removed])
         for record in removed:
-            take_back(self.connection, record.wheelset, record.start_ns)
             for table in (TABLES, POSITIONS, WINDOWS):
                 same = (table.c.wheelset == record.wheelset, table.c.start_ns == record.start_ns)
                 self.connection.execute(delete(table).where(*same))

@@ -24,7 +24,6 @@ from estimation.vehicle.vehicle_class import (
     class_document,
     class_of_document,
 )
-from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of
@@ -49,7 +48,6 @@ class CorrectionStore:
     """Voids and restores records, in one transaction."""
 
     connection: Connection
-    changes: Changes
     registry: RegistryStore
     tracks: TrackStore
     history: RegistryHistoryStore
@@ -156,7 +154,6 @@ class CorrectionStore:
             raise NotFoundError(key.kind.value, _name(key))
         table = REPROFILINGS if key.kind is RecordKind.REPROFILING else MEASURED
         self.connection.execute(delete(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns))
-        self.changes.refile(key.subject)
         return dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
 
     def _void_wheelset(self, key: RecordKey) -> _Values:
@@ -167,7 +164,6 @@ class CorrectionStore:
         if mounted:
             reason = f"wheelset {key.subject!r} is mounted on {mounted[-1].vehicle!r}: void its mountings first"
             raise ConflictError(reason, kind=key.kind.value, key=key.subject)
-        self.changes.show(key.subject)
         return {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
 
     def _void_section(self, key: RecordKey) -> _Values:
@@ -240,11 +236,9 @@ class CorrectionStore:
     def _restore_measurement(self, record: _Values, _recorded_ns: int | None) -> None:
         row = record | {"packed": base64.b64decode(record["packed"])}
         self.connection.execute(insert(MEASURED).values(**row))
-        self.changes.refile(record["wheelset"])
 
     def _restore_wheelset(self, record: _Values, _recorded_ns: int | None) -> None:
         """Nothing is to be put back: the decision itself ends that it is voided."""
-        self.changes.show(record["serial"])
 
     def _restore_section(self, record: _Values, recorded_ns: int | None) -> None:
         self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)

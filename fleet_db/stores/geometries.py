@@ -34,7 +34,8 @@ from estimation.values.geometry import (
     WheelsetGeometry,
 )
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_geometry, unpack_geometry
@@ -77,6 +78,7 @@ class GeometryStore:
             values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
         self.connection.execute(insert(GEOMETRIES).values(**values))
         self.changes.touch(record.wheelset)
+        self.changes.subjects.raised(SubjectKind.WHEELSET, record.wheelset, Facet.GEOMETRY)
         if record.interval is None:
             self._show_bins(record.wheelset)
             self.changes.show(record.wheelset)
@@ -111,32 +113,19 @@ class GeometryStore:
         return [_record(row) for row in self.connection.execute(statement.order_by(GEOMETRIES.c.baseline), as_of)]
 
     def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]:
-        """Return by baseline and interval what the newest geometry was made from."""
-        columns = (
-            GEOMETRIES.c.baseline,
-            GEOMETRIES.c.baseline_interval,
-            GEOMETRIES.c.input_digest,
-            GEOMETRIES.c.windows,
-        )
-        statement = select(*columns).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
+        """Return by baseline and interval what the newest geometry was made from, and why it holds no number."""
+        names = ("baseline", "baseline_interval", "input_digest", "windows", "status", "reason", "reason_code")
+        statement = select(*(GEOMETRIES.c[name] for name in names))
+        statement = statement.where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
         rows = self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS})
-        return {(b, interval): IntervalDigest(digest, windows) for b, interval, digest, windows in rows}
-
-    def reason(self, wheelset: str, baseline: int, interval: int | None) -> Reason | None:
-        """Return why the newest geometry of an interval, or the current one, holds no number; None where it does.
-
-        Args:
-            baseline, interval: Its key; None is the current geometry.
-        """
-        column = GEOMETRIES.c.baseline_interval
-        of_interval = column.is_(None) if interval is None else column == interval
-        row = self.connection.execute(
-            select(GEOMETRIES.c.reason, GEOMETRIES.c.reason_code, GEOMETRIES.c.status)
-            .where(GEOMETRIES.c.wheelset == wheelset, GEOMETRIES.c.baseline == baseline, of_interval)
-            .order_by(*NEWEST_FIRST)
-            .limit(1)
-        ).first()
-        return None if row is None or row.status == Status.ESTIMATED.value else stored_reason(row)
+        return {
+            (row.baseline, row.baseline_interval): IntervalDigest(
+                row.input_digest,
+                row.windows,
+                None if row.status == Status.ESTIMATED.value else stored_reason(row),
+            )
+            for row in rows
+        }
 
     def interval_numbers(self, wheelset: str, baseline: int) -> Mapping[int, int]:
         """Return by interval the number of its newest geometry."""

@@ -9,10 +9,11 @@ from sqlalchemy import Connection, func, select, update
 from fleet_db.locks import Subject, serialise
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
-from fleet_db.tables import ChunkRow, GeometryRow, TrendRow
+from fleet_db.tables import ChunkRow, GeometryRow, ResultRow
 
 CHUNKS = table_of(ChunkRow)
-RESULTS = (table_of(GeometryRow), table_of(TrendRow))
+RESULTS, GEOMETRIES = table_of(ResultRow), table_of(GeometryRow)
+TIMES = (GEOMETRIES.c.recorded_ns, RESULTS.c.recorded_ns)
 DAY_NS = 86_400_000_000_000
 MOST_BEHIND_NS = DAY_NS
 """How far our clock may be behind what vehicles have measured by theirs before it is the one that is wrong."""
@@ -30,7 +31,7 @@ class RecordedTimeStore:
         A time that our clock has shown twice is then the second time; the order of results does not change. Nothing
         is done where our clock is so far behind the vehicles' that it is the one that is wrong.
         """
-        newest = [self.connection.scalar(select(func.max(table.c.recorded_ns))) for table in RESULTS]
+        newest = [self.connection.scalar(select(func.max(time))) for time in TIMES]
         if all(found is None or found <= now_ns for found in newest):
             return 0
         measured = select(func.max(CHUNKS.c.last_ns)).where(
@@ -40,5 +41,7 @@ class RecordedTimeStore:
         if now_ns < (self.connection.scalar(measured) or 0) - MOST_BEHIND_NS:
             return 0
         serialise(self.connection, Subject.GEOMETRIES)
-        statements = (update(table).where(table.c.recorded_ns > now_ns).values(recorded_ns=now_ns) for table in RESULTS)
+        superseded = update(RESULTS).where(RESULTS.c.superseded_ns > now_ns).values(superseded_ns=now_ns)
+        self.connection.execute(superseded)
+        statements = (update(time.table).where(time > now_ns).values(recorded_ns=now_ns) for time in TIMES)
         return sum(self.connection.execute(statement).rowcount for statement in statements)

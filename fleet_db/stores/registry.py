@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from fleet_db.rows import table_of, upsert
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.measured_profiles import (
+    MEASURED,
     measured_profiles_of,
     newest_measurement_of,
     store_measured_profiles,
@@ -36,7 +37,7 @@ from fleet_db.stores.mountings import (
     mountings_on,
     to_mounting,
 )
-from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided
+from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
 from fleet_db.stores.reprofilings import REPROFILINGS, reprofilings_of, stored_reprofiling
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
@@ -98,6 +99,10 @@ class RegistryStore:
         """Return all vehicles, those that are voided too, by code."""
         return self._vehicles(select(VEHICLES))
 
+    def vehicles_of(self, codes: Collection[str]) -> Mapping[str, VehicleRecord]:
+        """Return vehicles by code; one that is not on file is left out."""
+        return {one.code: one for one in self._vehicles(select(VEHICLES).where(VEHICLES.c.code.in_(codes)))}
+
     def vehicles_of_class(self, code: str) -> Sequence[VehicleRecord]:
         """Return the vehicles of a class, by code."""
         return self._vehicles(select(VEHICLES).where(VEHICLES.c.vehicle_class == code))
@@ -149,6 +154,18 @@ class RegistryStore:
         """Return every mounting of a wheelset, oldest first."""
         return mountings_of(self.connection, wheelset)
 
+    def mountings_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
+        """Return every mounting of some wheelsets by serial, oldest first; one without a mounting is left out."""
+        statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(wheelsets)).order_by(MOUNTINGS.c.from_ns)
+        mountings: dict[str, list[Mounting]] = {}
+        for row in self.connection.execute(statement):
+            mountings.setdefault(row.wheelset, []).append(to_mounting(row))
+        return mountings
+
+    def measured_wheelsets(self) -> frozenset[str]:
+        """Return the serials of the wheelsets whose profiles were measured."""
+        return frozenset(self.connection.scalars(select(MEASURED.c.wheelset).distinct()))
+
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
         """Return every measurement of the profiles of a wheelset, oldest first.
 
@@ -195,9 +212,8 @@ class RegistryStore:
             was = None if on_file is None else class_document(on_file.vehicle_class)
             self._note(key, was, document, recorded_ns)
         if taken_out(self.connection, stored):
-            RegistryHistoryStore(self.connection).note_return(key, document, self.decision)
+            RegistryHistoryStore(self.connection, self.changes).note_return(key, document, self.decision)
         vehicles = [vehicle.code for vehicle in self.vehicles_of_class(vehicle_class.code)]
-        self._show_mounted(vehicles)
         return Again(self.connection, self.changes, recorded_ns).class_changed(vehicles, before, stored)
 
     def add_fleet(self, record: FleetRecord) -> None:
@@ -217,10 +233,8 @@ class RegistryStore:
         was = found[0] if found else None
         values = _vehicle_values(record)
         key = RecordKey(RecordKind.VEHICLE, record.code)
-        RegistryHistoryStore(self.connection).note_return(key, values, self.decision)
+        RegistryHistoryStore(self.connection, self.changes).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
-            self._show_mounted([record.code])
-            self.changes.refile_vehicle(record.code)
             self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
         if was is not None and was.max_speed_m_s != record.max_speed_m_s:  # mileages are judged by it
             self.connection.execute(update(WINDOWS).where(WINDOWS.c.vehicle == record.code).values(judged=False))
@@ -251,12 +265,10 @@ class RegistryStore:
         was = None if row is None else row["nominal_radius_m"]
         key = RecordKey(RecordKind.WHEELSET, record.serial)
         if self.voided(record.serial):
-            RegistryHistoryStore(self.connection).note(
+            RegistryHistoryStore(self.connection, self.changes).note(
                 key, RecordAction.RESTORED, values, replace(self.decision, recorded_ns=recorded_ns)
             )
-            self.changes.show(record.serial)
         if upsert(self.connection, WHEELSETS, values):
-            self.changes.refile(record.serial)
             self._note(key, row, values, recorded_ns)
         if record.mounting is not None:
             self.add_mounting(record.mounting)
@@ -308,7 +320,6 @@ class RegistryStore:
         """Let follow what rests on a mounting that has changed; None is one that there is not."""
         record = now or was
         assert record is not None
-        self.changes.refile(record.wheelset)
         self.connection.execute(update(WINDOWS).where(WINDOWS.c.wheelset == record.wheelset).values(judged=False))
         for vehicle, from_ns, to_ns in changed_spans(was, now):
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
@@ -322,7 +333,7 @@ class RegistryStore:
     def voided(self, serial: str) -> bool:
         """Return whether a wheelset was voided and not restored since."""
         key = RecordKey(RecordKind.WHEELSET, serial)
-        return RegistryHistoryStore(self.connection).stands_voided(key) is not None
+        return stands_voided(self.connection, key) is not None
 
     def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> bool:
         """Add a visit to the lathe, or change the one of the same wheelset and time; return whether anything changed.
@@ -335,7 +346,6 @@ class RegistryStore:
         was = stored_reprofiling(self.connection, record.wheelset, record.at_ns)
         if not upsert(self.connection, REPROFILINGS, asdict(record)):
             return False
-        self.changes.refile(record.wheelset)
         self._note(RecordKey(RecordKind.REPROFILING, record.wheelset, record.at_ns), was, asdict(record), recorded_ns)
         return True
 
@@ -352,20 +362,13 @@ class RegistryStore:
         was = stored_measurement(self.connection, record.wheelset, record.at_ns)
         if not store_measured_profiles(self.connection, record):
             return False
-        self.changes.refile(record.wheelset)
         now = stored_measurement(self.connection, record.wheelset, record.at_ns)
         self._note(RecordKey(RecordKind.MEASUREMENT, record.wheelset, record.at_ns), was, now, recorded_ns)
         return True
 
-    def _show_mounted(self, vehicles: Sequence[str]) -> None:
-        """Let the worklist show what has changed about the vehicles that wheelsets run under."""
-        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle.in_(vehicles), MOUNTINGS.c.to_ns.is_(None))
-        for serial in self.connection.scalars(mounted):
-            self.changes.show(serial)
-
     def _note(self, key: RecordKey, was: Record | None, now: Record | None, recorded_ns: int | None) -> None:
         decision = self.decision if recorded_ns is None else replace(self.decision, recorded_ns=recorded_ns)
-        RegistryHistoryStore(self.connection).note_change(key, was, now, decision)
+        RegistryHistoryStore(self.connection, self.changes).note_change(key, was, now, decision)
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
         rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()

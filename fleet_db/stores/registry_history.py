@@ -9,11 +9,14 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, RowMapping, Subquery, and_, func, insert, null, select
 
 from estimation.values.json_value import JsonValue
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
+from fleet_db.changes import Changes
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import table_of
-from fleet_db.tables import RegistryEventRow
+from fleet_db.tables import RegistryEventRow, VehicleRow
 
-EVENTS = table_of(RegistryEventRow)
+EVENTS, VEHICLES = table_of(RegistryEventRow), table_of(VehicleRow)
 Record = Mapping[str, Any] | RowMapping
 """A record by the columns of its table."""
 _VOID_OR_NOT = (RecordAction.VOIDED.value, RecordAction.RESTORED.value)
@@ -30,9 +33,10 @@ class RecordKey:
 
 @dataclass(frozen=True, slots=True)
 class RegistryHistoryStore:
-    """Decisions, in one transaction."""
+    """Decisions, in one transaction; what rests on a record follows each change of it, noted or not."""
 
     connection: Connection
+    changes: Changes
 
     def note(
         self,
@@ -43,6 +47,7 @@ class RegistryHistoryStore:
         after: Mapping[str, JsonValue] | None = None,
     ) -> None:
         """Append a decision on a record: what it was before, and what it is afterwards where it is on file then."""
+        self._raise(key, record, after)
         values: dict[str, object] = {
             "kind": key.kind.value,
             "subject": key.subject,
@@ -57,10 +62,12 @@ class RegistryHistoryStore:
 
         What a file brings in the first place, and nobody has put his name to, is in the file.
         """
+        if was is None and not decision.actor:
+            self._raise(key, now)
+            return
         action = RecordAction.ENTERED if was is None else RecordAction.CHANGED
-        if was is not None or decision.actor:
-            before = {} if was is None else {str(name): value for name, value in was.items()}
-            self.note(key, action, before, decision, None if now is None else dict(now))
+        before = {} if was is None else {str(name): value for name, value in was.items()}
+        self.note(key, action, before, decision, None if now is None else dict(now))
 
     def latest(self, key: RecordKey, action: RecordAction | None = None) -> RegistryEvent | None:
         """Return the last decision on a record, or the last of one action; None where there is none."""
@@ -78,10 +85,25 @@ class RegistryHistoryStore:
 
     def stands_voided(self, key: RecordKey) -> RegistryEvent | None:
         """Return the decision by which an undated record was voided and that none has restored since."""
-        chosen = (EVENTS.c.kind == key.kind.value, EVENTS.c.subject == key.subject, EVENTS.c.action.in_(_VOID_OR_NOT))
-        row = self.connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
-        found = None if row is None else _event(row)
-        return found if found is not None and found.action is RecordAction.VOIDED else None
+        return stands_voided(self.connection, key)
+
+    def _raise(self, key: RecordKey, *records: Record | None) -> None:
+        """Let what rests on a record follow."""
+        if key.kind is RecordKind.SENSOR_CHANGE:
+            self.changes.subjects.vehicle_on_file(key.subject)
+        elif key.kind is RecordKind.VEHICLE:
+            self.changes.refile_vehicle(key.subject)
+        elif key.kind is RecordKind.VEHICLE_CLASS:
+            of_class = select(VEHICLES.c.code).where(VEHICLES.c.vehicle_class == key.subject)
+            for vehicle in self.connection.scalars(of_class).all():
+                self.changes.refile_vehicle(vehicle)
+        elif key.kind is RecordKind.SECTION:
+            self.changes.subjects.raised(SubjectKind.SECTION, key.subject, Facet.REGISTRY)
+        else:
+            self.changes.refile(key.subject)
+        if key.kind is RecordKind.MOUNTING:  # the wheelsets beside it have another beside them
+            for vehicle in {str(record["vehicle"]) for record in records if record}:
+                self.changes.subjects.vehicle_on_file(vehicle)
 
     def list(
         self,
@@ -99,6 +121,14 @@ class RegistryHistoryStore:
         if after is not None:
             statement = statement.where(EVENTS.c.id > after)
         return [_event(row) for row in self.connection.execute(statement)]
+
+
+def stands_voided(connection: Connection, key: RecordKey) -> RegistryEvent | None:
+    """Return the decision by which an undated record was voided and that none has restored since."""
+    chosen = (EVENTS.c.kind == key.kind.value, EVENTS.c.subject == key.subject, EVENTS.c.action.in_(_VOID_OR_NOT))
+    row = connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
+    found = None if row is None else _event(row)
+    return found if found is not None and found.action is RecordAction.VOIDED else None
 
 
 def _json(record: Mapping[str, JsonValue] | None) -> object:

@@ -16,15 +16,16 @@ from fleet_db.tables import TrackSectionRow
 SECTIONS = table_of(TrackSectionRow)
 
 
-def free_numbers(connection: Connection, records: Sequence[TrackSectionRecord], recorded_ns: int | None) -> None:
+def free_numbers(history: RegistryHistoryStore, records: Sequence[TrackSectionRecord], recorded_ns: int | None) -> None:
     """Give up the numbers of sections that will get another one: sections may exchange theirs."""
+    connection = history.connection
     serialise(connection, Subject.TRACKS)
     for record in records:
         was = connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
         if was is not None and was["number"] > 0 and was["number"] != record.number:
             key = RecordKey(RecordKind.SECTION, record.code)
             decision = Decision(recorded_ns=recorded_ns)
-            RegistryHistoryStore(connection).note(key, RecordAction.CHANGED, dict(was), decision)
+            history.note(key, RecordAction.CHANGED, dict(was), decision)
             give_up_number(connection, record.code)
 
 

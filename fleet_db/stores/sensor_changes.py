@@ -58,7 +58,7 @@ class SensorChangeStore:
         if not upsert(self.connection, CHANGES, values):
             return False
         key = RecordKey(RecordKind.SENSOR_CHANGE, record.vehicle, record.at_ns)
-        RegistryHistoryStore(self.connection).note_change(key, was, values, decision)
+        RegistryHistoryStore(self.connection, self.changes).note_change(key, was, values, decision)
         self._note(record)
         return True
 

@@ -12,6 +12,8 @@ from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, s
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.quantities import Status
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from estimation.values.track import (
     AlignmentRecord,
     AlignmentSource,
@@ -25,7 +27,7 @@ from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
-from fleet_db.registry_events import Decision, RecordAction, RecordKind
+from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
@@ -108,11 +110,11 @@ class TrackStore:
             )
         was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
         line = None if record.line is None else [list(point) for point in record.line]  # as JSON has it
-        if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}) and was is not None and was["number"] > 0:
-            key = RecordKey(RecordKind.SECTION, record.code)
-            RegistryHistoryStore(self.connection).note(
-                key, RecordAction.CHANGED, dict(was), Decision(recorded_ns=recorded_ns)
-            )
+        if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}):
+            history = RegistryHistoryStore(self.connection, self.changes)
+            before = None if was is None or was["number"] <= 0 else was
+            key, decision = RecordKey(RecordKind.SECTION, record.code), Decision(recorded_ns=recorded_ns)
+            history.note_change(key, before, None, decision)
         if was is None or was["number"] != record.number:
             make_stale(self.connection, record.code, f"number of track section {record.code}", elsewhere=True)
         elif was["line"] != line:
@@ -168,6 +170,7 @@ class TrackStore:
         if recorded_ns is not None:
             version_values = _version_values(alignment, version if same_since is None else same_since, recorded_ns)
             self.connection.execute(insert(VERSIONS).values(**values, **version_values))
+        self.changes.subjects.raised(SubjectKind.SECTION, alignment.section, Facet.ALIGNMENT)
         return version
 
     def in_force(self, section: str) -> AlignmentRecord | None:
@@ -222,7 +225,10 @@ class TrackStore:
         They stay for what was recorded with them.
         """
         gone = (VERSIONS.c.section == section, STANDS, VERSIONS.c.version.not_in(sorted(kept)))
-        return int(self.connection.execute(update(VERSIONS).where(*gone).values(superseded_ns=recorded_ns)).rowcount)
+        count = int(self.connection.execute(update(VERSIONS).where(*gone).values(superseded_ns=recorded_ns)).rowcount)
+        if count:
+            self.changes.subjects.raised(SubjectKind.SECTION, section, Facet.ALIGNMENT)
+        return count
 
     def versions(self, section: str, after: int | None, limit: int) -> Sequence[AlignmentRecord]:
         """Return at most ``limit`` versions of a section behind version ``after``, oldest first."""

@@ -11,7 +11,7 @@ from estimation.errors import DamagedError, ParameterError
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
-from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+from fleet_db.stores.registry_history import RecordKey, stands_voided
 from fleet_db.tables import VehicleClassRow
 
 CLASSES = table_of(VehicleClassRow)
@@ -56,7 +56,7 @@ def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
         newest: Its newest version.
     """
     key = RecordKey(RecordKind.VEHICLE_CLASS, newest.vehicle_class.code)
-    voided = RegistryHistoryStore(connection).stands_voided(key)
+    voided = stands_voided(connection, key)
     return voided is not None and class_digest(class_of_document(voided.record)) == newest.digest
 
 

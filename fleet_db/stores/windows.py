@@ -51,8 +51,7 @@ from fleet_db.rows import (
     stored_reason,
     table_of,
 )
-from fleet_db.stores.taken_tables import take_back
-from fleet_db.stores.window_marks import BATCH, keys_given, mark_all, pass_over, remove_tables
+from fleet_db.stores.window_marks import BATCH, keys_given, list_for_sums, mark_all, pass_over, remove_tables
 from fleet_db.tables import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.tables.windows import PENDING
 from fleet_db.telemetry import WindowFiles, window_digest
@@ -371,7 +370,7 @@ class WindowStore:
             return False
         values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km, "judged": False}
         replace(self.connection, WINDOWS, values)
-        take_back(self.connection, window.wheelset, window.start_ns)
+        list_for_sums(self.connection, [(window.wheelset, window.start_ns)])
         self.changes.note(window.wheelset)
         self.changes.on_section(found.track_section)
         return True

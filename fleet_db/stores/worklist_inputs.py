@@ -13,7 +13,7 @@ from estimation.values.alerts import Condition, Severity
 from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import TREND, TrendRecord
 from estimation.values.windows import WindowState
 from estimation.values.worklist import MileageNow, OpenAlert
 from estimation.vehicle.vehicle_class import VehicleClass
@@ -25,10 +25,10 @@ from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.window_reasons import refused_by_code
-from fleet_db.tables import AlertRow, GeometryRow, TrendRow, WheelsetRow, WindowRow
+from fleet_db.tables import AlertRow, GeometryRow, WheelsetRow, WindowRow
 
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
-GEOMETRIES, TRENDS = table_of(GeometryRow), table_of(TrendRow)
+GEOMETRIES = table_of(GeometryRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class WorklistReader:
         """
         alerts, windows = self._alerts(serials), self._windows(serials)
         with_geometry = self._having(serials, GEOMETRIES.c.wheelset)
-        with_trend = self._having(serials, TRENDS.c.wheelset)
+        with_trend = self.trends.results.having(TREND, serials)
         found = []
         for record in self.registry.wheelsets_of(serials):
             serial, mounting = record.serial, record.mounting

@@ -108,6 +108,34 @@ class LookRow(Base):
     number: Mapped[Count | None]
 
 
+class SubjectVersionRow(Base):
+    """How often a facet of a wheelset, vehicle or section has changed; section '' is what is on none."""
+
+    __tablename__ = "subject_versions"
+
+    kind: Mapped[str] = mapped_column(String(16), primary_key=True)
+    subject: Mapped[str] = mapped_column(String(64), primary_key=True)
+    facet: Mapped[str] = mapped_column(String(32), primary_key=True)
+    version: Mapped[Count]
+
+
+class StageMarkRow(Base):
+    """What a stage has seen of a subject: the sum of the versions of its inputs, and digests of the inputs themselves.
+
+    ``common`` is what is the same for all subjects. From ``again_ns`` on, our time, the same inputs may say something
+    else.
+    """
+
+    __tablename__ = "stage_marks"
+
+    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
+    subject: Mapped[str] = mapped_column(String(64), primary_key=True)
+    seen: Mapped[Count]
+    common: Mapped[Digest]
+    made_from: Mapped[Digest]
+    again_ns: Mapped[Nanoseconds | None]
+
+
 class SectionChangeRow(Base):
     """How often something has happened to windows, positions or epochs of a section.
 

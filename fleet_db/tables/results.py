@@ -1,4 +1,4 @@
-"""Geometries, trends, and the row of the worklist."""
+"""Results of the stages, geometries, and the row of the worklist."""
 
 from __future__ import annotations
 
@@ -68,27 +68,46 @@ class GeometryRow(Base):
     packed: Mapped[Packed]
 
 
-class TrendRow(Base):
-    """One trend; never changed. ``packed`` holds the whole value with its points."""
+IN_FORCE = text("superseded_ns IS NULL")
 
-    __tablename__ = "trends"
+
+class ResultRow(Base):
+    """What a stage made of a part of a subject. ``superseded_ns`` is when the one that followed it was recorded.
+
+    ``value`` holds the whole value, bit for bit; ``head`` what is read of many results without it.
+    """
+
+    __tablename__ = "results"
     __table_args__ = (
-        CheckConstraint("baseline >= 0", name="baseline_counted"),
-        Index(None, "wheelset", "trend_id"),
-        Index(None, "wheelset", "recorded_ns", "trend_id"),
+        one_of("status", Status),
+        Index(
+            "ix_results_in_force",
+            *("stage", "subject", "part"),
+            unique=True,
+            sqlite_where=IN_FORCE,
+            postgresql_where=IN_FORCE,
+        ),
+        Index(None, "stage", "subject", "part", "recorded_ns", "result_id"),
         Index(None, "recorded_ns"),
+        Index(None, "superseded_ns"),
         {"sqlite_autoincrement": True},
     )
 
-    trend_id: Mapped[Serial]
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
-    baseline: Mapped[int]
-    quantity: Mapped[str] = mapped_column(String(64))
-    input_digest: Mapped[Digest]
-    code_version: Mapped[Name]
-    recorded_ns: Mapped[Nanoseconds]
-    packed: Mapped[Packed]
+    result_id: Mapped[Serial]
+    stage: Mapped[str] = mapped_column(String(32))
+    kind: Mapped[str] = mapped_column(String(16))
+    subject: Mapped[Code]
+    part: Mapped[Code]
+    made_from: Mapped[Digest]
+    numerics: Mapped[Name]
+    status: Mapped[str] = mapped_column(String(16))
+    reason: Mapped[Name]
+    reason_code: Mapped[ReasonCodeColumn | None]
+    head: Mapped[str | None] = mapped_column(Text)
+    value: Mapped[Packed | None]
     parameters: Mapped[Json]
+    recorded_ns: Mapped[Nanoseconds]
+    superseded_ns: Mapped[Nanoseconds | None]
 
 
 SORT_KEYS = ("urgency_key", "distance_key", "conicity_key", "trend_key", "mileage_key", "last_data_ns")

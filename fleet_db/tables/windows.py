@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from sqlalchemy import (
-    BigInteger,
     CheckConstraint,
     ForeignKey,
     ForeignKeyConstraint,
@@ -99,23 +98,15 @@ class WindowRow(Base):
     passed_over: Mapped[str | None] = mapped_column(String(16))
 
 
-WAITING, WAITING_PG = text("rolled = 0"), text("NOT rolled")
-
-
 class WindowBinTableRow(Base):
     """The sufficient statistics of one window, packed; ``window_digest`` identifies the content of the window.
 
-    ``content_digest`` is of the table itself. A table that is ``rolled`` is part
-    of the sums of ``roll_up``, with the mileage and the digest of its share there; or of none.
+    ``content_digest`` is of the table itself. ``running_km`` is the mileage with which it was summed; null before that.
     """
 
     __tablename__ = "window_bin_tables"
     __table_args__ = (
         ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
-        Index(
-            "ix_window_bin_tables_waiting", "wheelset", "start_ns", sqlite_where=WAITING, postgresql_where=WAITING_PG
-        ),
-        Index(None, "roll_up", "start_ns"),
     )
 
     wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -125,11 +116,22 @@ class WindowBinTableRow(Base):
     parameter_key: Mapped[str] = mapped_column(String(128))
     samples: Mapped[Count]
     content_digest: Mapped[Digest | None]
-    rolled: Mapped[bool] = mapped_column(server_default=false())
-    roll_up: Mapped[int | None] = mapped_column(BigInteger)
     running_km: Mapped[Real | None]
-    line: Mapped[Digest | None]
     packed: Mapped[Packed]
+
+
+class WindowDueRow(Base):
+    """A window that a stage has not made from what it is now (``fleet_db.due``); ``section`` is empty on none."""
+
+    __tablename__ = "window_due"
+    __table_args__ = (Index(None, "stage", "section", "start_ns"), Index(None, "stage", "vehicle", "start_ns"))
+
+    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
+    wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
+    start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
+    vehicle: Mapped[Code]
+    section: Mapped[Code]
+    version: Mapped[Count]
 
 
 class WheelsetBinRow(Base):
@@ -167,7 +169,7 @@ class WheelsetBinRow(Base):
 
 
 class RollUpRow(Base):
-    """Exact sums of the tables of one interval, plain and with forgetting, packed; ``summary`` is of its windows."""
+    """Sums of the tables of one interval, plain and with forgetting, packed; ``summary`` is of its windows."""
 
     __tablename__ = "roll_ups"
     __table_args__ = (
@@ -186,25 +188,12 @@ class RollUpRow(Base):
     vehicle_class: Mapped[Code]
     windows: Mapped[Count]
     content: Mapped[Digest]
+    first_ns: Mapped[Nanoseconds]
+    last_ns: Mapped[Nanoseconds]
     sealed: Mapped[bool] = mapped_column(server_default=false())
     summary: Mapped[Json]
-    plain: Mapped[Packed | None]
+    plain: Mapped[Packed]
     forgetting: Mapped[Packed | None]
-
-
-class TakenTableRow(Base):
-    """A bin table that was replaced or removed after it had been rolled up."""
-
-    __tablename__ = "taken_tables"
-    __table_args__ = (Index(None, "wheelset"),)
-
-    number: Mapped[Serial]
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
-    roll_up: Mapped[Count]
-    start_ns: Mapped[Nanoseconds]
-    running_km: Mapped[Real]
-    line: Mapped[Digest]
-    packed: Mapped[Packed]
 
 
 class RollUpStateRow(Base):
@@ -215,7 +204,6 @@ class RollUpStateRow(Base):
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     rules: Mapped[Digest]
     classes: Mapped[Json]
-    odometers: Mapped[Json]
     earlier_digest: Mapped[Digest | None]
     earlier: Mapped[Packed | None]
 

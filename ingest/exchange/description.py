@@ -10,8 +10,9 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from estimation.errors import ExchangeError, ParameterError
+from estimation.values.registry import MAX_AXLES, Kilometres
+from ingest.file_value import FIRST_YEAR, LAST_YEAR
 from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
-from ingest.registry_schema import FIRST_YEAR, LAST_YEAR, MAX_AXLES, Kilometres
 from ingest.units import DERIVATIVES, Quantity, Unit, unit_of
 
 MOTIONS = ("time", "position", "speed")

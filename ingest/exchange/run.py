@@ -17,6 +17,7 @@ import scipy.special
 
 from estimation.errors import ExchangeError
 from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.registry import MAX_AXLES
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.align.clock import AlignCounts, AlignedFrames, TickedValues, TimeFrames
@@ -25,7 +26,6 @@ from ingest.codec import FrameCounts
 from ingest.derivative import derivative
 from ingest.exchange.description import SIGNALS, Column, ExchangeFile, unit
 from ingest.exchange.table import ExchangeTable
-from ingest.registry_schema import MAX_AXLES
 from ingest.units import DERIVATIVES, Quantity
 
 RATE_TOLERANCE = 1e-3

@@ -9,8 +9,8 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from estimation.errors import CatalogueError
+from estimation.values.registry import MAX_AXLES
 from ingest.input_file import InputFile, InputTable, Location, Positive, Text, field_error, read_toml
-from ingest.registry_schema import MAX_AXLES
 from ingest.units import DERIVATIVES, Quantity
 
 QUANTITIES: Mapping[str, tuple[Quantity, ...]] = {

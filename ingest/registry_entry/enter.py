@@ -191,7 +191,7 @@ class _Entering:
     def _sections(self, contents: RegistryContents) -> None:
         tracks, recorded_ns = self.unit.tracks, self.entry.recorded_ns
         on_file = {one.code: one for one in tracks.sections()} if contents.sections else {}
-        free_numbers(self.unit.connection, contents.sections, recorded_ns)
+        free_numbers(self.unit.registry_history, contents.sections, recorded_ns)
         self._each(Kind.SECTION, contents.sections, lambda one: tracks.add_section(one, recorded_ns))
         for one in contents.sections:
             was = on_file.get(one.code)

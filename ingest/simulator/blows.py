@@ -8,10 +8,15 @@ image, one of the track comes from either side. Blows grow in proportion to the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from estimation.values.arrays import FloatArray
+from estimation.values.file_units import FileDefault, Key, M
+from ingest.file_value import Counted, between, written
+from ingest.input_file import Text, field_error
 from ingest.simulator.motion import WheelsetMotion
 
 PUSH, REBOUND = 8, 24  # steps of motion that each lasts
@@ -19,22 +24,31 @@ SPEED = 20.0  # m/s, at which the sizes are given
 OF_LEFT_WHEEL = np.array([-1.0, 0.5, 0.7, 0.0])  # m/s2 and rad/s2 in the order of ACCELERATIONS, by the lateral size
 
 
+def _wheel(text: str) -> bool:
+    if text not in {"left", "right"}:
+        raise field_error(f"{text!r} is neither left nor right")
+    return text == "left"
+
+
+Blow = Annotated[float, Interval(gt=0.0, le=500.0), Key("blow_m_s2")]
+
+
 @dataclass(frozen=True, slots=True)
 class WheelFlat:
     """A flat on the tread of a wheel, from campaign ``from_campaign`` (counted from 1) on."""
 
-    wheelset: str  # serial
-    left: bool  # the wheel of the axle's left end
-    size: float  # m/s2, of the lateral blow at 20 m/s
-    from_campaign: int = 1
+    wheelset: Text  # serial
+    left: Annotated[bool, written(Text, _wheel), Key("wheel"), FileDefault(value=True)]  # that of the left end
+    size: Blow  # m/s2, of the lateral blow at 20 m/s
+    from_campaign: Counted = 1
 
 
 @dataclass(frozen=True, slots=True)
 class TrackBlows:
     """Joints or switches that strike every wheelset."""
 
-    every: float  # m along the section
-    size: float  # m/s2, of the lateral blow at 20 m/s
+    every: Annotated[float, between(5.0, 1e5), M]  # along the section
+    size: Blow  # m/s2, of the lateral blow at 20 m/s
 
 
 def with_flat(motion: WheelsetMotion, flat: WheelFlat, radius: float, rng: np.random.Generator) -> WheelsetMotion:

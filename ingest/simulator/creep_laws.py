@@ -19,9 +19,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+from annotated_types import Interval
 
 from estimation.errors import ParameterError
+from estimation.values.file_units import Key
+from ingest.file_value import written
+from ingest.input_file import NotNegative, Text, field_error
 from ingest.simulator.rates import stepped
 
 
@@ -49,6 +54,16 @@ class CreepConstants(NamedTuple):
     free_rolling: bool = False  # whether the angular velocity of the wheels is a state, or V/r0
 
 
+Share = Annotated[float, Interval(gt=0.0, le=1.0)]
+_LAWS = {law.name.lower(): law for law in CreepLaw}
+
+
+def _law(text: str) -> CreepLaw:
+    if text not in _LAWS:
+        raise field_error(f"{text!r} is none of {', '.join(_LAWS)}")
+    return _LAWS[text]
+
+
 @dataclass(frozen=True, slots=True)
 class Creep:
     """The force law of all wheels. Friction may vary along the track beside.
@@ -57,12 +72,12 @@ class Creep:
         ParameterError: A value is not possible.
     """
 
-    law: CreepLaw = CreepLaw.LINEAR
-    friction: float = 0.4  # mu0
-    adhesion: float = 1.0  # kA
-    slip: float = 1.0  # kS
-    residual: float = 1.0  # A
-    decay: float = 0.0  # B, s/m
+    law: Annotated[CreepLaw, written(Text, _law)] = CreepLaw.LINEAR
+    friction: Share = 0.4  # mu0
+    adhesion: Annotated[Share, Key("adhesion_factor")] = 1.0  # kA
+    slip: Annotated[Share, Key("slip_factor")] = 1.0  # kS
+    residual: Annotated[Share, Key("sliding_friction_share")] = 1.0  # A
+    decay: Annotated[NotNegative, Key("sliding_decay_s_m")] = 0.0  # B, s/m
 
     def __post_init__(self) -> None:
         positive = (("friction", self.friction), ("adhesion", self.adhesion), ("slip", self.slip))

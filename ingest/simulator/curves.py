@@ -15,27 +15,47 @@ phi'' - theta'' (the left wheel is the lower one) and ym'' + a.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Annotated, Self
 
 import numpy as np
+from pydantic import AfterValidator
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.file_units import MM, M
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
+from ingest.file_value import between
+from ingest.input_file import NotNegative, Positive, field_error
 
 ROUNDING = 6.0  # m over which the ends of transitions are rounded: no track has a kink in its cant
+
+
+MIN_CURVE_RADIUS = 150.0  # m
+
+
+def _curve_radius(radius: float) -> float:
+    if abs(radius) < MIN_CURVE_RADIUS:
+        raise field_error(f"{radius:g} m is no radius; at least {MIN_CURVE_RADIUS:g} m, negative to the right")
+    return radius
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
     """One curve between two equal transitions, m; ``radius`` and ``cant`` positive to the left."""
 
-    start: float
-    length: float  # with both transitions
-    radius: float
-    cant: float
-    transition: float
+    start: Annotated[NotNegative, M]
+    length: Annotated[Positive, M]  # with both transitions
+    radius: Annotated[float, between(-1e6, 1e6), AfterValidator(_curve_radius), M]
+    cant: Annotated[float, between(-200.0, 200.0), MM] = 0.0
+    transition: Annotated[Positive, M] = 80.0
+
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse a curve that is all transition."""
+        if self.length <= 2.0 * self.transition:
+            raise field_error(f"{self.length:g} m is no longer than both transitions", "length_m")
+        return self
 
     def __post_init__(self) -> None:
         if not (self.radius and self.transition > 0 and self.length > 2 * self.transition):

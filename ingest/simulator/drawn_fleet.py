@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
@@ -12,19 +12,10 @@ from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
+from ingest.simulator.drawn_plan import DrawnFleet, FleetWear, ProfilePair, WearDistribution
 from ingest.simulator.random_streams import Stream, generator
-from ingest.simulator.scenario import (
-    DrawnFleet,
-    FleetWear,
-    ProfilePair,
-    Scenario,
-    SideFiles,
-    VehicleErrors,
-    VehiclePlan,
-    WearDistribution,
-    WheelsetPlan,
-    usual_offsets,
-)
+from ingest.simulator.scenario import Scenario, VehicleErrors, VehiclePlan, WheelsetPlan, usual_offsets
+from ingest.simulator.section import RailFiles, SideFiles
 
 MOST_DRAWS = 1000  # of a wear within its limits
 NORMAL_95 = 1.96  # a 95 % limit in standard deviations
@@ -40,11 +31,16 @@ def with_seed(scenario: Scenario, seed: int) -> Scenario:
     if scenario.drawn is None:
         return replace(scenario, seed=seed)
     pair = scenario.drawn.pairs[seed % len(scenario.drawn.pairs)]
-    section = replace(scenario.section, rail_profile=pair.rail_profile, inclination=pair.inclination)
-    if pair.rail_files != (None, None):
-        inclination, files, mirrors = pair.file_inclination, pair.rail_files, pair.rail_mirrors
-        section = replace(section, rail_files=files, rail_mirrors=mirrors, file_inclination=inclination)
+    rails = {item.name: getattr(pair, item.name) for item in fields(RailFiles)}
+    if pair.rail_files == (None, None):  # files of the section keep the inclination that it has itself
+        rails = {"built_inclination": scenario.section.file_inclination}
+    section = replace(scenario.section, rail_profile=pair.rail_profile, inclination=pair.inclination, **rails)
     return replace(scenario, seed=seed, section=section, vehicles=_vehicles(scenario, scenario.drawn, seed))
+
+
+def drawn_serial(rank: int) -> str:
+    """Return the serial of the wheelset at a place of a drawn fleet, from 0."""
+    return f"W{rank:02d}"
 
 
 def with_less_wear(scenario: Scenario, vehicle: str, axle: int, share: float) -> Scenario:
@@ -178,7 +174,7 @@ def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> Wh
     smaller, uneven = generator(seed, Stream.DIAMETER, rank).standard_normal(2)
     course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in pair.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
     return WheelsetPlan(
-        serial=f"W{rank:02d}",
+        serial=drawn_serial(rank),
         wheel_profile=pair.wheel_profile,
         nominal_radius=scenario.parameters.nominal_radius + fleet.radius_std * smaller,
         rate_left=0.0,

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
 from estimation.values.arrays import FloatArray
+from estimation.values.file_units import MM, PERCENT, Key
+from ingest.file_value import between
+from ingest.input_file import Positive, field_error
 from ingest.simulator.kurtosis import GAUSSIAN, with_kurtosis
 from ingest.simulator.spectra import Irregularity, period_of, periodic, synthesise
 
@@ -19,6 +23,60 @@ class Waves:
     form: Irregularity
     std: float  # m
     wavelengths: tuple[float, float]  # shortest and longest, m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Band:
+    """Wavelengths as files have them."""
+
+    shortest: Annotated[Positive, Key("shortest_wavelength_m")] = 3.0
+    longest: Annotated[Positive, Key("longest_wavelength_m")] = 70.0
+
+    def plan(self) -> tuple[float, float]:
+        """Return the shortest and the longest, m."""
+        return self.shortest, self.longest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _WavesTable:
+    form: ClassVar[Irregularity] = "gauge"
+    shortest: Annotated[Positive, Key("shortest_wavelength_m")] = 3.0
+    longest: Annotated[Positive, Key("longest_wavelength_m")] = 70.0
+    std: float
+
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse a band without wavelengths."""
+        if self.longest <= self.shortest:
+            raise field_error(f"{self.longest:g} m must be greater than {self.shortest:g} m", "longest_wavelength_m")
+        return self
+
+    def plan(self) -> Waves:
+        """Return the waves."""
+        return Waves(self.form, self.std, (self.shortest, self.longest))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LongWaves(_WavesTable):
+    """``[section.long_alignment]``, ``[section.long_gauge]``: of the form of the spectrum of alignment, both."""
+
+    form: ClassVar[Irregularity] = "alignment"
+    shortest: Annotated[Positive, Key("shortest_wavelength_m")] = 100.0
+    longest: Annotated[Positive, Key("longest_wavelength_m")] = 1000.0
+    std: Annotated[float, between(0.0, 50.0), MM]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CrossLevel(_WavesTable):
+    """``[section.cross_level]``; the spectrum of cross level is that of gauge."""
+
+    std: Annotated[float, between(0.0, 20.0), MM]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadVariation(_WavesTable):
+    """``[section.load_variation]``, over the mean load."""
+
+    std: Annotated[float, between(0.0, 40.0), PERCENT]
 
 
 def superpose(

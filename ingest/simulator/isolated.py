@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated, Self
 
 import numpy as np
+from annotated_types import Interval
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
+from estimation.values.file_units import MM, FileUnit, Key, M
+from ingest.file_value import As, IncreasingPlaces, between, taken
+from ingest.input_file import field_error
 
 FEWEST_INTERVALS = 8  # of the grid over an isolated irregularity
 DRAWN_SHARE = (0.5, 1.5)  # of the size, of one that is drawn
@@ -31,12 +36,59 @@ class Isolated:
     is to either side.
     """
 
-    kind: IsolatedKind
-    length: float  # from begin to end
-    alignment: float  # in the middle, positive to the left
-    gauge: float  # in the middle, positive is wide
-    at: tuple[float, ...] = ()  # middles, distance along the section
-    per_metre: float = 0.0  # drawn beside those
+    kind: Annotated[IsolatedKind, Key(None)]
+    length: Annotated[float, Interval(gt=0.0, le=200.0), M]  # from begin to end
+    alignment: Annotated[float, between(-30.0, 30.0), MM] = 0.0  # in the middle, positive to the left
+    gauge: Annotated[float, between(-30.0, 30.0), MM] = 0.0  # in the middle, positive is wide
+    at: Annotated[IncreasingPlaces, Key("at_m")] = ()  # middles, distance along the section
+    per_metre: Annotated[float, between(0.0, 200.0), FileUnit("", divisor=1e3), Key("per_km")] = 0.0  # drawn beside
+
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse what is nowhere, or changes nothing."""
+        if not self.at and self.per_metre == 0.0:
+            raise field_error("is missing; give the middles, or 'per_km' to draw them", "at_m")
+        if self.alignment == 0.0 and self.gauge == 0.0:
+            raise field_error("is missing, and 'gauge_mm' too: it changes nothing", "alignment_mm")
+        return self
+
+    def plan(self) -> Isolated:
+        """Return it without the defaults of its kind."""
+        return taken(Isolated, self)
+
+
+@dataclass(frozen=True, slots=True)
+class _Defects(Isolated):
+    kind: Annotated[IsolatedKind, Key(None)] = IsolatedKind.DEFECT
+    length: Annotated[float, Interval(gt=0.0, le=200.0), M] = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Switches(Isolated):
+    kind: Annotated[IsolatedKind, Key(None)] = IsolatedKind.SWITCH
+    length: Annotated[float, Interval(gt=0.0, le=200.0), M] = 20.0
+    alignment: Annotated[float, between(-30.0, 30.0), MM] = 2e-3
+    gauge: Annotated[float, between(-30.0, 30.0), MM] = -3e-3
+
+
+@dataclass(frozen=True, slots=True)
+class _Joints(Isolated):
+    kind: Annotated[IsolatedKind, Key(None)] = IsolatedKind.JOINT
+    length: Annotated[float, Interval(gt=0.0, le=200.0), M] = 4.0
+    alignment: Annotated[float, between(-30.0, 30.0), MM] = 1e-3 * 0.8
+    gauge: Annotated[float, between(-30.0, 30.0), MM] = -0.5e-3
+
+
+@dataclass(frozen=True, slots=True)
+class IsolatedTables:
+    """``[[section.defects]]``, ``[[section.switches]]``, ``[[section.joints]]``."""
+
+    defects: tuple[Annotated[Isolated, As(_Defects)], ...] = ()
+    switches: tuple[Annotated[Isolated, As(_Switches)], ...] = ()
+    joints: tuple[Annotated[Isolated, As(_Joints)], ...] = ()
+
+    def plan(self) -> tuple[Isolated, ...]:
+        """Return them all."""
+        return (*self.defects, *self.switches, *self.joints)
 
 
 def isolated(items: Sequence[Isolated], s: FloatArray, rngs: Sequence[np.random.Generator]) -> FloatArray:

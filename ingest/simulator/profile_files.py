@@ -9,7 +9,8 @@ from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import worn_rail
 from ingest.profiles.files import read_profile
 from ingest.profiles.wheel_profile import read_wheel_profile
-from ingest.simulator.scenario import SectionPlan, WheelsetPlan
+from ingest.simulator.scenario import WheelsetPlan
+from ingest.simulator.section import SectionPlan
 
 
 @lru_cache(maxsize=256)

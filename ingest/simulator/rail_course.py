@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from estimation.contact.wear import RailWear
-from ingest.simulator.scenario import Scenario, SectionPlan
+from ingest.simulator.scenario import Scenario
+from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
 
 DAYS_PER_YEAR = 365.25
-MGT_OF_GROWTH = 100.0  # million gross tonnes, by which growth is given
 
 
 def depth_gained(section: SectionPlan, days: float) -> float:

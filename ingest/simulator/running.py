@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Self
 
+from estimation.values.file_units import MM, PERCENT, Key, M
+from ingest.file_value import Counted, between
+from ingest.input_file import NotNegative, Positive, field_error
 from ingest.simulator.blows import TrackBlows, WheelFlat
-from ingest.simulator.creep_laws import Creep, CreepLaw
+from ingest.simulator.creep_laws import Creep, CreepLaw, Share
 from ingest.simulator.irregularity import Waves
 
 CONTACT_STEP = 0.05e-3  # m of lateral displacement between the points of a contact table
@@ -21,14 +26,79 @@ class FrictionPlan:
     campaign_std: float = 0.0  # of the logarithm of a factor drawn per campaign
 
 
+STRETCH_END = 5.0  # m at each end of a stretch over which friction changes to that of the stretch
+SHORTEST_STRETCH = 2.0 * STRETCH_END  # m: its friction is reached somewhere
+
+
 @dataclass(frozen=True, slots=True)
 class FrictionStretch:
     """Rails of another friction between two distances from a campaign on: leaves that fell, a leaking lubricator."""
 
-    begin: float  # m along the section
-    end: float
-    friction: float  # coefficient, whatever that of other places and campaigns is
-    from_campaign: int = 1  # counted from 1
+    begin: Annotated[NotNegative, Key("from_m")]  # m along the section
+    end: Annotated[Positive, Key("to_m")]
+    friction: Share  # coefficient, whatever that of other places and campaigns is
+    from_campaign: Counted = 1
+
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse a stretch that is all ends."""
+        if self.end < self.begin + SHORTEST_STRETCH:
+            reason = f"{self.end:g} m must be {SHORTEST_STRETCH:g} m or more behind 'from_m', {self.begin:g} m"
+            raise field_error(reason, "to_m")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class CreepTable(Creep):
+    """``[creep]``."""
+
+    lowest_friction: Share | None = None
+    highest_friction: Share | None = None
+    correlation: Annotated[Positive, M] = 100.0
+    campaign_std: Annotated[float, between(0.0, 100.0), PERCENT] = 0.0
+    stretches: tuple[FrictionStretch, ...] = ()
+
+    def of_file(self, given: Collection[str]) -> Self:
+        """Refuse what has no effect; the friction of the law is the mean where it varies."""
+        if self.law is CreepLaw.LINEAR and (needless := set(given) - {"law"}):
+            raise field_error("has no effect with law = 'linear'", min(needless))
+        low, high = self.lowest_friction, self.highest_friction
+        if (low is None) != (high is None):
+            raise field_error("is missing", "lowest_friction" if low is None else "highest_friction")
+        if low is not None and high is not None:
+            if "friction" in given:
+                raise field_error("cannot be given beside its limits", "friction")
+            if high < low:
+                raise field_error(f"{high:g} is below 'lowest_friction', {low:g}", "highest_friction")
+        only = {"adhesion_factor", "slip_factor", "sliding_friction_share", "sliding_decay_s_m"}
+        if self.law is not CreepLaw.POLACH and (needless := only.intersection(given)):
+            raise field_error("has no effect without law = 'polach'", min(needless))
+        if self.slip > self.adhesion:
+            raise field_error("is above 'adhesion_factor'", "slip_factor")
+        return self if low is None or high is None else replace(self, friction=0.5 * (low + high))
+
+    def friction_plan(self) -> FrictionPlan | None:
+        """Return how friction varies; None where it does not."""
+        if self.lowest_friction is None and self.campaign_std == 0.0:
+            return None
+        low, high = self.lowest_friction or self.friction, self.highest_friction or self.friction
+        return FrictionPlan(low, high, self.correlation, self.campaign_std)
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsTable:
+    """``[wheels]``."""
+
+    out_of_round: Annotated[float, between(0.0, 2.0), MM] = 0.0
+    contact_half_width: Annotated[float, between(0.0, 5.0), MM] = 0.0
+    contact_step: Annotated[float, between(0.001, 0.2), MM] = CONTACT_STEP
+    flats: tuple[WheelFlat, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class TractionTable:
+    """``[traction]``."""
+
+    driven_axles: tuple[Counted, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

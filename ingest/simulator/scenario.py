@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
+from typing import Annotated, Self
 
-from estimation.contact.wear import RailWear
+from annotated_types import Interval
+
 from estimation.errors import ScenarioError
+from estimation.values.file_units import KM, M_S, M_S2, MINUTES, MS, PERCENT, US, FileUnit, Key, M, S
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
+from ingest.file_value import Counted, between, written
+from ingest.input_file import NotNegative, Positive, field_error
 from ingest.simulator.class_on_file import ClassOnFile
+from ingest.simulator.drawn_plan import DrawnFleet
+from ingest.simulator.motion import MINIMUM_SPEED
 from ingest.simulator.running import RunningPlan
+from ingest.simulator.section import SectionPlan, SideFiles
 from ingest.simulator.sensors import SensorNode
-from ingest.simulator.track import TrackRecipe
 
 DAY_NS = 86_400_000_000_000
 SECOND_NS = 1_000_000_000
@@ -35,14 +44,7 @@ class Fault:
     """A sensor node that fails in campaign ``from_campaign`` (counted from 1) and stays so."""
 
     kind: FaultKind
-    from_campaign: int
-
-
-SideFiles = tuple[Path | None, Path | None]
-"""Files of the left and of the right profile; None: the built-in one."""
-
-SideMirrors = tuple[bool | None, bool | None]
-"""Of left and right rail: whether the gauge side is at positive y of the file; None: the shape shows it."""
+    from_campaign: Counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,9 +81,9 @@ class WeakDamper:
     It is the damper between frame and body of a bogie, or above a single wheelset.
     """
 
-    share: float  # of its damping that is left
-    from_campaign: int = 1
-    running_gear: int | None = None  # counted from 1; None: every one of the vehicle
+    share: Annotated[float, between(0.0, 2.0)]  # of its damping that is left
+    from_campaign: Counted = 1
+    running_gear: Counted | None = None  # counted from 1; None: every one of the vehicle
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,99 +108,67 @@ def usual_offsets(axles: int, bogie: BogieParameters | None = None) -> tuple[flo
 
 
 @dataclass(frozen=True, slots=True)
-class SurveyPlan:
-    """How the survey that is on file is wrong, beside its own errors, and what it states of these."""
-
-    other_section: bool = False  # it is of another section: that in ``file``, else one drawn by the same recipe
-    gauge_other_section: bool = False  # its gauge alone is of that other section
-    file: Path | None = None
-    shift: float = 0.0  # m, by which it is further on than the track
-    alignment_factor: float = 1.0
-    gauge_factor: float = 1.0
-    gauge: bool = True  # False: no gauge was surveyed, the file has zeros
-    stated_alignment_std: float | None = None  # m; None: that of its errors
-    stated_gauge_std: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class SectionPlan:
-    """The track section that all campaigns run on: by recipe, or from a recorded file."""
-
-    code: str
-    number: int
-    name: str
-    rail_profile: str
-    inclination: float
-    nominal_gauge: float  # m
-    recipe: TrackRecipe | None
-    file: Path | None
-    survey_alignment_std: float  # m: error of the alignment that is on file
-    survey_gauge_std: float  # m
-    surveyed: bool  # whether a survey is on file at all
-    gauge_surveyed: bool  # whether the gauge is on file even without a survey
-    latitude: float  # deg, of the section's start
-    longitude: float
-    survey: SurveyPlan = field(default_factory=SurveyPlan)
-    rail_files: SideFiles = (None, None)
-    rail_mirrors: SideMirrors = (None, None)
-    file_inclination: float = 0.0  # tangent, given to rails of which one or both are from files
-    rail_wear: tuple[RailWear | None, RailWear | None] = (None, None)  # of left and right rail; not on file
-    rail_growth: float = 0.0  # m of depth by 100 million gross tonnes, from the first campaign on; not on file
-    tonnage: float | None = None  # million gross tonnes a year, on file
-
-    @property
-    def stated_alignment_std(self) -> float:
-        """Standard deviation of the alignment that is on file, as the registry states it, m."""
-        stated = self.survey.stated_alignment_std
-        return self.survey_alignment_std if stated is None else stated
-
-    @property
-    def stated_gauge_std(self) -> float:
-        """The same of the gauge deviation, m."""
-        stated = self.survey.stated_gauge_std
-        return self.survey_gauge_std if stated is None else stated
-
-
-@dataclass(frozen=True, slots=True)
 class SpeedRange:
-    """Speed wanders smoothly between two values, m/s."""
+    """Speed wanders smoothly between two values."""
 
-    lowest: float
-    highest: float
-    period: float  # s, of the slowest wave
+    lowest: Annotated[float, Interval(ge=2.0 * MINIMUM_SPEED), M_S]
+    highest: Annotated[float, Interval(le=131.0), M_S]
+    period: Annotated[float, Interval(ge=20.0), S] = 120.0  # of the slowest wave
+    stop_every: Annotated[NotNegative, S] = 0.0  # between the middles of two stops; 0 for none
+    stop: Annotated[NotNegative, S] = 30.0  # of standing
+    braking: Annotated[float, Interval(gt=0.0, le=2.0), M_S2] = 0.5  # before and after a stop
     steady: bool = False  # every run has a mean of its own and swings a little about it
-    stop_every: float = 0.0  # s between the middles of two stops; 0 for none
-    stop: float = 30.0  # s of standing
-    braking: float = 0.5  # m/s2, before and after a stop
+
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse limits in the wrong order."""
+        if self.highest < self.lowest:
+            raise field_error(f"{self.highest} is outside the range: at least {self.lowest:g}", "highest_m_s")
+        return self
 
 
-@dataclass(frozen=True, slots=True)
+def _with_offset(moment: datetime) -> int:
+    if moment.tzinfo is None:
+        raise field_error("needs an offset from UTC, as in 2024-01-08T05:30:00Z")
+    return round(moment.timestamp()) * SECOND_NS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Sessions:
     """When and how long the fleet is recorded: campaigns, between which the odometer jumps."""
 
-    start_ns: int  # vehicle clock, of the first campaign
-    campaigns: int
-    duration: float  # s each
-    distance_between: float  # m
-    first_odometer: float  # m
-    distance_per_day: float  # m
-    start_within: float  # m, of the begin of the section: where runs begin; inf for all of it
+    start_ns: Annotated[int, written(datetime, _with_offset), Key("start")]  # vehicle clock, of the first campaign
+    campaigns: Annotated[int, between(1, 10_000)]
+    duration: Annotated[float, Interval(gt=0.0, le=600.0), MINUTES, Key("minutes_each")] = math.inf
+    """s each, at most; inf until it follows from section and speed."""
     push_pull: bool = False  # every second campaign is run with the rear end first
     whole_section: bool = False  # runs begin before the section and end behind it; ``duration`` is the longest
+    distance_between: Annotated[Positive, KM, Key("km_between")]  # m
+    first_odometer: Annotated[NotNegative, KM] = 0.0  # m
+    distance_per_day: Annotated[Positive, KM, Key("km_per_day")] = 1e3 * 400.0  # m
+    start_within: Annotated[NotNegative, M] = math.inf  # of the begin of the section: where runs begin; inf: all of it
+
+    def of_file(self, given: Collection[str]) -> Self:
+        """Refuse runs of no length, and of two."""
+        if "minutes_each" not in given and not self.whole_section:
+            raise field_error("is missing", "minutes_each")
+        for key in ("minutes_each", "start_within_m"):
+            if self.whole_section and key in given:
+                raise field_error("cannot be given beside whole_section = true", key)
+        return self
 
 
 @dataclass(frozen=True, slots=True)
 class PositionErrors:
     """How far the positions that a vehicle reports are off, one draw per run: uniform errors plus normal ones."""
 
-    offset: float  # m, at most
-    scale: float  # share of the distance run, at most
-    offset_std: float = 0.0  # m; drawn within three of them
-    scale_std: float = 0.0
-    fixed_offset: float = 0.0  # m, forwards or backwards
-    odometer_scale_std: float = 0.0  # of odometer and speed, one draw per vehicle
-    frozen_every: float = 1000.0  # m along the section between the begins of tunnels
-    frozen_length: float = 0.0  # m of each, in which the last position is repeated
+    offset: Annotated[float, between(0.0, 1000.0), Key("largest_offset_m")] = 0.0  # at most
+    scale: Annotated[float, between(0.0, 10.0), PERCENT, Key("largest_scale_percent")] = 0.0  # of the distance run
+    offset_std: Annotated[float, between(0.0, 300.0), M] = 0.0  # drawn within three of them
+    scale_std: Annotated[float, between(0.0, 3.0), PERCENT] = 0.0
+    fixed_offset: Annotated[float, between(0.0, 1000.0), Key("offset_m")] = 0.0  # forwards or backwards
+    odometer_scale_std: Annotated[float, between(0.0, 3.0), PERCENT] = 0.0  # of odometer and speed, one per vehicle
+    frozen_every: Annotated[float, between(10.0, 1e6), M] = 1000.0  # along the section between the begins of tunnels
+    frozen_length: Annotated[NotNegative, M] = 0.0  # of each, in which the last position is repeated
 
     @property
     def largest_offset(self) -> float:
@@ -210,86 +180,39 @@ class PositionErrors:
 class BusPlan:
     """How far the bus is from perfect."""
 
-    lost_share: float  # of all frames
-    burst_per_hour: float  # gaps in everything, per hour
-    burst: float  # s each
-    jitter: float  # s, standard deviation of a frame's time stamp
-    recorder_offset: float  # s, recorder's clock minus vehicle clock
-    stamp_jitter: float = 0.0  # s, standard deviation of each stamp on its own
-    bit_rate: float = 0.0  # bit/s; 0: every message has a slot of its own in the first three quarters of a cycle
-    node_delay: float = 0.0  # s after SYNC, times its number, at which a wheelset's node hands its frames over
-    position_delay: float = 0.0  # s after SYNC at which the position is handed over
+    lost_share: Annotated[float, between(0.0, 50.0), PERCENT, Key("lost_frames_percent")] = 0.0  # of all frames
+    burst_per_hour: Annotated[float, between(0.0, 3600.0), Key("bursts_per_hour")] = 0.0  # gaps in everything
+    burst: Annotated[float, between(0.0, 60.0), S] = 0.5  # each
+    jitter: Annotated[float, between(0.0, 1000.0), US] = 0.0  # standard deviation of a frame's time stamp
+    recorder_offset: Annotated[float, between(-86400.0, 86400.0), Key("recorder_clock_offset_s")] = 0.0
+    """Recorder's clock minus vehicle clock."""
+    stamp_jitter: Annotated[float, between(0.0, 1000.0), US] = 0.0  # standard deviation of each stamp on its own
+    bit_rate: Annotated[float, between(0.0, 1000.0), FileUnit("", 1e3), Key("bitrate_kbit_s")] = 0.0
+    """bit/s; 0: every message has a slot of its own in the first three quarters of a cycle."""
+    node_delay: Annotated[float, between(0.0, 500.0), US] = 0.0
+    """After SYNC, times its number, at which a wheelset's node hands its frames over."""
+    position_delay: Annotated[float, between(0.0, 3.9), MS] = 0.0  # after SYNC at which the position is handed over
     nodes_swapped: bool = False  # nodes 1 and 2, 3 and 4, ... are on each other's axles
 
-
-@dataclass(frozen=True, slots=True)
-class ProfilePair:
-    """Wheel and rail of a drawn fleet, and how far its wheels are worn at most."""
-
-    name: str
-    wheel_profile: str
-    rail_profile: str
-    inclination: float  # tangent
-    deepest_wear: float  # m
-    wheel_files: tuple[SideFiles, ...] = ()  # measured wheels that the wheelsets have; empty: the built-in one
-    wheels_drawn: bool = False  # which wheelset has which is drawn; False: in turn
-    rail_files: SideFiles = (None, None)
-    rail_mirrors: SideMirrors = (None, None)
-    file_inclination: float = 0.0
-
-
-class WearDistribution(StrEnum):
-    """How the wear of a drawn fleet is spread over its wheelsets."""
-
-    STEPS = "steps"  # from almost nothing to the deepest, in equal steps: as different as can be
-    UNIFORM = "uniform"
-    NORMAL = "normal"
-    LOGNORMAL = "lognormal"
-
-
-@dataclass(frozen=True, slots=True)
-class FleetWear:
-    """Wear of the wheelsets of a drawn fleet; m. Draws outside the limits are repeated."""
-
-    distribution: WearDistribution = WearDistribution.STEPS
-    mean: float = 0.0  # of normal and lognormal before the limits
-    std: float = 0.0
-    lowest: float = 0.0
-    highest: float | None = None  # None: the deepest of the pair
-    asymmetry: float = 0.08  # std of the share by which the left wheel's wear is above the mean of both
-
-
-@dataclass(frozen=True, slots=True)
-class DrawnFleet:
-    """A fleet whose wheelsets are drawn."""
-
-    pairs: tuple[ProfilePair, ...]  # taken in turn by seed
-    vehicles: int
-    wheelsets: int  # of each vehicle
-    wear_alike: bool  # all wheelsets have half of the deepest wear, the same on both sides
-    profiles_measured: int  # the first of the fleet, with their profiles on file
-    vehicle_class: str
-    max_speed: float  # m/s
-    wear: FleetWear = field(default_factory=FleetWear)
-    radius_std: float = 0.0  # m, of the nominal rolling radii of the wheelsets
-    diameter_difference_std: float = 0.0  # m, of left minus right
-    total: int | None = None  # wheelsets of the fleet, where the last ones to be filled stay free; None: all places
-
-    @property
-    def places(self) -> int:
-        """How many wheelsets the fleet has."""
-        return self.vehicles * self.wheelsets if self.total is None else self.total
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse delays of messages that have slots."""
+        for key, delay in (("node_delay_us", self.node_delay), ("position_delay_ms", self.position_delay)):
+            if self.bit_rate == 0.0 and delay > 0.0:
+                raise field_error("needs a 'bitrate_kbit_s'", key)
+        return self
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleErrors:
     """How far vehicles are from the parameters of the scenario: 95 % limits, relative, of normal errors."""
 
-    creep: float = 0.20  # one factor for the fleet: the state of the rails' surface
-    stiffness: float = 0.10  # lateral and yaw springs, per vehicle
-    mass: float = 0.05  # wheelset with its inertias; suspended mass with the load; per vehicle
-    seed: int | None = None  # of what is drawn per vehicle, where a fleet runs in several scenarios; None: as the rest
-    fleet: tuple[str, ...] = ()  # codes of all its vehicles then
+    creep: Annotated[float, between(0.0, 50.0), PERCENT] = 0.20  # one factor for the fleet: the surface of the rails
+    stiffness: Annotated[float, between(0.0, 50.0), PERCENT] = 0.10  # lateral and yaw springs, per vehicle
+    mass: Annotated[float, between(0.0, 50.0), PERCENT] = 0.05
+    """Wheelset with its inertias; suspended mass with the load; per vehicle."""
+    seed: Annotated[int | None, Key(None)] = None
+    """Of what is drawn per vehicle, where a fleet runs in several scenarios; None: as the rest."""
+    fleet: Annotated[tuple[str, ...], Key(None)] = ()  # codes of all its vehicles then
 
 
 @dataclass(frozen=True, slots=True)

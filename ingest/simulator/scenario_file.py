@@ -5,218 +5,207 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Self
 
-from pydantic import Field, model_validator
-
 from estimation.contact.profiles import Profile
 from estimation.contact.wear import DEEPEST_BAND
 from estimation.errors import ProfileError, ScenarioError
-from ingest.input_file import InputFile, InputTable, Location, Text, field_error, read_toml
+from estimation.values.file_units import MM
+from ingest.file_value import As, FileBeside, between, read_value, taken
+from ingest.input_file import Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
 from ingest.simulator.class_on_file import ClassOnFile
-from ingest.simulator.drawn_fleet import with_seed
+from ingest.simulator.creep_laws import Creep
+from ingest.simulator.drawn_fleet import drawn_serial, with_seed
+from ingest.simulator.drawn_plan import DrawnFleet
+from ingest.simulator.listed_fleet import DynamicsTable, VehicleTable, impossible_bogies
 from ingest.simulator.profile_files import rail_in, wheel_in
 from ingest.simulator.rail_course import DAYS_PER_YEAR
-from ingest.simulator.running import RunningPlan
-from ingest.simulator.scenario import Scenario
-from ingest.simulator.scenario_schema.drawn_fleet import DrawnFleetTable
-from ingest.simulator.scenario_schema.dynamics import DynamicsTable, VehicleErrorsTable, impossible_bogies
-from ingest.simulator.scenario_schema.fleet import FleetTable, VehicleTable
-from ingest.simulator.scenario_schema.measurement import BusTable, PositionTable, SensorsTable
-from ingest.simulator.scenario_schema.rails import RailFiles
-from ingest.simulator.scenario_schema.running import SessionsTable, SpeedTable
-from ingest.simulator.scenario_schema.running_plan import CreepTable, TractionTable, WheelsTable
-from ingest.simulator.scenario_schema.track import SectionTable
-from ingest.simulator.scenario_schema.units import MM
+from ingest.simulator.running import CreepTable, RunningPlan, TractionTable, WheelsTable
+from ingest.simulator.scenario import BusPlan, PositionErrors, Scenario, Sessions, SpeedRange, VehicleErrors
+from ingest.simulator.section import RailFiles, SectionTable
+from ingest.simulator.sensor_table import SensorsTable
+from ingest.simulator.sensors import SensorNode
 from ingest.vehicle_class_file import read_vehicle_class, shipped_classes, shipped_path
 
 
-class ClassOnFileTable(InputTable):
+@dataclass(frozen=True, slots=True)
+class ClassOnFileTable:
     """``[class_on_file]``."""
 
-    file: Text | None = None
+    file: FileBeside | None = None
     shipped: Text | None = None
-    nominal_radius_mm: Annotated[float, Field(ge=150.0, le=700.0)] | None = None
+    nominal_radius: Annotated[float, between(150.0, 700.0), MM] | None = None
 
-    @model_validator(mode="after")
-    def _check_file(self) -> Self:
+    def of_file(self, _given: Collection[str]) -> Self:
+        """Refuse none, two, and a class that the package does not ship."""
         if (self.file is None) == (self.shipped is None):
             raise field_error("needs either 'file' or 'shipped'")
         if self.shipped is not None and self.shipped not in shipped_classes():
             raise field_error(f"{self.shipped!r} is none of {', '.join(shipped_classes())}", "shipped")
         return self
 
-    def plan(self, folder: Path) -> ClassOnFile:
+    def plan(self) -> ClassOnFile:
         """Return what is on file.
-
-        Args:
-            folder: Folder of the scenario file: a relative file name starts here.
 
         Raises:
             ScenarioError: The file is no class file.
         """
-        path = shipped_path(self.shipped) if self.shipped is not None else folder / str(self.file)
-        radius = None if self.nominal_radius_mm is None else MM * self.nominal_radius_mm
-        return ClassOnFile(path, read_vehicle_class(path, ScenarioError), radius)
+        path = shipped_path(self.shipped) if self.file is None and self.shipped is not None else self.file
+        assert path is not None
+        return ClassOnFile(path, read_vehicle_class(path, ScenarioError), self.nominal_radius)
 
 
 MAX_SEED = 2**53
 
 
-class ScenarioTable(InputTable):
+@dataclass(frozen=True, slots=True)
+class FleetTable:
+    """``[fleet]``."""
+
+    code: Text
+    name: Text
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScenarioTable:
     """The whole file."""
 
     name: Text
     description: Text
-    seed: int = Field(ge=0, le=MAX_SEED)
+    seed: Annotated[int, between(0, MAX_SEED)]
     fleet: FleetTable
-    dynamics: DynamicsTable = Field(default_factory=DynamicsTable)
+    dynamics: DynamicsTable = field(default_factory=DynamicsTable)
     section: SectionTable
-    speed: SpeedTable
-    sensors: SensorsTable = Field(default_factory=SensorsTable)
-    position: PositionTable = Field(default_factory=PositionTable)
-    bus: BusTable = Field(default_factory=BusTable)
-    sessions: SessionsTable
-    vehicles: list[VehicleTable] = Field(default_factory=list)
-    drawn_fleet: DrawnFleetTable | None = None
-    vehicle_errors: VehicleErrorsTable | None = None
+    speed: SpeedRange
+    sensors: Annotated[SensorNode, As(SensorsTable)] = field(default_factory=lambda: SensorsTable().plan())
+    position: PositionErrors = field(default_factory=PositionErrors)
+    bus: BusPlan = field(default_factory=BusPlan)
+    sessions: Sessions
+    vehicles: tuple[VehicleTable, ...] = ()
+    drawn_fleet: DrawnFleet | None = None
+    vehicle_errors: VehicleErrors | None = None
     class_on_file: ClassOnFileTable | None = None
-    creep: CreepTable = Field(default_factory=CreepTable)
-    wheels: WheelsTable = Field(default_factory=WheelsTable)
+    creep: CreepTable = field(default_factory=CreepTable)
+    wheels: WheelsTable = field(default_factory=WheelsTable)
     traction: TractionTable | None = None
 
-    @model_validator(mode="after")
-    def _check_fleet(self) -> Self:
-        listed = "vehicles" in self.model_fields_set
+    def of_file(self, given: Collection[str]) -> Self:
+        """Refuse what tables contradict each other in."""
         if self.drawn_fleet is None and not self.vehicles:
-            raise field_error("must have at least 1 entries" if listed else "is missing", "vehicles")
-        if self.drawn_fleet is not None and listed:
+            raise field_error("must have at least 1 entries" if "vehicles" in given else "is missing", "vehicles")
+        if self.drawn_fleet is not None and "vehicles" in given:
             raise field_error("cannot be given beside 'drawn_fleet'", "vehicles")
+        self._check_unique()
+        self._check_campaigns()
+        for index, vehicle in enumerate(self.vehicles):
+            if math.isfinite(vehicle.longest_run) and self.sessions.whole_section:
+                reason = "runs over the whole section are not shorter for one vehicle"
+                raise field_error(reason, "vehicles", index, "minutes_each")
+        self._check_stretches()
+        self._check_flats()
+        self._check_bogies()
+        self._check_driven_axles()
+        self._check_length()
+        self._check_growth_of_rail_wear()
         return self
 
-    @model_validator(mode="after")
-    def _check_unique(self) -> Self:
+    @property
+    def length(self) -> float | None:
+        """Length of the section, m; None of a recorded one."""
+        return None if self.section.recipe is None else self.section.recipe.length
+
+    def _check_unique(self) -> None:
         codes = Counter(vehicle.code for vehicle in self.vehicles)
         serials = Counter(wheelset.serial for vehicle in self.vehicles for wheelset in vehicle.wheelsets)
         for what, names in (("vehicle code", codes), ("wheelset serial", serials)):
             for name, count in names.items():
                 if count > 1:
                     raise field_error(f"{what} {name!r} occurs twice", "vehicles")
-        return self
 
-    @model_validator(mode="after")
-    def _check_faults(self) -> Self:
-        last = self.sessions.campaigns
+    def _check_campaigns(self) -> None:
         for i, vehicle in enumerate(self.vehicles):
             for k, wheelset in enumerate(vehicle.wheelsets):
-                if wheelset.fault is not None and wheelset.fault.from_campaign > last:
-                    reason = f"{wheelset.fault.from_campaign} is outside the range: at most {last}"
-                    raise field_error(reason, "vehicles", i, "wheelsets", k, "fault", "from_campaign")
-        return self
+                if wheelset.fault is not None:
+                    self._check_campaign(wheelset.fault.from_campaign, "vehicles", i, "wheelsets", k, "fault")
 
-    @model_validator(mode="after")
-    def _check_runs(self) -> Self:
-        for index, vehicle in enumerate(self.vehicles):
-            if vehicle.minutes_each is not None and self.sessions.whole_section:
-                reason = "runs over the whole section are not shorter for one vehicle"
-                raise field_error(reason, "vehicles", index, "minutes_each")
-        return self
+    def _check_campaign(self, campaign: int, *place: str | int) -> None:
+        if campaign > self.sessions.campaigns:
+            reason = f"{campaign} is outside the range: at most {self.sessions.campaigns}"
+            raise field_error(reason, *place, "from_campaign")
 
-    @model_validator(mode="after")
-    def _check_stretches(self) -> Self:
-        length, last = self.section.length_m, self.sessions.campaigns
+    def _check_stretches(self) -> None:
         for i, stretch in enumerate(self.creep.stretches):
-            if length is not None and stretch.to_m > length:
-                reason = f"{stretch.to_m:g} is outside the range: at most {length:g}, the length of the section"
+            if self.length is not None and stretch.end > self.length:
+                reason = f"{stretch.end:g} is outside the range: at most {self.length:g}, the length of the section"
                 raise field_error(reason, "creep", "stretches", i, "to_m")
-            if stretch.from_campaign > last:
-                reason = f"{stretch.from_campaign} is outside the range: at most {last}"
-                raise field_error(reason, "creep", "stretches", i, "from_campaign")
-        return self
+            self._check_campaign(stretch.from_campaign, "creep", "stretches", i)
 
-    @model_validator(mode="after")
-    def _check_flats(self) -> Self:
-        listed = {wheelset.serial for vehicle in self.vehicles for wheelset in vehicle.wheelsets}
-        serials = listed if self.drawn_fleet is None else set(self.drawn_fleet.serials())
+    def _check_flats(self) -> None:
+        serials = {wheelset.serial for vehicle in self.vehicles for wheelset in vehicle.wheelsets}
+        if self.drawn_fleet is not None:
+            serials = {drawn_serial(rank) for rank in range(self.drawn_fleet.places)}
         for i, flat in enumerate(self.wheels.flats):
             if flat.wheelset not in serials:
                 raise field_error(f"there is no wheelset {flat.wheelset!r}", "wheels", "flats", i, "wheelset")
-            if flat.from_campaign > self.sessions.campaigns:
-                reason = f"{flat.from_campaign} is outside the range: at most {self.sessions.campaigns}"
-                raise field_error(reason, "wheels", "flats", i, "from_campaign")
-        return self
+            self._check_campaign(flat.from_campaign, "wheels", "flats", i)
 
-    @model_validator(mode="after")
-    def _check_bogies(self) -> Self:
-        bogie = self.dynamics.bogie_plan()
+    def _check_bogies(self) -> None:
+        bogie = self.dynamics.bogie
         if bogie is None:
-            return self
-        if self.drawn_fleet is not None:
-            if uneven := self.drawn_fleet.axles_without_bogie():
-                raise field_error(f"a vehicle has {uneven} wheelsets, bogies have two each", "drawn_fleet", "wheelsets")
-            return self
+            return
+        if self.drawn_fleet is not None and (uneven := self.drawn_fleet.axles_without_bogie()):
+            raise field_error(f"a vehicle has {uneven} wheelsets, bogies have two each", "drawn_fleet", "wheelsets")
         for index, vehicle in enumerate(self.vehicles):
             reason = impossible_bogies(vehicle.offsets(bogie), bogie.wheelbase)
             if reason is not None:
                 raise field_error(reason, "vehicles", index, "axle_offsets_m")
-        return self
 
-    @model_validator(mode="after")
-    def _check_driven_axles(self) -> Self:
-        if self.drawn_fleet is None:
-            fewest = min(len(vehicle.wheelsets) for vehicle in self.vehicles)
-        else:
-            fewest = self.drawn_fleet.wheelsets_each
+    def _check_driven_axles(self) -> None:
+        drawn = self.drawn_fleet
+        fewest = min(len(vehicle.wheelsets) for vehicle in self.vehicles) if drawn is None else drawn.wheelsets
         for axle in () if self.traction is None else self.traction.driven_axles:
             if axle > fewest:
                 raise field_error(f"there is no axle {axle} in every vehicle", "traction", "driven_axles")
-        return self
 
-    @model_validator(mode="after")
-    def _check_length(self) -> Self:
-        if self.sessions.whole_section and self.section.length_m is None:
+    def _check_length(self) -> None:
+        length, duration = self.length, self.sessions.duration
+        if self.sessions.whole_section and length is None:
             raise field_error("needs a section with 'length_m'", "sessions", "whole_section")
-        if self.section.length_m is None or self.sessions.minutes_each is None:
-            return self
-        if self.drawn_fleet is not None:
-            return self
-        rear = max(vehicle.offsets(self.dynamics.bogie_plan())[-1] for vehicle in self.vehicles)
-        needed = 60.0 * self.speed.highest_m_s * self.sessions.minutes_each + rear
-        if self.section.length_m < needed:
-            reason = f"a campaign may need {needed:.0f} m of track, the section has {self.section.length_m:.0f} m"
+        if length is None or math.isinf(duration) or self.drawn_fleet is not None:
+            return
+        rear = max(vehicle.offsets(self.dynamics.bogie)[-1] for vehicle in self.vehicles)
+        needed = self.speed.highest * duration + rear
+        if length < needed:
+            reason = f"a campaign may need {needed:.0f} m of track, the section has {length:.0f} m"
             raise field_error(reason, "section", "length_m")
-        return self
 
-    @model_validator(mode="after")
-    def _check_growth_of_rail_wear(self) -> Self:
-        wear, place = self.section.rail_wear, ("section", "rail_wear", "growth_mm_per_100_mgt")
-        if wear is None or wear.growth_mm_per_100_mgt == 0.0:
-            return self
-        if self.section.tonnage_mgt_per_year is None:
+    def _check_growth_of_rail_wear(self) -> None:
+        wear, place = self.section.rail_wear_of_file, ("section", "rail_wear", "growth_mm_per_100_mgt")
+        if wear is None or wear.growth == 0.0:
+            return
+        if self.section.tonnage is None:
             raise field_error("needs 'section.tonnage_mgt_per_year'", *place)
         if self.drawn_fleet is not None:
             raise field_error("the rails under a drawn fleet do not wear", *place)
-        days = (self.sessions.campaigns - 1) * self.sessions.km_between / self.sessions.km_per_day
-        deepest = wear.deepest_mm(self.section.tonnage_mgt_per_year * days / DAYS_PER_YEAR)
-        if deepest > DEEPEST_BAND / MM:
-            reason = f"the last campaign is on bands {deepest:.1f} mm deep; at most {DEEPEST_BAND / MM:g} mm"
+        days = (self.sessions.campaigns - 1) * self.sessions.distance_between / self.sessions.distance_per_day
+        deepest = wear.deepest(self.section.tonnage * days / DAYS_PER_YEAR)
+        if deepest > DEEPEST_BAND:
+            reason = f"the last campaign is on bands {1e3 * deepest:.1f} mm deep; at most {1e3 * DEEPEST_BAND:g} mm"
             raise field_error(reason, *place)
-        return self
 
-    def scenario(self, folder: Path) -> Scenario:
-        """Return the scenario in SI units.
-
-        Args:
-            folder: Folder of the scenario file: relative file names start here.
-        """
-        length, bogie = self.section.length_m or 0.0, self.dynamics.bogie_plan()
-        parameters = self.dynamics.parameters()
+    def scenario(self) -> Scenario:
+        """Return the scenario."""
+        parameters, bogie, sessions = self.dynamics.parameters, self.dynamics.bogie, self.sessions
+        if math.isinf(sessions.duration):
+            sessions = replace(sessions, duration=((self.length or 0.0) + 2.0 * MARGIN) / self.speed.lowest)
         scenario = Scenario(
             name=self.name,
             description=self.description,
@@ -224,36 +213,35 @@ class ScenarioTable(InputTable):
             fleet_code=self.fleet.code,
             fleet_name=self.fleet.name,
             parameters=parameters,
-            section=self.section.plan(folder),
-            sensors=self.sensors.plan(),
-            speed=self.speed.plan(),
-            sessions=self.sessions.plan((length + 2.0 * MARGIN) / self.speed.lowest_m_s),
-            bus=self.bus.plan(),
-            position=self.position.plan(),
-            vehicles=tuple(vehicle.plan(folder, parameters.nominal_radius, bogie) for vehicle in self.vehicles),
-            drawn=None if self.drawn_fleet is None else self.drawn_fleet.plan(folder),
-            vehicle_errors=None if self.vehicle_errors is None else self.vehicle_errors.plan(),
+            section=self.section.plan(),
+            sensors=self.sensors,
+            speed=self.speed,
+            sessions=sessions,
+            bus=self.bus,
+            position=self.position,
+            vehicles=tuple(vehicle.plan(parameters.nominal_radius, bogie) for vehicle in self.vehicles),
+            drawn=self.drawn_fleet,
+            vehicle_errors=self.vehicle_errors,
             bogie=bogie,
-            class_on_file=None if self.class_on_file is None else self.class_on_file.plan(folder),
+            class_on_file=None if self.class_on_file is None else self.class_on_file.plan(),
             running=self._running(),
         )
         return with_seed(scenario, self.seed)
 
     def _running(self) -> RunningPlan:
-        level, load = self.section.cross_level, self.section.load_variation
         return RunningPlan(
-            creep=self.creep.plan(),
+            creep=taken(Creep, self.creep),
             friction=self.creep.friction_plan(),
-            cross_level=None if level is None else level.plan(),
-            load_variation=None if load is None else load.plan(),
-            out_of_round=MM * self.wheels.out_of_round_mm,
+            cross_level=self.section.cross_level,
+            load_variation=self.section.load_variation,
+            out_of_round=self.wheels.out_of_round,
             traction=self.traction is not None,
-            driven_axles=() if self.traction is None else tuple(self.traction.driven_axles),
-            contact_half_width=MM * self.wheels.contact_half_width_mm,
-            contact_step=MM * self.wheels.contact_step_mm,
-            stretches=tuple(stretch.plan() for stretch in self.creep.stretches),
-            flats=tuple(flat.plan() for flat in self.wheels.flats),
-            track_blows=None if self.section.blows is None else self.section.blows.plan(),
+            driven_axles=() if self.traction is None else self.traction.driven_axles,
+            contact_half_width=self.wheels.contact_half_width,
+            contact_step=self.wheels.contact_step,
+            stretches=self.creep.stretches,
+            flats=self.wheels.flats,
+            track_blows=self.section.blows,
         )
 
 
@@ -290,43 +278,34 @@ def read_scenario(path: Path) -> Scenario:
         ScenarioError: As ``load_scenario``.
     """
     file = read_toml(path, ScenarioError)
-    table = file.parse(ScenarioTable)
-    _check_profile_files(file, table)
-    return table.scenario(path.parent)
-
-
-def _check_profile_files(file: InputFile, table: ScenarioTable) -> None:
-    """Read every wheel and rail that the scenario names, so that one which cannot be read is refused at once."""
-    for location, read in (*_rail_reads(file, table), *_wheel_reads(file, table)):
+    table = read_value(file, ScenarioTable)
+    for location, read in (*_rail_reads(table), *_wheel_reads(table)):
         try:
             read()
         except ProfileError as error:
             raise file.error(str(error), location) from error
+    return table.scenario()
 
 
 _Read = tuple[Location, Callable[[], Profile]]
 
 
-def _rail_reads(file: InputFile, table: ScenarioTable) -> Iterator[_Read]:
+def _rail_reads(table: ScenarioTable) -> Iterator[_Read]:
     tables: list[tuple[Location, RailFiles]] = [(("section",), table.section)]
-    for index, pair in enumerate([] if table.drawn_fleet is None else table.drawn_fleet.pairs):
+    for index, pair in enumerate(() if table.drawn_fleet is None else table.drawn_fleet.pairs):
         tables.append((("drawn_fleet", "pairs", index), pair))
     for place, rails in tables:
-        for key, name, mirror in rails.rail_names():
-            yield (*place, key), partial(rail_in, file.path.parent / name, mirror)
+        for key, path, mirror in rails.rails_to_read():
+            yield (*place, key), partial(rail_in, path, mirror)
 
 
-def _wheel_reads(file: InputFile, table: ScenarioTable) -> Iterator[_Read]:
-    for location, name in _wheel_names(table):
-        yield location, partial(wheel_in, file.path.parent / name)
-
-
-def _wheel_names(table: ScenarioTable) -> Iterator[tuple[Location, str]]:
+def _wheel_reads(table: ScenarioTable) -> Iterator[_Read]:
     for i, vehicle in enumerate(table.vehicles):
         for k, wheelset in enumerate(vehicle.wheelsets):
-            for key, name in wheelset.wheel_names():
-                yield ("vehicles", i, "wheelsets", k, key), name
-    for index, pair in enumerate([] if table.drawn_fleet is None else table.drawn_fleet.pairs):
-        for k, item in enumerate(pair.wheel_files):
-            for side, name in (("left", item.left), ("right", item.right or item.left)):
-                yield ("drawn_fleet", "pairs", index, "wheel_files", k, side), name
+            for key, path in wheelset.wheels_to_read():
+                yield ("vehicles", i, "wheelsets", k, key), partial(wheel_in, path)
+    for index, pair in enumerate(() if table.drawn_fleet is None else table.drawn_fleet.pairs):
+        for k, sides in enumerate(pair.wheel_files):
+            for side, wheel in zip(("left", "right"), sides, strict=True):
+                if wheel is not None:
+                    yield ("drawn_fleet", "pairs", index, "wheel_files", k, side), partial(wheel_in, wheel)

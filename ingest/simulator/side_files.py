@@ -18,43 +18,28 @@ import numpy as np
 
 from estimation.values.arrays import FloatArray
 from estimation.values.json_value import JsonValue
-from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.simulator.campaign import failed
 from ingest.simulator.class_on_file import ClassOnFile
-from ingest.simulator.scenario import Scenario, SectionPlan, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.section import SectionPlan
 from ingest.simulator.sensors import Channel
 from ingest.simulator.track import TrackTruth, write_track
 from ingest.simulator.wear import GeometryTruth, WearState, wear_at, worn_profiles
-
-MILLI = 1e3
+from ingest.vehicle_class_schema import class_tables
 
 
 def class_entry(scenario: Scenario, code: str) -> JsonValue:
     """Return the entry of a class of a scenario: with the parameters of its vehicles and the sensors of its nodes."""
-    parameters, bogie, sensors = scenario.parameters, scenario.bogie, scenario.sensors
-    scale_std = sensors.errors.scale
+    bogie, sensors = scenario.bogie, scenario.sensors
+    tables, scale_std = class_tables(scenario.parameters, bogie), sensors.errors.scale
     entry: dict[str, JsonValue] = {
         "code": code,
         "name": code,
         "source": f"scenario {scenario.name}",
         "arrangement": "single_wheelset" if bogie is None else "bogie",
-        "wheelset": {
-            "mass_kg": parameters.wheelset_mass,
-            "yaw_inertia_kg_m2": parameters.yaw_inertia,
-            "pitch_inertia_kg_m2": parameters.pitch_inertia,
-            "nominal_radius_mm": round(MILLI * parameters.nominal_radius, 6),
-            "half_contact_distance_mm": round(MILLI * parameters.half_contact_distance, 6),
-            "suspended_mass_kg": parameters.suspended_mass,
-            "axle_load_n": parameters.load,
-        },
-        "primary_suspension": {
-            "lateral_stiffness_n_m": parameters.lateral_stiffness,
-            "lateral_damping_n_s_m": parameters.lateral_damping,
-            "yaw_stiffness_n_m_rad": parameters.yaw_stiffness,
-            "yaw_damping_n_m_s_rad": parameters.yaw_damping,
-        },
-        "creep": _creep(parameters),
+        "wheelset": tables.pop("wheelset"),
+        "primary_suspension": tables.pop("primary_suspension"),
+        "creep": {"from": "given", **tables.pop("creep")},
         "sensors": {
             "rate_hz": float(sensors.rate_hz),
             "measures_gravity": sensors.measures_gravity,
@@ -64,34 +49,7 @@ def class_entry(scenario: Scenario, code: str) -> JsonValue:
             "mass_lateral": _sensor(sensors.mass_lateral, scale_std, "mass" if bogie is None else "frame", "y"),
         },
     }
-    return entry if bogie is None else entry | _bogie(bogie)
-
-
-def _bogie(bogie: BogieParameters) -> dict[str, JsonValue]:
-    return {
-        "bogie": {
-            "wheelbase_m": bogie.wheelbase,
-            "frame_mass_kg": bogie.frame_mass,
-            "frame_yaw_inertia_kg_m2": bogie.frame_yaw_inertia,
-            "body_mass_kg": bogie.body_mass,
-        },
-        "secondary_suspension": {
-            "lateral_stiffness_n_m": bogie.secondary_lateral_stiffness,
-            "lateral_damping_n_s_m": bogie.secondary_lateral_damping,
-            "yaw_stiffness_n_m_rad": bogie.secondary_yaw_stiffness,
-            "yaw_damping_n_m_s_rad": bogie.secondary_yaw_damping,
-        },
-    }
-
-
-def _creep(parameters: VehicleParameters) -> JsonValue:
-    return {
-        "from": "given",
-        "longitudinal_n": parameters.longitudinal_creep_coefficient,
-        "lateral_n": parameters.lateral_creep_coefficient,
-        "lateral_spin_n_m": parameters.lateral_spin_creep_coefficient,
-        "spin_n_m2": parameters.spin_creep_coefficient,
-    }
+    return entry | tables
 
 
 def _sensor(channel: Channel, scale_std: float, place: str, axis: str) -> JsonValue:

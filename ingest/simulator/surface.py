@@ -12,12 +12,11 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from ingest.simulator.irregularity import Waves, superpose
 from ingest.simulator.random_streams import Stream, generator
-from ingest.simulator.running import FrictionPlan, FrictionStretch, RunningPlan
+from ingest.simulator.running import STRETCH_END, FrictionPlan, FrictionStretch, RunningPlan
 from ingest.simulator.track import Surface, TrackTruth
 
 RAIL_DISTANCE = 1.5  # m, over which cross level is measured (EN 13848-1)
 LEAST_LOAD = 0.2  # of the mean: wheels stay on the rails
-STRETCH_END = 5.0  # m at each end of a stretch over which friction changes to that of the stretch
 
 
 def with_surface(track: TrackTruth, plan: RunningPlan, seed: int) -> TrackTruth:

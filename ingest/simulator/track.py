@@ -6,16 +6,20 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from estimation.errors import InputError, ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.file_units import MM, Key, M
+from ingest.file_value import As, Inline, between
+from ingest.input_file import Positive
 from ingest.simulator.curves import Curve, Curves, laid_out
-from ingest.simulator.irregularity import Waves, superpose
-from ingest.simulator.isolated import Isolated, isolated
-from ingest.simulator.kurtosis import GAUSSIAN
+from ingest.simulator.irregularity import Band, LongWaves, Waves, superpose
+from ingest.simulator.isolated import Isolated, IsolatedTables, isolated
+from ingest.simulator.kurtosis import GAUSSIAN, HIGHEST
 from ingest.simulator.spectra import Irregularity
 from ingest.track_file import (
     COLUMNS,
@@ -114,19 +118,19 @@ class TrackRecipe:
     irregularities. The mean of the gauge deviation is ``gauge_offset``, without the latter.
     """
 
-    length: float
-    interval: float = 0.25
-    alignment_std: float = 0.002
-    gauge_std: float = 0.0
-    gauge_offset: float = 0.0
-    wavelengths: tuple[float, float] = (3.0, 70.0)
+    length: Annotated[Positive, M]
+    interval: Annotated[Positive, M] = 0.25
+    alignment_std: Annotated[float, between(0.0, 50.0), MM] = 0.002
+    gauge_std: Annotated[float, between(0.0, 20.0), MM] = 0.0
+    gauge_offset: Annotated[float, between(-20.0, 40.0), MM] = 0.0
+    wavelengths: Annotated[tuple[float, float], Inline(Band)] = (3.0, 70.0)
     curves: tuple[Curve, ...] = ()
-    long_alignment: Waves | None = None
-    long_gauge: Waves | None = None
-    alignment_kurtosis: float = GAUSSIAN
-    gauge_kurtosis: float = GAUSSIAN
-    isolated: tuple[Isolated, ...] = ()
-    begin: float = 0.0  # distance of the first point
+    long_alignment: Annotated[Waves, As(LongWaves)] | None = None
+    long_gauge: Annotated[Waves, As(LongWaves)] | None = None
+    alignment_kurtosis: Annotated[float, between(GAUSSIAN, HIGHEST)] = GAUSSIAN
+    gauge_kurtosis: Annotated[float, between(GAUSSIAN, HIGHEST)] = GAUSSIAN
+    isolated: Annotated[tuple[Isolated, ...], Inline(IsolatedTables)] = ()
+    begin: Annotated[float, Key(None)] = 0.0  # distance of the first point
 
     def without_irregularities(self) -> TrackRecipe:
         """Return the recipe of the same track as it was designed: straight between its curves, at nominal gauge."""

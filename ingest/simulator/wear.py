@@ -13,7 +13,8 @@ from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.profile_files import rails_of, wheels_of
 from ingest.simulator.running import CONTACT_STEP
-from ingest.simulator.scenario import SectionPlan, WheelsetPlan
+from ingest.simulator.scenario import WheelsetPlan
+from ingest.simulator.section import SectionPlan
 
 AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from running_service import Service
 
-from api.schemas.stored_evidence import evidence_of
+from api.schemas.evidence import evidence_of
 from api.times import to_rfc3339
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.life_cycle import transition

@@ -24,12 +24,12 @@ from fleet_db.packed_values import (
     pack_alignment,
     pack_bin_table,
     pack_geometry,
-    pack_trend,
+    pack_value,
     pack_wheel_pair,
     unpack_alignment,
     unpack_bin_table,
     unpack_geometry,
-    unpack_trend,
+    unpack_value,
     unpack_wheel_pair,
 )
 
@@ -100,7 +100,7 @@ def test_only_filled_cells_take_space() -> None:
 def test_geometry_trend_and_alignment_come_back_exactly(seed: int) -> None:
     geometry, trend, alignment = make.geometry(seed), make.trend(seed), make.alignment(seed)
     assert make.same(unpack_geometry(pack_geometry(geometry), where="here"), geometry)
-    assert make.same(unpack_trend(pack_trend(trend), where="here"), trend)
+    assert make.same(unpack_value(WearTrend, pack_value(trend), where="here"), trend)
     assert make.same(unpack_alignment(pack_alignment(alignment), 0, where="here"), alignment)
 
 
@@ -138,7 +138,7 @@ def test_a_wheel_pair_comes_back_exactly() -> None:
 
 
 def test_a_date_keeps_its_last_nanosecond() -> None:
-    trend = unpack_trend(pack_trend(make.trend()), where="here")
+    trend = unpack_value(WearTrend, pack_value(make.trend()), where="here")
     assert trend.date_of_limit_ns.p10 == make.START + 1
     assert float(make.START + 1) != make.START + 1  # a float64 would not have
 
@@ -169,8 +169,8 @@ def test_a_damaged_blob_is_noticed(data: st.DataObject) -> None:
 
 
 def test_a_blob_of_another_kind_is_refused() -> None:
-    with pytest.raises(StorageError, match="holds 'bin_table', expected 'wear_trend'"):
-        unpack_trend(pack_bin_table(make.bin_table()), where="here")
+    with pytest.raises(StorageError, match="holds 'bin_table', expected 'WearTrend'"):
+        unpack_value(WearTrend, pack_bin_table(make.bin_table()), where="here")
 
 
 def test_a_blob_that_would_unfold_without_end_is_refused() -> None:

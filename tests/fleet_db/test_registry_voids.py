@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+import stored_values as make
 from sqlalchemy import select
 from stored_values import measured_profiles
 
@@ -19,11 +20,13 @@ from estimation.values.registry import (
     VehicleRecord,
     WheelsetRecord,
 )
+from estimation.values.subjects import Facet
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import class_digest
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
+from fleet_db.subjects import VERSIONS
 from fleet_db.tables import Base
 from ingest.vehicle_class_file import class_of_package, shipped_class
 
@@ -85,6 +88,48 @@ def shown(storage: SqlStorage) -> dict[str, object]:
             "sensors": [unit.sensor_changes.list(one.code) for one in vehicles],
             "class": None if coach is None else class_digest(coach.vehicle_class),
         }
+
+
+RAISED: dict[RecordKind, set[str]] = {
+    RecordKind.MOUNTING: {"wheelset W2", "vehicle V1", "wheelset W1", "section S"},
+    RecordKind.REPROFILING: {"wheelset W1", "section S"},
+    RecordKind.MEASUREMENT: {"wheelset W1", "section S"},
+    RecordKind.WHEELSET: {"wheelset W9"},
+    RecordKind.VEHICLE: {"vehicle V9"},
+    RecordKind.SECTION: {"section T"},
+    RecordKind.SENSOR_CHANGE: {"vehicle V1", "wheelset W1", "section S"},
+    RecordKind.VEHICLE_CLASS: {"vehicle V1", "wheelset W1", "section S"},
+}
+"""Whose facet REGISTRY has another version where a record is entered, voided or restored."""
+
+
+def versions(storage: SqlStorage) -> dict[str, int]:
+    with storage.read() as unit:
+        rows = unit.connection.execute(select(VERSIONS).where(VERSIONS.c.facet == Facet.REGISTRY.value))
+        return {f"{row.kind} {row.subject}": row.version for row in rows}
+
+
+@pytest.mark.parametrize("key", KINDS, ids=lambda key: key.kind.value)
+def test_what_rests_on_a_record_has_another_version(known: SqlStorage, key: RecordKey) -> None:
+    with known.write() as unit:  # W1 has a window on S
+        unit.tracks.add_section(replace(SECTION, code="S", number=1))
+        window = make.window(vehicle="V1", wheelset="W1", track_section="S")
+        unit.windows.put(window, 1.0, 1)
+    steps: list[Enter] = [
+        KINDS[key],
+        lambda unit: unit.corrections.void(key, WHY),
+        lambda unit: unit.corrections.restore(key, WHY),
+    ]
+    for step in steps:
+        before = versions(known)
+        with known.write() as unit:
+            step(unit)
+        after = versions(known)
+        raised = {subject for subject, version in after.items() if version != before.get(subject)}
+        assert raised == RAISED[key.kind], step
+    with known.write() as unit:  # the same again changes nothing
+        KINDS[key](unit)
+    assert versions(known) == after
 
 
 @pytest.mark.parametrize("key", KINDS, ids=lambda key: key.kind.value)

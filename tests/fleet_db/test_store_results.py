@@ -11,9 +11,10 @@ import stored_values as make
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.geometry import COMBINATIONS, BinStatus, GeometryRecord
 from estimation.values.runs import JobOutcome, JobTrigger
+from estimation.values.trend import TREND
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.trends import _latest
+from fleet_db.stores.results import _as_of
 
 DAY = 86_400 * 10**9
 HOUR = 3600 * 10**9
@@ -169,7 +170,8 @@ def test_trends_are_appended_and_reproducible(fleet: SqlStorage) -> None:
 def test_a_trend_of_another_quantity_is_the_newest_once_put_whatever_the_clock_says(fleet: SqlStorage) -> None:
     at_3_mm = make.trend_record(1, 200)
     quantity = "equivalent_conicity_2.75_mm"
-    other = replace(at_3_mm, trend=replace(at_3_mm.trend, quantity=quantity), recorded_ns=100)
+    of_another = replace(at_3_mm.trend, quantity=quantity)
+    other = replace(at_3_mm, trend=of_another, input_digest="d" * 64, recorded_ns=100)
     with fleet.write() as unit:
         assert [unit.trends.put(one) for one in (at_3_mm, other)] == [True, True]
         latest = unit.trends.latest("WS-1")
@@ -238,10 +240,12 @@ def test_answers_by_key(fleet: SqlStorage) -> None:
             unit.idempotency.put("k", "other", 201, "{}", 3)
 
 
-def test_the_trend_as_of_a_time_is_the_first_entry_of_an_index(sqlite_storage: SqlStorage) -> None:
+def test_what_was_in_force_at_a_time_is_found_in_indexes_alone(sqlite_storage: SqlStorage) -> None:
+    statement = _as_of(TREND, ["WS-1"], 1).compile(
+        dialect=sqlite_storage.engine.dialect, compile_kwargs={"literal_binds": True}
+    )
     with sqlite_storage.read() as unit:
-        statement = str(_latest().compile(dialect=sqlite_storage.engine.dialect))
-        plan = unit.connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}", ("WS-1", 1, 1, 0)).all()
-    assert [row.detail for row in plan] == [
-        "SEARCH trends USING INDEX ix_trends_wheelset_recorded_ns_trend_id (wheelset=? AND recorded_ns<?)"
-    ]
+        plan = [row.detail for row in unit.connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}").all()]
+    assert not [step for step in plan if step.startswith("SCAN")], plan
+    of_part = "(stage=? AND subject=? AND part=? AND recorded_ns<?)"
+    assert any(of_part in step for step in plan), plan

@@ -341,7 +341,7 @@ def test_what_cannot_be_read_says_so_and_keeps_nobody_from_storing(storage: SqlS
     drawn_fleet(storage)
     with storage.write() as unit:
         unit.trends.put(make.trend_record(1, 1, wheelset=SERIALS[1]))
-        unit.connection.execute(sqlalchemy.text("UPDATE trends SET packed = :packed"), {"packed": b"TWPK?"})
+        unit.connection.execute(sqlalchemy.text("UPDATE results SET value = :value"), {"value": b"TWPK?"})
     with storage.write() as unit:
         alert = replace(make.ALERT, fleet="alpha", wheelset=SERIALS[1], kind="hunting")
         unit.alerts.save(alert, [AlertEventKind.RAISED], 1)

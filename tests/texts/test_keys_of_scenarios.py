@@ -11,6 +11,7 @@ import pytest
 from pydantic import BaseModel
 
 from estimation.vehicle.equations_of_motion import VehicleParameters
+from ingest.file_value import table_of
 from ingest.registry_schema import RegistryObject
 from ingest.simulator.scenario_file import ScenarioTable
 
@@ -43,10 +44,10 @@ def undocumented(keys: set[str], documents: tuple[str, ...]) -> set[str]:
     ("schema", "documents"),
     [
         (
-            ScenarioTable,
+            table_of(ScenarioTable),
             ("scenarios.md", "scenario-section.md", "scenario-fleet.md", "scenario-running.md", "scenario-sensors.md"),
         ),
-        (RegistryObject, ("registry.md", "registry-changes.md")),
+        (table_of(RegistryObject), ("registry.md", "registry-changes.md")),
     ],
 )
 def test_every_key_of_a_schema_is_documented(schema: type[BaseModel], documents: tuple[str, ...]) -> None:

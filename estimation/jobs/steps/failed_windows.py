@@ -14,7 +14,7 @@ from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext
 from estimation.values.reasons import Reason, code_of
 from estimation.values.runs import SubjectKind
-from estimation.values.windows import WindowKey, WindowRecord, WindowState
+from estimation.values.windows import WindowRecord, WindowState, key_of_text, text_of_key
 
 T = TypeVar("T")
 
@@ -74,17 +74,6 @@ def let_due_wait_again(context: JobContext, isolation: Isolation) -> None:
 def key_of(record: WindowRecord) -> str:
     """Return the key of a window in quarantine."""
     return text_of_key(*record.key)
-
-
-def text_of_key(wheelset: str, start_ns: int) -> str:
-    """Return the key of a window as text."""
-    return f"{wheelset}@{start_ns}"
-
-
-def key_of_text(text: str) -> WindowKey:
-    """Return wheelset and start of a window from its key as text."""
-    wheelset, _, start = text.rpartition("@")
-    return wheelset, int(start)
 
 
 def _inputs(context: JobContext, record: WindowRecord) -> str:

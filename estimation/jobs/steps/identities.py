@@ -34,6 +34,19 @@ def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
     return latest_identity_change([alert for alert in alerts if _still_there(alert, mountings)])
 
 
+def identity_changes(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, IdentityChange]:
+    """Return the last identity change of each of some wheelsets that has one on record, by serial."""
+    alerts: dict[str, list[Alert]] = {}
+    for alert in unit.alerts.of_kind(IDENTITY, serials):
+        alerts.setdefault(str(alert.wheelset), []).append(alert)
+    mountings = unit.registry.mountings_of(list(alerts)) if alerts else {}
+    changes = {
+        serial: latest_identity_change([one for one in own if _still_there(one, mountings.get(serial, ()))])
+        for serial, own in alerts.items()
+    }
+    return {serial: change for serial, change in changes.items() if change is not None}
+
+
 def suspected(unit: UnitOfWork) -> frozenset[str]:
     """Return the wheelsets with an identity alert, open or closed: all others have had no identity change."""
     found: set[str] = set()
@@ -51,9 +64,10 @@ def suspected(unit: UnitOfWork) -> frozenset[str]:
 def _still_there(alert: Alert, mountings: Sequence[Mounting]) -> bool:
     """Whether a wheelset was mounted after a change where the alert says; its way round may have been corrected."""
     place, after_ns = alert.evidence.get(MOUNTED), alert.evidence.get(AFTER)
-    if not isinstance(place, list) or not isinstance(after_ns, int):
+    if not isinstance(place, dict) or not isinstance(after_ns, int):
         return True
-    same = [one for one in mountings if [one.vehicle, one.axle, one.from_ns] == place[:3]]
+    at = [place.get(name) for name in ("vehicle", "axle", "from_ns")]
+    same = [one for one in mountings if [one.vehicle, one.axle, one.from_ns] == at]
     return any(one.to_ns is None or one.to_ns > after_ns for one in same)
 
 

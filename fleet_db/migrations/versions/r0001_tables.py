@@ -172,20 +172,21 @@ sa.Table(
     required("parameter_key", sa.String(128)),
     required("samples", BIG),
     sa.Column("content_digest", CODE),
-    required("rolled", FLAG, server_default=sa.false()),
-    sa.Column("roll_up", BIG),
     sa.Column("running_km", REAL),
-    sa.Column("line", CODE),
     required("packed", BLOB),
     sa.ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
-    sa.Index(None, "roll_up", "start_ns"),
-    sa.Index(
-        "ix_window_bin_tables_waiting",
-        "wheelset",
-        "start_ns",
-        sqlite_where=sa.text("rolled = 0"),
-        postgresql_where=sa.text("NOT rolled"),
-    ),
+)
+sa.Table(
+    "window_due",
+    TABLES,
+    sa.Column("stage", sa.String(32), primary_key=True),
+    sa.Column("wheelset", CODE, primary_key=True),
+    sa.Column("start_ns", BIG, primary_key=True),
+    required("vehicle", CODE),
+    required("section", CODE),
+    required("version", BIG),
+    sa.Index(None, "stage", "section", "start_ns"),
+    sa.Index(None, "stage", "vehicle", "start_ns"),
 )
 sa.Table(
     "wheelset_bins",
@@ -493,23 +494,10 @@ sa.Table(
     sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
     sa.Column("period", INTEGER, primary_key=True),
     required("digest", CODE),
+    required("interval_digest", CODE),
     required("document", JSON),
     sa.CheckConstraint("baseline >= 0", name="baseline_counted"),
     sa.CheckConstraint("period >= 0", name="period_counted"),
-)
-sa.Table(
-    "section_rails",
-    TABLES,
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("document", JSON),
-)
-sa.Table(
-    "wheelset_rails",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("document", JSON),
 )
 sa.Table(
     "raw_scrubs",
@@ -555,9 +543,11 @@ sa.Table(
     required("vehicle_class", CODE),
     required("windows", BIG),
     required("content", CODE),
+    required("first_ns", BIG),
+    required("last_ns", BIG),
     required("sealed", FLAG, server_default=sa.false()),
     required("summary", JSON),
-    sa.Column("plain", BLOB),
+    required("plain", BLOB),
     sa.Column("forgetting", BLOB),
     sa.CheckConstraint("windows >= 0", name="windows_counted"),
     sa.UniqueConstraint(
@@ -565,24 +555,11 @@ sa.Table(
     ),
 )
 sa.Table(
-    "taken_tables",
-    TABLES,
-    sa.Column("number", SERIAL, primary_key=True),
-    required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("roll_up", BIG),
-    required("start_ns", BIG),
-    required("running_km", REAL),
-    required("line", CODE),
-    required("packed", BLOB),
-    sa.Index(None, "wheelset"),
-)
-sa.Table(
     "roll_up_states",
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
     required("rules", CODE),
     required("classes", JSON),
-    required("odometers", JSON),
     sa.Column("earlier_digest", CODE),
     sa.Column("earlier", BLOB),
 )
@@ -594,6 +571,24 @@ sa.Table(
     required("window_digest", CODE),
     required("assumed", sa.String(192)),
     required("packed", BLOB),
+)
+sa.Table(
+    "stage_marks",
+    TABLES,
+    sa.Column("stage", sa.String(32), primary_key=True),
+    sa.Column("subject", CODE, primary_key=True),
+    required("seen", BIG),
+    required("common", CODE),
+    required("made_from", CODE),
+    sa.Column("again_ns", BIG),
+)
+sa.Table(
+    "subject_versions",
+    TABLES,
+    sa.Column("kind", sa.String(16), primary_key=True),
+    sa.Column("subject", CODE, primary_key=True),
+    sa.Column("facet", sa.String(32), primary_key=True),
+    required("version", BIG),
 )
 sa.Table(
     "section_changes",
@@ -816,21 +811,28 @@ sa.Table(
     sa.CheckConstraint("version > 0", name="version_positive"),
 )
 sa.Table(
-    "trends",
+    "results",
     TABLES,
-    sa.Column("trend_id", SERIAL, primary_key=True),
-    required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("baseline", INTEGER),
-    required("quantity", CODE),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("recorded_ns", BIG),
-    required("packed", BLOB),
+    sa.Column("result_id", SERIAL, primary_key=True),
+    required("stage", sa.String(32)),
+    required("kind", sa.String(16)),
+    required("subject", CODE),
+    required("part", CODE),
+    required("made_from", CODE),
+    required("numerics", TEXT),
+    required("status", sa.String(16)),
+    required("reason", TEXT),
+    sa.Column("reason_code", CODE),
+    sa.Column("head", TEXT),
+    sa.Column("value", BLOB),
     required("parameters", JSON),
-    sa.CheckConstraint("baseline >= 0", name="baseline_counted"),
+    required("recorded_ns", BIG),
+    sa.Column("superseded_ns", BIG),
+    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
+    sa.Index("ix_results_in_force", "stage", "subject", "part", unique=True, **where("superseded_ns IS NULL")),
     sa.Index(None, "recorded_ns"),
-    sa.Index(None, "wheelset", "recorded_ns", "trend_id"),
-    sa.Index(None, "wheelset", "trend_id"),
+    sa.Index(None, "stage", "subject", "part", "recorded_ns", "result_id"),
+    sa.Index(None, "superseded_ns"),
     sqlite_autoincrement=True,
 )
 sa.Table(

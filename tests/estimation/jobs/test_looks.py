@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
@@ -36,18 +36,18 @@ class Seen:
 
 @contextmanager
 def watched(monkeypatch: pytest.MonkeyPatch) -> Iterator[Seen]:
-    seen, facts_of, news = Seen(), evaluate_alerts.facts_of, refresh_trends._news
+    seen, facts_of, identity_changes = Seen(), evaluate_alerts.facts_of, refresh_trends.identity_changes
 
     def facts(unit: UnitOfWork, wheelset: object, *rest: object) -> object:
         seen.serials.append(wheelset.serial)  # type: ignore[attr-defined]
         return facts_of(unit, wheelset, *rest)  # type: ignore[arg-type]
 
-    def read(context: JobContext, serial: str, *rest: object) -> object:
-        seen.serials.append(serial)
-        return news(context, serial, *rest)  # type: ignore[arg-type]
+    def changes(unit: UnitOfWork, serials: Sequence[str]) -> object:
+        seen.serials.extend(serials)
+        return identity_changes(unit, serials)
 
     monkeypatch.setattr(evaluate_alerts, "facts_of", facts)
-    monkeypatch.setattr(refresh_trends, "_news", read)
+    monkeypatch.setattr(refresh_trends, "identity_changes", changes)
     try:
         with executed_statements() as seen.statements:
             yield seen
@@ -81,7 +81,7 @@ def test_where_nothing_has_changed_no_wheelset_is_read(
     with watched(monkeypatch) as seen:
         run(storage, job)
     assert seen.serials == []
-    assert len(seen.statements) <= {"refresh_trends": 26, "evaluate_alerts": 60}[job.name]  # of all wheelsets together
+    assert len(seen.statements) <= {"refresh_trends": 15, "evaluate_alerts": 60}[job.name]  # of all wheelsets together
 
 
 def a_geometry(storage: Storage) -> None:

@@ -14,6 +14,7 @@ ALLOWED = (
     "ingest.canopen",
     "ingest.catalogue",
     "ingest.codec",
+    "ingest.file_value",
     "ingest.frames",
     "ingest.input_file",
     "ingest.logs.blf_writer",
@@ -21,6 +22,7 @@ ALLOWED = (
     "ingest.simulator",
     "ingest.track_file",
     "ingest.vehicle_class_file",
+    "ingest.vehicle_class_schema",
 )
 
 

@@ -1,0 +1,246 @@
+"""What is done for every stage alike: find what is due, claim it, load, compute each alone, store, note what was seen.
+
+What fails at one subject goes to quarantine with its reason and is tried ever more rarely; the others go on. A subject
+whose inputs turn out to be the same as before is not computed again: only the mark of the stage advances. Results and
+marks are stored in one transaction, so that a process that is killed leaves a subject as it was: due.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from functools import partial
+from itertools import islice
+
+from estimation.errors import ConflictError, NotFiniteError, TreadwatchError
+from estimation.jobs.hand_out import hand_out, unit_size
+from estimation.jobs.isolation import Isolation, fails_alone
+from estimation.jobs.job import JobContext, Work
+from estimation.jobs.made_from import made_from
+from estimation.jobs.stage import AnyStage, Outcome, Part
+from estimation.storage import UnitOfWork
+from estimation.values.quantities import Estimate, Status
+from estimation.values.results import AnyResult, Result
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Due, Mark, StageInputs
+
+CLAIMED_TOGETHER = 4
+"""Batches of subjects that are claimed together."""
+
+
+def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
+    """Bring the results of a stage up to date; return what was counted. Where nothing is due this is one statement."""
+    counts: Counter[str] = Counter(dict.fromkeys(stage.counted.names, 0))
+    inputs = stage.inputs(context)
+    if stage.kind is SubjectKind.WINDOW:
+        _list_again(context, inputs)
+    with context.storage.read() as unit:
+        due = unit.marks.due(inputs, context.clock.now_ns())
+        if stage.counted.same is not None:
+            at_rest = unit.marks.count(stage.name) - sum(one.marked for one in due.values())
+            counts.update({stage.counted.looked: at_rest, stage.counted.same: at_rest})
+    counts["quarantined"] = 0
+    if due:
+        isolation = Isolation(context, stage.job)
+        ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(_tried, inputs, one))]
+        counts["quarantined"] = isolation.quarantined
+        counts.update(_handed_out(stage, context, ready, len(due)))
+    return counts
+
+
+def _list_again(context: JobContext, inputs: StageInputs) -> None:
+    """Let a stage that works window by window look at all of them where its settings are others."""
+    with context.storage.read() as unit:
+        same = unit.marks.has_settings(inputs)
+    if not same:
+        with context.storage.write() as unit:
+            unit.marks.list_again(inputs)
+
+
+def work_of(stage: AnyStage) -> Work:
+    """Return the work of a stage in units, as it is handed out to processes."""
+    return Work(stage.name, partial(_work, stage), partial(_set_aside, stage))
+
+
+def _handed_out(stage: AnyStage, context: JobContext, ready: Sequence[str], total: int) -> Counter[str]:
+    size = unit_size(context, len(ready), CLAIMED_TOGETHER * stage.at_once)
+    done = total - len(ready)
+
+    def progress(more: int) -> None:
+        nonlocal done
+        done += more
+        context.checkpoint(done, total)
+
+    context.checkpoint(done, total)
+    return hand_out(context, work_of(stage), _batches(ready, size), progress)
+
+
+def _work(stage: AnyStage, context: JobContext, subjects: Sequence[str]) -> Mapping[str, int]:
+    """Do subjects that are claimed, some in a transaction."""
+    working = _Working(stage, context, stage.inputs(context), Isolation(context, stage.job))
+    for batch in _batches(subjects, stage.at_once):
+        working.do(batch)
+    working.counts["quarantined"] = working.isolation.quarantined
+    return working.counts
+
+
+def _set_aside(stage: AnyStage, context: JobContext, subject: str, error: TreadwatchError) -> None:
+    """Keep a subject in quarantine at which workers have ended."""
+    inputs = stage.inputs(context)
+    if stage.kind is SubjectKind.WINDOW:
+        _list_again(context, inputs)
+    with context.storage.read() as unit:
+        due = unit.marks.due(inputs, context.clock.now_ns(), [subject])
+    Isolation(context, stage.job).keep(stage.kind, subject, _tried(inputs, due.get(subject, Due(0))), error)
+
+
+@dataclass(slots=True)
+class _Working:
+    """Work of a stage on the subjects of a unit."""
+
+    stage: AnyStage
+    context: JobContext
+    inputs: StageInputs
+    isolation: Isolation
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def do(self, subjects: Sequence[str]) -> None:
+        """Load, compute and store subjects together; where that fails, each alone."""
+        due: Mapping[str, Due] = {}
+        try:
+            with self.context.storage.read() as unit:
+                due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
+                loaded = self.stage.load(unit, list(due), self.context) if due else {}
+            made = self._computed(due, loaded)
+            self._store(due, loaded, made)
+        except Exception as error:
+            if not fails_alone(error):
+                raise
+            if len(subjects) > 1:
+                for subject in subjects:
+                    self.do([subject])
+            elif not isinstance(error, ConflictError):  # with a conflict it is still due
+                self._keep(subjects[0], due.get(subjects[0], Due(0)), error)
+
+    def _computed(self, due: Mapping[str, Due], loaded: Mapping[str, object]) -> dict[str, _Made]:
+        """Return what was computed of each subject that did not fail; None where its inputs are those of before."""
+        made = {}
+        for subject, state in due.items():
+            try:
+                made[subject] = self._one(state, loaded.get(subject))
+            except ConflictError:
+                continue
+            except Exception as error:
+                if not fails_alone(error):
+                    raise
+                self._keep(subject, state, error)
+        return made
+
+    def _one(self, state: Due, inputs: object | None) -> _Made:
+        if inputs is None:
+            return _Made("", Outcome())
+        digest = made_from(self.context.code_version, inputs)
+        if digest == state.made_from:
+            return _Made(digest, None)
+        outcome = self.stage.compute(inputs)
+        for part in outcome.parts:
+            _check_finite(part)
+        return _Made(digest, outcome)
+
+    def _store(self, due: Mapping[str, Due], loaded: Mapping[str, object], made: Mapping[str, _Made]) -> None:
+        if not made:
+            return
+        computed = {subject: (loaded.get(subject), one.outcome) for subject, one in made.items() if one.outcome}
+        results = [self._result(subject, one, part) for subject, one in made.items() for part in one.parts]
+        stored: Counter[str] = Counter()
+        with self.context.storage.write() as unit:
+            changed = self._put(unit, results)
+            if self.stage.store is not None and computed:
+                stored.update(self.stage.store(unit, self.context, computed))
+            unit.marks.note(self.inputs, {subject: one.mark(due[subject]) for subject, one in made.items()})
+        self.counts.update(stored)
+        self._count(made, {result.subject for result in changed}, len(changed))
+        for subject in made:
+            self.isolation.release(self.stage.kind, subject)
+
+    def _put(self, unit: UnitOfWork, results: Sequence[AnyResult]) -> Sequence[AnyResult]:
+        return () if self.stage.results is None else unit.results.put_all(self.stage.results, results)
+
+    def _result(self, subject: str, made: _Made, part: Part[object]) -> AnyResult:
+        return Result(
+            subject=part.subject or subject,
+            part=part.part,
+            made_from=part.made_from or made.digest,
+            numerics=self.context.code_version,
+            recorded_ns=self.context.clock.now_ns(),
+            value=part.value,
+            status=part.status,
+            reason=part.reason,
+            head=part.head,
+            parameters=part.parameters,
+        )
+
+    def _count(self, made: Mapping[str, _Made], changed: set[str], results: int) -> None:
+        names = self.stage.counted
+        self.counts[names.looked] += len(made)
+        self.counts[names.changed] += results
+        for subject, one in made.items():
+            name = names.same if one.outcome is None or one.outcome.counted is None else one.outcome.counted
+            if name is not None and subject not in changed:
+                self.counts[name] += 1
+
+    def _keep(self, subject: str, state: Due, error: Exception) -> None:
+        self.isolation.keep(self.stage.kind, subject, _tried(self.inputs, state), error)
+
+
+@dataclass(frozen=True, slots=True)
+class _Made:
+    """What came of a subject: the digest of its inputs, and what was computed; None where they were as before."""
+
+    digest: str
+    outcome: Outcome[object] | None
+
+    @property
+    def parts(self) -> Sequence[Part[object]]:
+        return () if self.outcome is None else self.outcome.parts
+
+    def mark(self, state: Due) -> Mark:
+        """Return what is noted of the subject."""
+        if self.outcome is None:
+            return Mark(state.seen, self.digest, state.again_ns)
+        return Mark(state.seen, self.digest, self.outcome.again_ns, rests=self.outcome.rests)
+
+
+def _tried(inputs: StageInputs, state: Due) -> str:
+    """Return what stands for the inputs of a subject in quarantine: with others it is tried at once."""
+    return f"{state.seen} {inputs.common[:16]}"
+
+
+def _check_finite(part: Part[object]) -> None:
+    """Refuse a result with an estimated number that is none.
+
+    Raises:
+        NotFiniteError: It has one; the result before it stays in force.
+    """
+    for estimate in _estimates(part.value):
+        if estimate.status is Status.ESTIMATED and not math.isfinite((estimate.value or 0.0) + (estimate.std or 0.0)):
+            raise NotFiniteError(f"an estimated number is {estimate.value} with a std of {estimate.std}")
+
+
+def _estimates(value: object) -> Iterator[Estimate]:
+    if isinstance(value, Estimate):
+        yield value
+    elif is_dataclass(value):
+        for item in fields(value):
+            yield from _estimates(getattr(value, item.name))
+    elif isinstance(value, tuple):
+        for one in value:
+            yield from _estimates(one)
+
+
+def _batches(subjects: Sequence[str], size: int) -> Iterator[tuple[str, ...]]:
+    rest = iter(subjects)
+    while batch := tuple(islice(rest, size)):
+        yield batch

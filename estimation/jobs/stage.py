@@ -1,0 +1,129 @@
+"""What a stage is: its kind of subject, what it is made from, and a pure function from inputs to a value.
+
+A stage file says what is computed and nothing else; when, in which process and what happens where it fails is the
+runner's (``estimation.jobs.runner``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+from estimation.jobs.job import JobContext
+from estimation.jobs.made_from import made_from
+from estimation.jobs.settings import JobSettings
+from estimation.storage import UnitOfWork
+from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Status
+from estimation.values.reasons import Reason
+from estimation.values.results import ResultKind
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import StageInputs
+
+I = TypeVar("I")  # noqa: E741 - inputs
+V = TypeVar("V")
+
+
+@dataclass(frozen=True, slots=True)
+class Part(Generic[V]):
+    """A result to be stored: of the subject itself, or of a part of it.
+
+    Attributes:
+        value: None where there is a reason only.
+        subject: Of a stage that looks at all together: whose result it is; None is that of the inputs.
+        made_from: Digest of what this part is made from; None is that of all inputs of the subject.
+        head: What is read of many results, without their values.
+        parameters: That shaped it, as they are shown.
+    """
+
+    value: V | None
+    part: str = ""
+    subject: str | None = None
+    made_from: str | None = None
+    status: Status = Status.ESTIMATED
+    reason: Reason | None = None
+    head: JsonValue = None
+    parameters: Mapping[str, JsonValue] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome(Generic[V]):
+    """What was computed of a subject.
+
+    Attributes:
+        again_ns: Our time from which the same inputs may say something else; None for never.
+        counted: Name under which the subject is counted; None is by whether a result changed.
+        rests: Whether the stage has nothing more to say before another of its inputs changes. What it raises of its
+            own inputs makes it look again otherwise.
+    """
+
+    parts: Sequence[Part[V]] = ()
+    again_ns: int | None = None
+    counted: str | None = None
+    rests: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """Names of the counts of a run.
+
+    Attributes:
+        looked: Subjects that were looked at; with ``same`` those at rest, too.
+        changed: Results that are other ones now.
+        same: Subjects that are as they were; None where they are not counted.
+        more: Names that outcomes and ``store`` count under.
+    """
+
+    looked: str
+    changed: str
+    same: str | None = None
+    more: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names."""
+        return (self.looked, self.changed, *([self.same] if self.same else []), *self.more)
+
+
+@dataclass(frozen=True, slots=True)
+class Stage(Generic[I, V]):
+    """A step from inputs to results, the same for every subject of a kind.
+
+    Attributes:
+        name: Of the stage; its results are a facet of this name.
+        job: Name of the job that runs it, under which failures are kept.
+        facets: What of its subjects it is made from: base facts, and names of stages whose results it reads.
+        settings: Returns what of the settings it is made from.
+        load: Reads the inputs of some subjects, few statements for all; a subject that is left out has nothing to
+            compute from.
+        compute: Gets the inputs and nothing else.
+        results: How what it computes is stored; None where ``store`` does all.
+        store: Stores what is more than results, in the same transaction; returns what it counted.
+        at_once: Subjects that are loaded and stored in one transaction.
+        together: Whether it looks at all subjects together, of whatever kind a facet is; its one subject is
+            ``EVERYTHING``.
+        frozen: Stages whose results it reads and that do not make it due.
+    """
+
+    name: str
+    job: str
+    kind: SubjectKind
+    facets: tuple[str, ...]
+    settings: Callable[[JobSettings], object]
+    load: Callable[[UnitOfWork, Sequence[str], JobContext], Mapping[str, I]]
+    compute: Callable[[I], Outcome[V]]
+    counted: Counted
+    results: ResultKind[V] | None = None
+    store: Callable[[UnitOfWork, JobContext, Mapping[str, tuple[I, Outcome[V]]]], Mapping[str, int]] | None = None
+    at_once: int = 16
+    together: bool = False
+    frozen: tuple[str, ...] = ()
+
+    def inputs(self, context: JobContext) -> StageInputs:
+        """Return what the stage is made from, with these settings and this version of the numerics."""
+        common = made_from(self.facets, self.settings(context.settings), context.code_version)
+        return StageInputs(self.name, self.kind, self.facets, common, self.together)
+
+
+AnyStage = Stage[Any, Any]

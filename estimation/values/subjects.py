@@ -1,0 +1,69 @@
+"""What is known of a subject, by facets, each with a version; and what a stage has seen of these versions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from estimation.values.runs import SubjectKind
+
+EVERYTHING = "all"
+"""The one subject of a stage that looks at all subjects of its kind together."""
+
+
+class Facet(StrEnum):
+    """Base facts of a wheelset, vehicle or section; results of a stage are a facet of the stage's own name."""
+
+    REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
+    RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
+    GEOMETRY = "geometry"
+    ALIGNMENT = "alignment"  # versions of the alignment of a section
+
+
+@dataclass(frozen=True, slots=True)
+class StageInputs:
+    """What a stage declares that it is made from.
+
+    Attributes:
+        facets: Of its subjects; none of a stage that works window by window (``fleet_db.due``).
+        common: Digest of what is the same for all subjects: settings and numerics.
+        together: Whether it looks at all subjects together, of whatever kind a facet is.
+    """
+
+    stage: str
+    kind: SubjectKind
+    facets: tuple[str, ...]
+    common: str
+    together: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Due:
+    """A subject that a stage has not seen as it is now.
+
+    Attributes:
+        seen: Sum of the versions of its facets, in the transaction that reads its inputs.
+        made_from: Digest of the inputs that the stage has seen last; None where it is to compute whatever they are.
+        marked: Whether it has ever seen the subject.
+        again_ns: Our time from which the inputs that it has seen may say something else.
+    """
+
+    seen: int
+    made_from: str | None = None
+    marked: bool = False
+    again_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """What a stage has seen of a subject.
+
+    Attributes:
+        again_ns: Our time from which the same inputs may say something else; None for never.
+        rests: Whether what the stage itself has raised of its own inputs is seen, too.
+    """
+
+    seen: int
+    made_from: str
+    again_ns: int | None = None
+    rests: bool = True

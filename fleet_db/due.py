@@ -1,0 +1,124 @@
+"""Windows that a stage has not made from what they are now.
+
+A row exists for as long as its window is due. Listing a window again raises its version, so that a stage removes only
+what it has seen. A window that is gone stays listed until the stage has seen that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Delete,
+    Insert,
+    Select,
+    bindparam,
+    delete,
+    func,
+    literal,
+    select,
+    tuple_,
+)
+from sqlalchemy.dialects import postgresql, sqlite
+
+from estimation.values.subjects import Due, Mark, StageInputs
+from estimation.values.windows import DueStage, key_of_text, text_of_key
+from fleet_db.rows import table_of
+from fleet_db.tables import WindowDueRow, WindowRow
+
+DUE, WINDOWS = table_of(WindowDueRow), table_of(WindowRow)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowDueStore:
+    """The due windows of every stage, in one transaction."""
+
+    connection: Connection
+
+    def of_wheelset(self, stage: DueStage, wheelset: str) -> Mapping[int, int]:
+        """Return start and version of the due windows of a wheelset, oldest first."""
+        statement = select(DUE.c.start_ns, DUE.c.version).where(DUE.c.stage == stage.value, DUE.c.wheelset == wheelset)
+        return {row.start_ns: row.version for row in self.connection.execute(statement.order_by(DUE.c.start_ns))}
+
+    def settle(self, stage: DueStage, wheelset: str, seen: Mapping[int, int]) -> None:
+        """Remove windows that are of the versions that were seen: those that were listed again since stay due."""
+        keys = [
+            {"of_stage": stage.value, "of_wheelset": wheelset, "of_start_ns": start_ns, "of_version": version}
+            for start_ns, version in seen.items()
+        ]
+        if keys:
+            self.connection.execute(_settled(), keys)
+
+    def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
+        """Return the windows that are due by key as text, in the order of vehicle, time and wheelset.
+
+        Args:
+            keys: Only of these; None is all.
+        """
+        statement = select(DUE).where(DUE.c.stage == inputs.stage)
+        if keys is not None:
+            own = tuple_(DUE.c.wheelset, DUE.c.start_ns)
+            statement = statement.where(own.in_([key_of_text(key) for key in keys]))
+        rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
+        return {text_of_key(row.wheelset, row.start_ns): Due(row.version) for row in rows}
+
+    def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
+        """Remove windows that a stage has seen, but those that were listed again since."""
+        names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
+        seen = [(inputs.stage, *key_of_text(key), mark.seen) for key, mark in marks.items()]
+        if seen:
+            self.connection.execute(_settled(), [dict(zip(names, one, strict=True)) for one in seen])
+
+
+def list_due(connection: Connection, stage: str, chosen: ColumnElement[bool], **given: Any) -> None:  # noqa: ANN401
+    """List windows as due, in the transaction that changes them; before it removes them.
+
+    Args:
+        chosen: Condition on the table of windows.
+        given: Parameters of the condition.
+    """
+    connection.execute(_listed(connection.dialect.name, stage, chosen), given)
+
+
+def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows
+    """Return the condition that the window of a row is due.
+
+    Args:
+        table: With the columns ``wheelset`` and ``start_ns``.
+    """
+    same = (DUE.c.wheelset == table.c.wheelset, DUE.c.start_ns == table.c.start_ns)
+    return select(DUE.c.version).where(DUE.c.stage == stage.value, *same).exists()
+
+
+def _listed(dialect: str, stage: str, chosen: ColumnElement[bool]) -> Insert:
+    columns = ("stage", "wheelset", "start_ns", "vehicle", "section", "version")
+    windows: Select[Any] = (
+        select(
+            literal(str(stage)),
+            WINDOWS.c.wheelset,
+            WINDOWS.c.start_ns,
+            WINDOWS.c.vehicle,
+            func.coalesce(WINDOWS.c.track_section, ""),
+            literal(1),
+        )
+        .where(chosen)
+        .order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns)  # one order of row locks
+    )
+    new = (postgresql.insert if dialect == "postgresql" else sqlite.insert)(DUE).from_select(columns, windows)
+    again = {
+        "version": DUE.c.version + 1,
+        "vehicle": new.excluded.vehicle,
+        "section": new.excluded.section,
+    }
+    return new.on_conflict_do_update(index_elements=list(DUE.primary_key), set_=again)
+
+
+@cache
+def _settled() -> Delete:
+    same = (DUE.c[name] == bindparam(f"of_{name}") for name in ("stage", "wheelset", "start_ns", "version"))
+    return delete(DUE).where(*same)

@@ -1,0 +1,179 @@
+"""Results of the stages: what is in force, what was in force at a time, and what is put in their place."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from sqlalchemy import Connection, Row, Select, bindparam, delete, insert, select, update
+
+from estimation.values.quantities import Status
+from estimation.values.results import AnyResult, History, Result, ResultKind
+from fleet_db.changes import Changes
+from fleet_db.locks import Subject, serialise
+from fleet_db.packed_values import pack_value, unpack_value
+from fleet_db.rows import reason_columns, stored_reason, table_of
+from fleet_db.session import to_json
+from fleet_db.tables import ResultRow
+
+V = TypeVar("V")
+RESULTS = table_of(ResultRow)
+NEWEST_FIRST = (RESULTS.c.recorded_ns.desc(), RESULTS.c.result_id.desc())
+"""None of a part was recorded before the one that it follows, whatever the clock says."""
+SAME_INPUTS = ("part", "made_from", "numerics")
+SHOWN = ("part", "status", "reason_code", "head", "value")
+"""Another one of these is another result for whoever reads it; else only its provenance is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResultStore:
+    """The only statements on ``results``, in one transaction."""
+
+    connection: Connection
+    changes: Changes
+
+    def in_force(
+        self, kind: ResultKind[V], subjects: Collection[str], as_of_ns: int | None = None
+    ) -> Sequence[Result[V]]:
+        """Return the newest result of each part of some subjects, as it was recorded at ``as_of_ns``, newest first."""
+        statement = _in_force(kind, subjects) if as_of_ns is None else _as_of(kind, subjects, as_of_ns)
+        return [_result(kind, row) for row in self.connection.execute(statement.order_by(*NEWEST_FIRST))]
+
+    def latest(self, kind: ResultKind[V], subject: str, as_of_ns: int | None = None) -> Result[V] | None:
+        """Return the result of a subject that was put last, as it was recorded at ``as_of_ns``."""
+        statement = _in_force(kind, [subject]) if as_of_ns is None else _as_of(kind, [subject], as_of_ns)
+        row = self.connection.execute(statement.order_by(*NEWEST_FIRST).limit(1)).first()
+        return None if row is None else _result(kind, row)
+
+    def version(self, kind: ResultKind[Any], subject: str) -> tuple[int | None, ...]:
+        """Return what changes whenever :meth:`latest` does, at less cost: its number and recorded time."""
+        found = _in_force(kind, [subject]).with_only_columns(RESULTS.c.result_id, RESULTS.c.recorded_ns)
+        row = self.connection.execute(found.order_by(*NEWEST_FIRST).limit(1)).first()
+        return (None, None) if row is None else tuple(row)
+
+    def having(self, kind: ResultKind[Any], subjects: Collection[str]) -> frozenset[str]:
+        """Return which of some subjects have a result."""
+        return frozenset(self.connection.scalars(_in_force(kind, subjects).with_only_columns(RESULTS.c.subject)))
+
+    def put_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Sequence[AnyResult]:
+        """Put results in force; return those that are not made from what the ones before were made from.
+
+        Whoever reads results of this kind learns only of those that are another now.
+
+        Args:
+            results: At most one of each part.
+        """
+        if not results:
+            return ()
+        serialise(self.connection, Subject.GEOMETRIES)
+        before = self._before(kind, results)
+        news = []
+        for result in results:
+            was, values = before.get(_key(kind, result)), _values(kind, result)
+            if was is None or any(getattr(was, name) != values[name] for name in SAME_INPUTS):
+                values["recorded_ns"] = max(result.recorded_ns, 0 if was is None else was.recorded_ns)
+                news.append((result, values, was))
+        if kind.history is History.APPENDED:
+            self._append([values for _, values, _ in news])
+        else:
+            self._replace([(values, was) for _, values, was in news])
+        for result, values, was in news:
+            if was is None or any(getattr(was, name) != values[name] for name in SHOWN):
+                self.changes.subjects.raised(kind.subject, result.subject, kind.stage)
+            if kind.subject == "wheelset" and kind.history is History.APPENDED:  # the worklist shows no others
+                self.changes.show(result.subject)
+        return [result for result, _, _ in news]
+
+    def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None:
+        """Put all results that there are of a kind without history; those of other subjects are removed."""
+        self.put_all(kind, results)
+        known = self.connection.scalars(select(RESULTS.c.subject).where(RESULTS.c.stage == kind.stage).distinct())
+        gone = set(known) - {result.subject for result in results}
+        if gone:
+            self.connection.execute(
+                delete(RESULTS).where(RESULTS.c.stage == kind.stage, RESULTS.c.subject.in_(sorted(gone)))
+            )
+            for subject in gone:
+                self.changes.subjects.raised(kind.subject, subject, kind.stage)
+
+    def _before(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Mapping[tuple[str, str], Row[Any]]:
+        """Return what stands in the place of each result, by subject and part; of ``one_in_force`` that put last."""
+        statement = _in_force(kind, {result.subject for result in results})
+        if not kind.one_in_force:
+            statement = statement.where(RESULTS.c.part.in_({result.part for result in results}))
+        rows = self.connection.execute(statement.order_by(RESULTS.c.recorded_ns, RESULTS.c.result_id))
+        return {(row.subject, "" if kind.one_in_force else row.part): row for row in rows}
+
+    def _append(self, news: Sequence[Mapping[str, Any]]) -> None:
+        if news:
+            same = [RESULTS.c[name] == bindparam(f"of_{name}") for name in ("stage", "subject", "part")]
+            ended = update(RESULTS).where(*same, RESULTS.c.superseded_ns.is_(None))
+            names = ("stage", "subject", "part", "recorded_ns")
+            given = [{f"of_{name}": values[name] for name in names} for values in news]
+            self.connection.execute(ended.values(superseded_ns=bindparam("of_recorded_ns")), given)
+            self.connection.execute(insert(RESULTS), news)
+
+    def _replace(self, news: Sequence[tuple[Mapping[str, Any], Row[Any] | None]]) -> None:
+        new = [values for values, was in news if was is None]
+        again = [{**values, "number": was.result_id} for values, was in news if was is not None]
+        if new:
+            self.connection.execute(insert(RESULTS), new)
+        if again:
+            changed = update(RESULTS).where(RESULTS.c.result_id == bindparam("number"))
+            names = [name for name in again[0] if name != "number"]
+            self.connection.execute(changed.values({name: bindparam(name) for name in names}), again)
+
+
+def _key(kind: ResultKind[Any], result: AnyResult) -> tuple[str, str]:
+    return result.subject, "" if kind.one_in_force else result.part
+
+
+def _in_force(kind: ResultKind[Any], subjects: Collection[str]) -> Select[Any]:
+    chosen = (RESULTS.c.stage == kind.stage, RESULTS.c.subject.in_(sorted(subjects)))
+    return select(RESULTS).where(*chosen, RESULTS.c.superseded_ns.is_(None))
+
+
+def _as_of(kind: ResultKind[Any], subjects: Collection[str], as_of_ns: int) -> Select[Any]:
+    """Return the statement of what was in force: of each part the last that was recorded until then."""
+    parts, then = RESULTS.alias("parts"), RESULTS.alias("then")
+    same = (then.c[name] == parts.c[name] for name in ("stage", "subject", "part"))
+    last = select(then.c.result_id).where(*same, then.c.recorded_ns <= as_of_ns)
+    last = last.order_by(then.c.recorded_ns.desc(), then.c.result_id.desc()).limit(1).correlate(parts)
+    chosen = (parts.c.stage == kind.stage, parts.c.subject.in_(sorted(subjects)), parts.c.superseded_ns.is_(None))
+    return select(RESULTS).where(RESULTS.c.result_id.in_(select(last.scalar_subquery()).where(*chosen)))
+
+
+def _values(kind: ResultKind[Any], result: AnyResult) -> dict[str, Any]:
+    return {
+        "stage": kind.stage,
+        "kind": kind.subject.value,
+        "subject": result.subject,
+        "part": result.part,
+        "made_from": result.made_from,
+        "numerics": result.numerics,
+        "status": result.status.value,
+        **reason_columns(result.reason),
+        "head": None if result.head is None else json.dumps(result.head, separators=(",", ":"), allow_nan=False),
+        "value": None if result.value is None else pack_value(result.value),
+        "parameters": json.loads(to_json(dict(result.parameters))),
+        "recorded_ns": result.recorded_ns,
+        "superseded_ns": None,
+    }
+
+
+def _result(kind: ResultKind[V], row: Row[Any]) -> Result[V]:
+    where = f"{kind.stage} {row.result_id}"
+    return Result(
+        subject=row.subject,
+        part=row.part,
+        value=None if row.value is None else unpack_value(kind.value, row.value, where=where),
+        made_from=row.made_from,
+        numerics=row.numerics,
+        recorded_ns=row.recorded_ns,
+        status=Status(row.status),
+        reason=stored_reason(row),
+        head=None if row.head is None else json.loads(row.head),
+        parameters=row.parameters,
+    )

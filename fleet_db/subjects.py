@@ -1,0 +1,87 @@
+"""Versions of what is known of wheelsets, vehicles and sections: raised with the fact, read by the stages.
+
+Whoever writes a base fact or a result raises its facet in the same transaction. A stage compares the sum of the
+versions of the facets that it declares with the sum that it has seen (``fleet_db.stores.stage_marks``).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+
+from sqlalchemy import ColumnElement, Connection, Insert, bindparam, func, select
+from sqlalchemy.dialects import postgresql, sqlite
+
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
+from fleet_db.rows import table_of
+from fleet_db.tables import MountingRow, SubjectVersionRow, TrackEpochWindowRow, WindowRow
+
+VERSIONS, MOUNTINGS = table_of(SubjectVersionRow), table_of(MountingRow)
+MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)
+
+
+@dataclass(slots=True)
+class Subjects:
+    """The facets that a transaction raises: each once, however often it is asked for."""
+
+    connection: Connection
+    _raised: set[tuple[str, str, str]] = field(default_factory=set)  # since they were written last
+    _written: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+
+    def raised(self, kind: SubjectKind, subject: str | None, facet: str) -> None:
+        """Let a facet have another version.
+
+        Args:
+            subject: Its code or serial; None is what is on no section.
+        """
+        self._raised.add((str(kind), subject or "", str(facet)))
+
+    def growth(self, facets: Collection[str], subject: tuple[SubjectKind, str] | None = None) -> int:
+        """Return by how much this transaction lets the sum of versions grow, of a subject or of all."""
+        grown = self._written + Counter(self._raised)
+        return sum(
+            count for (kind, name, facet), count in grown.items() if facet in facets and subject in {None, (kind, name)}
+        )
+
+    def wheelset_on_file(self, serial: str) -> Sequence[str]:
+        """Something on file of a wheelset has changed: sections with its windows follow, and are returned."""
+        self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
+        return self._sections(WINDOWS.c.wheelset == serial, MEMBERS.c.wheelset == serial)
+
+    def vehicle_on_file(self, code: str) -> Sequence[str]:
+        """Something on file of a vehicle has changed: what has ever been mounted there follows, and its sections.
+
+        These are returned.
+        """
+        self.raised(SubjectKind.VEHICLE, code, Facet.REGISTRY)
+        for serial in self.connection.scalars(select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == code)):
+            self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
+        return self._sections(WINDOWS.c.vehicle == code, MEMBERS.c.vehicle == code)
+
+    def flush(self) -> None:
+        """Write the versions, in one order in all transactions: they wait for each other and never in a circle."""
+        rows = [{"kind": kind, "subject": subject, "facet": facet} for kind, subject, facet in sorted(self._raised)]
+        if rows:
+            self.connection.execute(_raise(self.connection.dialect.name), rows)
+        self._written.update(self._raised)
+        self._raised.clear()
+
+    def _sections(self, windows: ColumnElement[bool], members: ColumnElement[bool]) -> Sequence[str]:
+        """Raise the sections that windows are on, or were when their epoch was computed; return them."""
+        on = select(func.coalesce(WINDOWS.c.track_section, "")).where(windows)
+        sections = list(self.connection.scalars(on.union(select(MEMBERS.c.section).where(members))))
+        for section in sections:
+            self.raised(SubjectKind.SECTION, section, Facet.REGISTRY)
+        return sections
+
+
+@cache
+def _raise(dialect: str) -> Insert:
+    names = ("kind", "subject", "facet")
+    row = {**{name: bindparam(name) for name in names}, "version": 1}
+    insert = postgresql.insert if dialect == "postgresql" else sqlite.insert
+    raised = insert(VERSIONS).values(row)
+    return raised.on_conflict_do_update(index_elements=names, set_={"version": VERSIONS.c.version + 1})

@@ -1,0 +1,184 @@
+"""What a stage reads is what it declares: else it would keep a number that is stale, and nothing would say so."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+from one_database import on_sqlite
+from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
+
+from estimation.alerts.rules.book import RuleBook
+from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
+from estimation.jobs.job import JobContext
+from estimation.jobs.made_from import made_from
+from estimation.jobs.refresh_trends import TREND
+from estimation.jobs.settings import JobSettings
+from estimation.jobs.stage import AnyStage
+from estimation.jobs.stages import ALL_STAGES
+from estimation.storage import Storage, UnitOfWork
+from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
+from estimation.values.rails import CELLS
+from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
+from estimation.values.subjects import EVERYTHING, Facet, Mark
+from estimation.values.trend import AFTER, BEFORE, IDENTITY
+
+READS: Mapping[str, str] = {
+    "registry.wheelsets_of": Facet.REGISTRY,
+    "registry.mountings_of": Facet.REGISTRY,
+    "registry.vehicles_of": Facet.REGISTRY,
+    "alerts.of_kind": Facet.RESTARTS,
+    "geometries.conicities": Facet.GEOMETRY,
+    "registry.mountings": Facet.REGISTRY,
+    "registry.wheelsets": Facet.REGISTRY,
+    "registry.measured_wheelsets": Facet.REGISTRY,
+    "tracks.sections": Facet.REGISTRY,
+    "alerts.page": Facet.RESTARTS,
+    "trends.latest": TREND.name,
+    "geometries.interval_digests": Facet.GEOMETRY,
+    "roll_ups.state": Facet.GEOMETRY,
+    "roll_ups.of": Facet.GEOMETRY,
+    "due.of_wheelset": Facet.GEOMETRY,
+    "tables.tabled": Facet.GEOMETRY,
+    "rails.cells": CELLS,
+}
+"""The facet that is raised with what a method reads; a stage calls no other."""
+
+WHEELSETS = ("W1", "W2", "W3")
+BY_NAME = {stage.name: stage for stage in ALL_STAGES}
+
+
+@dataclass
+class Recorded:
+    """A unit of work, or a store of it, that notes which methods are called."""
+
+    recorded: Any
+    name: str = ""
+    called: set[str] = field(default_factory=set)
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever the store has
+        found = getattr(self.recorded, name)
+        if self.name:
+            self.called.add(f"{self.name}.{name}")
+            return found
+        return Recorded(found, name, self.called)
+
+
+def context_of(storage: Storage, settings: JobSettings | None = None, code: str = "test") -> JobContext:
+    return JobContext(storage, SetClock(START_NS + 200 * DAY_NS), code, settings or JobSettings())
+
+
+def lived(storage: Storage) -> None:
+    register(storage, *WHEELSETS)
+    for serial in WHEELSETS:
+        wear(storage, serial, 40)
+        run_windows(storage, serial, 39.5, 3)
+
+
+def identity_alert(wheelset: str) -> Alert:
+    evidence = {BEFORE: START_NS + 20 * DAY_NS, AFTER: START_NS + 21 * DAY_NS}
+    kind = (IDENTITY, Severity.WARNING, Condition.ACTIVE)
+    return Alert(0, "F", wheelset, *kind, 10, 10, 1, 0.9, evidence, "inspect", None, None)
+
+
+@on_sqlite
+@pytest.mark.parametrize("stage", ALL_STAGES, ids=lambda stage: stage.name)
+def test_every_read_is_declared(storage: Storage, stage: AnyStage) -> None:
+    lived(storage)
+    with storage.write() as unit:
+        unit.alerts.save(identity_alert("W1"), [AlertEventKind.RAISED], 1)
+    with storage.read() as unit:
+        recorded = Recorded(unit)
+        stage.load(recorded, WHEELSETS, context_of(storage))  # type: ignore[arg-type] - it answers as the unit does
+    assert recorded.called <= set(READS), "give every method that is read its facet"
+    assert {READS[name] for name in recorded.called} <= {*stage.facets, *stage.frozen, stage.name}
+
+
+def a_geometry(unit: UnitOfWork) -> None:
+    unit.geometries.put(geometry_record("W2", 41, 41, 0.27, recorded_ns=2))
+
+
+def a_reprofiling(unit: Any) -> None:  # noqa: ANN401 - the unit of fleet_db has more than jobs see
+    unit.registry.add_reprofiling(Reprofiling("W2", START_NS + 30 * DAY_NS, 30_000.0))
+
+
+def a_faster_vehicle(unit: Any) -> None:  # noqa: ANN401 - the same
+    unit.registry.add_vehicle(VehicleRecord("V1", "F", "metro", 4, 250.0 / 3.6, (0.0, 2.5, 15.0, 17.5)))
+
+
+def another_vehicle(unit: Any) -> None:  # noqa: ANN401 - the same
+    unit.registry.add_vehicle(VehicleRecord("V2", "F", "metro", 4, 250.0 / 3.6, (0.0, 2.5, 15.0, 17.5)))
+    unit.registry.add_mounting(Mounting("W2", "V1", 2, START_NS, START_NS + 50 * DAY_NS, 0.0, 0.0))
+    unit.registry.add_mounting(Mounting("W2", "V2", 2, START_NS + 50 * DAY_NS, None, 0.0, 0.0))
+
+
+def an_identity_change(unit: Any) -> None:  # noqa: ANN401 - the same
+    unit.alerts.save(identity_alert("W2"), [AlertEventKind.RAISED], 1)
+
+
+CHANGES: tuple[Callable[[Any], None], ...] = (
+    a_geometry,
+    a_reprofiling,
+    a_faster_vehicle,
+    another_vehicle,
+    an_identity_change,
+)
+OF_TREND = {change.__name__ for change in CHANGES}
+
+
+def digests(storage: Storage, stage: AnyStage, context: JobContext) -> dict[str, str]:
+    with storage.read() as unit:
+        loaded = stage.load(unit, WHEELSETS, context)
+    return {subject: made_from(inputs) for subject, inputs in loaded.items()}
+
+
+@on_sqlite
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_what_has_other_inputs_is_due(storage: Storage, change: Callable[[Any], None]) -> None:
+    """Of every stage, after one change; the same inputs may be due as well, and are not computed again then."""
+    lived(storage)
+    context = context_of(storage)
+    before = {}
+    for stage in ALL_STAGES:
+        before[stage.name] = digests(storage, stage, context)
+        seen_all(storage, stage, context)
+    with storage.write() as unit:
+        change(unit)
+    for name, digest_of in before.items():
+        after = digests(storage, BY_NAME[name], context)
+        changed = {subject for subject, digest in after.items() if digest_of.get(subject) != digest}
+        assert changed <= due(storage, BY_NAME[name], context), name
+        if name == "trend":
+            assert bool(changed) == (change.__name__ in OF_TREND)
+
+
+@on_sqlite
+@pytest.mark.parametrize("stage", ALL_STAGES, ids=lambda stage: stage.name)
+def test_settings_that_are_read_make_all_due(storage: Storage, stage: AnyStage) -> None:
+    lived(storage)
+    context, shipped = context_of(storage), JobSettings()
+    before, everybody = digests(storage, stage, context), {EVERYTHING} if stage.together else set(WHEELSETS)
+    seen_all(storage, stage, context)
+    others = (
+        replace(shipped, trend=replace(shipped.trend, horizon_km=99_000.0)),
+        replace(shipped, rules=RuleBook().with_rules(ConicityLimitRule(bands=(SpeedBand(0.3),)))),
+    )
+    for settings in others:
+        other = context_of(storage, settings)
+        if digests(storage, stage, other) != before:
+            assert due(storage, stage, other) == everybody
+    assert due(storage, stage, context_of(storage, code="another")) == everybody
+
+
+def seen_all(storage: Storage, stage: AnyStage, context: JobContext) -> None:
+    inputs = stage.inputs(context)
+    with storage.write() as unit:
+        known = unit.marks.due(inputs, context.clock.now_ns())
+        unit.marks.note(inputs, {subject: Mark(state.seen, "") for subject, state in known.items()})
+
+
+def due(storage: Storage, stage: AnyStage, context: JobContext) -> set[str]:
+    with storage.read() as unit:
+        return set(unit.marks.due(stage.inputs(context), context.clock.now_ns()))

@@ -1,0 +1,52 @@
+"""Due windows: listed with the change, removed by the stage that has seen just that."""
+
+from __future__ import annotations
+
+import sqlalchemy
+import stored_values as make
+
+from estimation.values.windows import DueStage
+from fleet_db.due import WINDOWS, is_due, list_due
+from fleet_db.storage import SqlStorage
+
+SUMS = DueStage.SUMS
+
+
+def listed(storage: SqlStorage, *indices: int) -> None:
+    starts = [make.window(index).start_ns for index in indices]
+    with storage.write() as unit:
+        list_due(unit.connection, SUMS, WINDOWS.c.start_ns.in_(starts))
+
+
+def due(storage: SqlStorage) -> list[int]:
+    """Return the versions of the due windows, oldest first."""
+    with storage.read() as unit:
+        return list(unit.due.of_wheelset(SUMS, "WS-1").values())
+
+
+def test_a_window_stays_due_until_its_newest_version_has_been_seen(fleet: SqlStorage) -> None:
+    with fleet.write() as unit:
+        for index in range(3):
+            unit.windows.put(make.window(index), 10.0 + index, 50)
+    listed(fleet, 0, 2)
+    with fleet.read() as unit:
+        seen = unit.due.of_wheelset(SUMS, "WS-1")
+    assert list(seen) == [make.window(index).start_ns for index in (0, 2)]
+    listed(fleet, 1, 2)
+    assert due(fleet) == [1, 1, 2]
+    with fleet.write() as unit:
+        unit.due.settle(SUMS, "WS-1", seen)
+    assert due(fleet) == [1, 2]
+    with fleet.read() as unit:
+        statement = sqlalchemy.select(WINDOWS.c.start_ns).where(is_due(SUMS, WINDOWS)).order_by(WINDOWS.c.start_ns)
+        starts = list(unit.connection.scalars(statement))
+    assert starts == [make.window(index).start_ns for index in (1, 2)]
+
+
+def test_a_window_that_is_removed_stays_due(fleet: SqlStorage) -> None:
+    with fleet.write() as unit:
+        unit.windows.put(make.window(0), 10.0, 50)
+    listed(fleet, 0)
+    with fleet.write() as unit:
+        unit.assembled.remove(unit.windows.list("WS-1"))
+    assert due(fleet) == [1]
