@@ -7,6 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 from scipy.special import betaincinv
@@ -19,6 +20,7 @@ from estimation.values.geometry import GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
+from estimation.values.served import Served
 from estimation.values.trend import IdentityChange
 
 
@@ -110,11 +112,21 @@ class ConicityPair:
     """The equivalent conicity at one amplitude, measured and estimated."""
 
     amplitude: float  # m
-    measured: Estimate
-    estimated: Estimate
+    measured: Annotated[Estimate, Served("From the measured profiles; `n_windows` is 0.", "measured_1")]
+    estimated: Annotated[
+        Estimate, Served("Of the estimate; at 3 mm it may be extrapolated, see its reason.", "estimated_1")
+    ]
 
     @property
-    def covered(self) -> bool | None:
+    def covered(
+        self,
+    ) -> Annotated[
+        bool | None,
+        Served(
+            "Whether the estimate's 95 % interval, widened by the error of the measurement, covers it; "
+            "null where either is unknown."
+        ),
+    ]:
         """Whether the interval of the estimate covers the measurement; None where either is unknown."""
         return covers(self.estimated, self.measured)
 
@@ -211,8 +223,8 @@ def covers(estimated: Estimate, measured: Estimate) -> bool | None:
 class CoverageCount:
     """How many intervals were compared with a measurement, and how many covered it."""
 
-    compared: int = 0
-    covered: int = 0
+    compared: Annotated[int, Served("Intervals that were compared with a measurement.")] = 0
+    covered: Annotated[int, Served("Of these, the ones that cover it.")] = 0
 
     @staticmethod
     def of(outcomes: Iterable[bool | None]) -> CoverageCount:
@@ -221,7 +233,9 @@ class CoverageCount:
         return CoverageCount(len(known), sum(known))
 
     @property
-    def fraction(self) -> float | None:
+    def fraction(
+        self,
+    ) -> Annotated[float | None, Served("Share that is covered; null where nothing was compared.", "fraction_1")]:
         """Share that is covered; None where nothing was compared."""
         return self.covered / self.compared if self.compared else None
 
@@ -268,8 +282,10 @@ class PlacedComparison:
 class CoveragePair:
     """A count of all comparisons, and of those whose estimate was made without a measurement of the same wheels."""
 
-    all: CoverageCount
-    independent: CoverageCount
+    all: Annotated[CoverageCount, Served("Of all comparisons.", "everything")]
+    independent: Annotated[
+        CoverageCount, Served("Of those whose estimate was made without a measurement of the same profiles.")
+    ]
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.served import MM, Served
 
 AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
 REACH = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
@@ -32,10 +33,10 @@ STEP = 0.1e-3  # m
 class RailShare:
     """Rails as they are laid on some of the track, and the share of the running on them."""
 
-    rail: str  # name of the profile
-    inclination: float  # tangent
-    gauge: float  # m, nominal
-    share: float  # 0 to 1
+    rail: Annotated[str, Served(name="rail_profile", example="60E1")]  # name of the profile
+    inclination: Annotated[float, Served(name="rail_inclination_1", example=0.025)]  # tangent
+    gauge: Annotated[float, Served(name="nominal_gauge_mm", scale=MM, example=1435.0)]  # m, nominal
+    share: Annotated[float, Served("Share of the running on them.", "share_1", example=1.0)]
 
 
 @dataclass(frozen=True, slots=True)

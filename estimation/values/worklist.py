@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 from estimation.values.alerts import Condition, Severity
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import MeaningEnum, Reason
 from estimation.values.registry import WheelsetRecord
+from estimation.values.served import Served
 
 
 class Urgency(MeaningEnum):
@@ -39,21 +41,21 @@ class BogiePlace(StrEnum):
 class AxlePosition:
     """Where a wheelset is under its vehicle; without bogies, or where the class is not on file, the axle alone."""
 
-    bogie: int | None = None  # from 1, in the order of the axle numbers
-    place: BogiePlace | None = None
+    bogie: Annotated[int | None, Served("Number of the bogie, from 1 in the order of the axles.", example=1)] = None
+    place: Annotated[BogiePlace | None, Served("Which of the bogie's two, in the order of the axle numbers.")] = None
 
 
 @dataclass(frozen=True, slots=True)
 class OpenAlert:
     """An alert of a wheelset that is not closed."""
 
-    alert_id: int
+    alert_id: Annotated[int, Served("Number of the alert.", "id", example=1)]
     kind: str
     severity: Severity
     condition: Condition
     opened_ns: int
     acknowledged: bool
-    shelved_until_ns: int | None
+    shelved_until_ns: Annotated[int | None, Served(name="shelved_until")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,19 +70,21 @@ class MileageNow:
 class WorklistState:
     """How a wheelset is now."""
 
-    status: Status
-    conicity: Estimate  # at 3 mm, of the current profile
-    measured_until_ns: int | None  # end of the newest data behind it; None where there are none
-    slope_per_1000_km: Estimate  # of the trend since the last reprofiling
-    limit: float | None  # that the trend is held against
-    probability_over_limit: float | None  # at the last point of the trend
-    distance_to_limit_km: Forecast  # still to run from ``mileage``: that of the trend less ``since_trend_km``
-    since_trend_km: float | None  # run since the last point of the trend
+    status: Annotated[Status, Served("Of the conicity now.")]
+    conicity: Annotated[Estimate, Served("Equivalent conicity at 3 mm of the current profile.", "conicity_1")]
+    measured_until_ns: Annotated[int | None, Served("End of the newest data behind the conicity.", "measured_until")]
+    slope_per_1000_km: Annotated[Estimate, Served("Of the trend since the last reprofiling.", "slope_1_per_1000_km")]
+    limit: Annotated[float | None, Served("Conicity limit that the trend is held against.", "limit_1")]
+    probability_over_limit: Annotated[
+        float | None, Served("That the limit is exceeded; null means unknown.", "probability_over_limit_1")
+    ]
+    distance_to_limit_km: Forecast
+    since_trend_km: Annotated[float | None, Served("Run since the last point of the trend.")]
     date_of_limit_ns: Forecast  # quantiles of the date
     forecast_reason: Reason | None  # why a quantile is missing; None where none is
-    mileage: MileageNow | None  # last reading
-    last_data_ns: int | None  # end of the newest data that are estimated or wait for it
-    alerts: tuple[OpenAlert, ...]  # open alerts, the worst first
+    mileage: MileageNow | None
+    last_data_ns: Annotated[int | None, Served("End of the newest data that are estimated or wait for it.")]
+    alerts: Annotated[tuple[OpenAlert, ...], Served("Open alerts, the worst first.")]
     urgency: Urgency
     reasons: tuple[Reason, ...]  # why, the most important one first
 

@@ -69,10 +69,10 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
             if mark.state is WindowState.REFUSED:
                 gone.append(mark.key)
             if before.state != mark.state.value:
-                refused = WindowState.REFUSED.value in {before.state, mark.state.value}  # else the newest usable stays
-                changes.note(mark.wheelset, shown=refused)
-            elif mark.state is WindowState.REFUSED:
-                changes.show(mark.wheelset)  # another reason
+                changes.note(mark.wheelset)
+            changes.touch(mark.wheelset)
+            if WindowState.REFUSED.value in {before.state, mark.state.value}:  # else the newest usable one stays
+                changes.subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)
     remove_tables(connection, changes, gone)
     return held
@@ -88,7 +88,7 @@ def remove_tables(connection: Connection, changes: Changes, keys: Sequence[Windo
         if tabled:
             connection.execute(delete(TABLES).where(keys_given(TABLES)), {"keys": tabled})
         for wheelset, _ in tabled:
-            changes.note(wheelset, shown=False)
+            changes.note(wheelset)
 
 
 def list_for_sums(connection: Connection, keys: Sequence[WindowKey]) -> None:

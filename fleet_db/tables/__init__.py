@@ -53,7 +53,7 @@ from fleet_db.tables.registry import (
     WheelsetChangeRow,
     WheelsetRow,
 )
-from fleet_db.tables.results import GeometryRow, ResultRow, WorklistAlertRow, WorklistEntryRow
+from fleet_db.tables.results import ResultRow, WorklistAlertRow, WorklistEntryRow
 from fleet_db.tables.track import (
     SuspensionFindingRow,
     TrackAlignmentRow,
@@ -86,7 +86,6 @@ __all__ = [
     "FeedBranchRow",
     "FleetRow",
     "GearDamperRow",
-    "GeometryRow",
     "IdempotencyRow",
     "JobOwnerRow",
     "JobRunRow",

@@ -83,8 +83,6 @@ def test_the_damper_of_a_running_gear_is_replaced_and_comes_back(fleet: SqlStora
         assert unit.dampers.put_gear(known, "WS-1", "1")
         assert unit.dampers.of_vehicle("V-1") == [known]
         assert unit.dampers.of_vehicle("V-2") == []
-        assert unit.dampers.gear("V-1", 1) == known
-        assert unit.dampers.gear("V-1", 2) is unit.dampers.gear("V-2", 1) is None
 
 
 def test_a_damper_that_is_another_is_news_of_its_wheelset(fleet: SqlStorage) -> None:

@@ -306,7 +306,7 @@ def _summed(
         again: The windows that those keep which are to be summed again.
     """
     parts = []
-    for key in sorted({*held, *new}):
+    for key in sorted([*held, *(key for key in new if key not in held)]):
         part, added = held.get(key) or Part(RollUp(key), afresh=True), new.get(key, ())
         if key in again:
             parts.append(_of_members(part, sorted([*again[key], *added], key=lambda one: one.start_ns)))
