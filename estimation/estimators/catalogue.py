@@ -150,8 +150,7 @@ class BinnedGeometry:
         )
 
 
-SHIPPED = "bins"
-"""The estimator of the jobs as shipped: its sums over each window are what the bin tables store."""
+SHIPPED = "bins"  # the estimator of the jobs as shipped: its sums over each window are what the bin tables store
 
 
 def estimators() -> tuple[Estimator[Any], ...]:

@@ -248,15 +248,11 @@ def tabulate_window(
     track: TrackAlignment | None,
     parameters: WindowParameters,
     correction: Correction | None = None,
-    misplaced: Reason | None = None,
     *,
     mounted_reversed: bool = False,
-    layout: TrackLayout | None = None,
 ) -> BinTable | Reason:
     """Return the bin table of ``window`` on ``track``, or why the window is refused."""
-    filled = cells_of_window(
-        window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
-    )
+    filled = cells_of_window(window, track, parameters, correction, mounted_reversed=mounted_reversed)
     return filled if isinstance(filled, Reason) else filled.table()
 
 
