@@ -179,8 +179,18 @@ class _Working:
             unit.marks.note(self.inputs, {subject: one.mark(due[subject]) for subject, one in made.items()})
         self.counts.update(stored)
         self._count(made, {result.subject for result in changed}, len(changed))
-        for subject in made:
+        for subject, one in made.items():
             self.isolation.release(self.stage.kind, subject)
+            if self.stage.together and one.outcome is not None:
+                self._keep_failed(one.outcome.failed)
+
+    def _keep_failed(self, failed: Mapping[tuple[SubjectKind, str], Exception]) -> None:
+        """Keep what failed alone of a look at all together; what does not any more is released."""
+        for item in (one for kind in SubjectKind for one in self.isolation.held(kind)):
+            if not item.inputs and (item.kind, item.key) not in failed:
+                self.isolation.release(item.kind, item.key)
+        for (kind, key), error in failed.items():
+            self.isolation.keep(kind, key, "", error)
 
     def _put(self, unit: UnitOfWork, results: Sequence[AnyResult]) -> Sequence[AnyResult]:
         return () if self.stage.results is None else unit.results.put_all(self.stage.results, results)
