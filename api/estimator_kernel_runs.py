@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from estimation.dampers import damper_kernels
-from estimation.estimators import filter_kernels, hidden_kernels
+from estimation.dampers.damper_filters import add_innovation_products
+from estimation.estimators import filter_kernels, hidden_displacement
 from estimation.estimators.block_filters import Inputs
 from estimation.values.arrays import FloatArray, frozen_array
 
@@ -40,11 +40,11 @@ def _hidden() -> Iterator[FloatArray]:
     x, grid = 5e-4 * rng.standard_normal(30), np.linspace(-2e-4, 2e-4, 5)
     curve = 0.2 * np.linspace(-1e-3, 1e-3, 41)
     likelihood, posterior = np.empty((2, 6, 5))
-    yield np.array([hidden_kernels.weigh(x, 0.2 * x, 5, curve, -1e-3, 5e-5, grid, 5e-5, 0.5, likelihood)])
+    yield np.array([hidden_displacement.weigh(x, 0.2 * x, 5, curve, -1e-3, 5e-5, grid, 5e-5, 0.5, likelihood)])
     prior = np.exp(-0.5 * (grid / 1e-4) ** 2)
-    yield np.array([hidden_kernels.smooth(likelihood, prior / prior.sum(), 0.1, posterior)])
+    yield np.array([hidden_displacement.smooth(likelihood, prior / prior.sum(), 0.1, posterior)])
     sums, counts = np.zeros((2, 40))
-    hidden_kernels.add_expected(x, 0.2 * x, 5, posterior, grid, -1e-3, 5e-5, 1.0, sums, counts)
+    hidden_displacement.add_expected(x, 0.2 * x, 5, posterior, grid, -1e-3, 5e-5, 1.0, sums, counts)
     yield from (posterior, sums, counts)
 
 
@@ -57,7 +57,7 @@ def _dampers() -> Iterator[FloatArray]:
     source = frozen_array([0, 1], (v,), np.int64, name="source")
     below, above = (frozen_array(rng.standard_normal((3, samples)), (3, samples), name="above") for _ in range(2))
     counted = frozen_array(np.arange(samples) % 3 > 0, (samples,), np.bool_, name="counted")
-    damper_kernels.add_products(fixed[0], fixed[1], fixed[2], fixed[3], source, below, above, counted, products)
+    add_innovation_products(fixed[0], fixed[1], fixed[2], fixed[3], source, below, above, counted, products)
     yield products
 
 

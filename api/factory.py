@@ -28,7 +28,7 @@ from estimation.jobs.settings import JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Clock
-from fleet_db.keeping.purge_job import purge_job
+from fleet_db.keeping.purge import purge_job
 from fleet_db.keeping.retention import Retention
 from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore

@@ -11,35 +11,30 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from api import estimator_kernel_runs, ingest_kernel_runs
-from estimation.adhesion.saturation_kernels import add_saturated, excess_table
-from estimation.adhesion.smoother_kernels import filter_forward, smooth_back
+from estimation.adhesion.creep_forces import filter_forward, smooth_back
+from estimation.adhesion.window_adhesion import add_saturated, excess_table
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.paper_equations import PaperParameters, recursion_in_bins
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.motion import rolling_kernels
-from estimation.motion.integration_kernels import integrate_once, integrate_twice, take_out_mean
+from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
+from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, mirror, write_pieces
 from estimation.motion.smooth_sampling import sample_smoothed
-from estimation.motion.spline_lookup import evaluate, extent
-from estimation.tables.bin_table import BinParameters, fill_cells, group_of, init
-from estimation.tables.exact_sum import LARGEST, ExactSum, nothing
+from estimation.motion.track_lookup import evaluate, extent
+from estimation.tables.bin_table import BinParameters, fill_cells, group_of
 from estimation.tables.least_squares import collect
-from estimation.track.panel.pass_rows import add_filtered_hats
-from estimation.track.screening.correlations import cross_products, own_products
+from estimation.track.panel.normal_equations import add_filtered_hats
+from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.exact_table import HALF
-from estimation.values.geometry import FilledCells
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.regression_kernels import Signals
-from estimation.vehicle.regressors import regression
+from estimation.vehicle.regressors import Signals, regression
 from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.catalogue import default_catalogue
 from ingest.codec import decode, encode
@@ -169,11 +164,11 @@ def _saturation() -> Iterator[FloatArray]:
 def _rolling_radius() -> Iterator[FloatArray]:
     rng = np.random.default_rng(9)
     speeds, part, starts = np.empty(2), np.arange(2), np.array([0, 20])
-    pieces, samples = np.empty((2, rolling_kernels.ROWS, 40)), rng.standard_normal((6, 60))
+    pieces, samples = np.empty((2, ROWS, 40)), rng.standard_normal((6, 60))
     samples[5] += 20.0
     taper = frozen_array(np.hanning(40), (40,), name="taper")
-    rolling_kernels.write_pieces(samples, starts, 0.02, taper, pieces, speeds)
-    equation = rolling_kernels.Equation(
+    write_pieces(samples, starts, 0.02, taper, pieces, speeds)
+    equation = Equation(
         lateral_creep=7e6, spin_creep=1e4, mass=1e3, lateral_stiffness=2e5, lateral_damping=5e4, load=1e4, radius=0.45,
         half=0.75, per_moment=9e-8, yaw_inertia=7e2, yaw_creep=8e6, yaw_stiffness=2e6, yaw_damping=1e3, pitch=4e2,
         wheelbase=2.5, gravity=9.81, yaw_is_gyroscope=False, roll_is_gyroscope=True,
@@ -181,8 +176,8 @@ def _rolling_radius() -> Iterator[FloatArray]:
     products, noise = np.zeros((2, 2, 6, 7, 7))
     densities = np.full(4, 1e-6), np.full(4, 1e-8)
     place = (0.02, 40, 1.0, equation, *densities, (2.5, 10.0))
-    rolling_kernels.add_spectra(np.fft.rfft(pieces), speeds, part, *place, products, noise)
-    rolling_kernels.mirror(products)
+    add_spectra(np.fft.rfft(pieces), speeds, part, *place, products, noise)
+    mirror(products)
     yield from (pieces, products, noise)
 
 
@@ -290,36 +285,6 @@ class Cones:
         return (self.rolling_radius_left - self.rolling_radius_right) / 1.5
 
 
-def _exact_sums() -> Iterator[FloatArray]:
-    parameters = BinParameters(vehicle=VehicleParameters())
-    start = nothing(init(parameters), parameters)
-    columns = (start.lateral, start.upper.shape[1] - 1 - start.lateral)
-    cells = FilledCells(
-        parameter_key=start.parameter_key,
-        edges=start.edges,
-        groups=start.groups,
-        cells=np.arange(2),
-        weight=np.array([1.5, 2.0]),
-        lateral=np.full((2, columns[0]), -0.3),
-        yaw=np.full((2, columns[1]), 1e-9),
-        samples=2,
-        windows=1,
-    )
-    found = ExactSum(start)
-    for _ in range(3):
-        found.add(cells, 0.7)
-    found.take(cells, 0.7)
-    yield found.result().lower.astype(float)
-    largest = 0.75 * LARGEST * 2.0 ** (start.exponent + HALF)
-    for heavy in ([largest, largest], [np.nan, 1.0]):
-        too_much = ExactSum(start)
-        try:
-            for _ in range(2):
-                too_much.add(replace(cells, weight=np.array(heavy)))
-        except OverflowError as error:
-            yield np.array([len(str(error))])
-
-
 def _passes() -> Iterator[FloatArray]:
     rng = np.random.default_rng(7)
     signals, at = rng.standard_normal((3, 40)), np.cumsum(rng.uniform(0.05, 0.2, 40))
@@ -360,7 +325,6 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _saturation,
     _rolling_radius,
     _smoothing_spline,
-    _exact_sums,
     _frames,
     _simulator,
     _running_gears,

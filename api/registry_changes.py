@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
 
-from fastapi import Request, Response
+from fastapi import Response
 from pydantic import BaseModel
 
-from api.access.caller import Caller
 from api.answers import answer, require_match
+from api.asking import AskedChange
 from api.idempotency import IdempotentPost, idempotent_post
 from api.schemas.registry_changes import RegistryChange
-from api.services import Services
 from estimation.errors import InputError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
@@ -47,21 +46,15 @@ class RegistryRequest:
     """A request that changes the registry.
 
     Attributes:
-        request, services, caller, body: Of the route.
-        if_match: Its ``If-Match``; None in requests that create something.
-        key: Its ``Idempotency-Key``.
+        asked: Its ``if_match`` is None in requests that create something.
     """
 
-    request: Request
-    services: Services
-    caller: Caller
+    asked: AskedChange
     body: RegistryChange
-    if_match: str | None = None
-    key: str | None = None
 
     def decision(self, now_ns: int) -> Decision:
         """Return who decides, why, and when."""
-        return Decision(self.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns)
+        return Decision(self.asked.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns)
 
     def visible(self, find: Callable[[SqlUnitOfWork], object]) -> None:
         """Refuse what the body names and the caller does not see, as if it did not exist.
@@ -69,7 +62,7 @@ class RegistryRequest:
         Args:
             find: Raises where there is no such thing in a transaction that shows the caller's fleets only.
         """
-        with self.services.storage.read() as unit:
+        with self.asked.read() as unit:
             find(unit)
 
     def change(
@@ -84,17 +77,17 @@ class RegistryRequest:
             current: Representation of the asset that is changed, for ``If-Match``; None where there is none yet.
             apply: Changes it; returns what is answered.
         """
-        post: IdempotentPost = idempotent_post(self.request, self.key, self.body)
-        now_ns = self.services.clock.now_ns()
-        with self.services.storage.write() as unit:
-            earlier = post.earlier(self.request, unit)
+        post: IdempotentPost = idempotent_post(self.asked.request, self.asked.key, self.body)
+        now_ns = self.asked.services.clock.now_ns()
+        with self.asked.services.storage.write() as unit:
+            earlier = post.earlier(self.asked.request, unit)
             if earlier is not None:
                 return earlier
             if current is not None:
-                require_match(self.if_match, current(unit))
+                require_match(self.asked.if_match, current(unit))
             done = apply(unit, self.decision(now_ns))
             post.remember(unit, status, done, now_ns)
-        return answer(self.request, done, status=status)
+        return answer(self.asked.request, done, status=status)
 
     def enter(self, unit: SqlUnitOfWork, decision: Decision, contents: RegistryContents, source: BodySource) -> None:
         """Enter records as a registry file does.

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 from api.schemas.recordings import without_folders
 from estimation.errors import DamagedError, NotFoundError
 from estimation.track.update import NOT_USED
-from estimation.values.quarantine import TRIED_AGAIN, Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
-from estimation.values.runs import JobRun
+from estimation.values.runs import TRIED_AGAIN, JobRun, Quarantined, QuarantineState, SubjectKind
 from estimation.values.window_reasons import WindowsOfReason, WithoutEstimate, remedies
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from estimation.worklist.waiting import (

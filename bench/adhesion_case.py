@@ -26,9 +26,9 @@ from estimation.tables.bin_table import bin_parameters, fill_cells, merge_all
 from estimation.values.adhesion import WindowAdhesion
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import FilledCells, WheelsetGeometry
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackSectionRecord
+from estimation.values.windows import Motion
 from ingest.simulator.axle_motion import contact_of, true_geometry
 from ingest.simulator.creep_laws import CreepLaw
 from ingest.simulator.scenario import Scenario

@@ -22,9 +22,8 @@ from estimation.dampers.window_damper import window_damper
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window
-from estimation.vehicle.class_on_file import ClassOnFile
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, ClassOnFile, VehicleClass
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario import Scenario, WeakDamper
 from ingest.simulator.scenario_file import load_scenario

@@ -21,10 +21,9 @@ from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS, BinTable, WheelsetGeometry
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackAlignment
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 from fleet_db.migrate import upgrade
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver

@@ -22,9 +22,8 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
-from estimation.geometry.contact_roll import ContactRoll
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.rolling_line import SLOPES, held_shares, left_in_difference
+from estimation.geometry.rolling_line import SLOPES, ContactRoll, held_shares, left_in_difference
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
 from estimation.motion.cross_level import standard_displacement
 from estimation.tables import bin_table

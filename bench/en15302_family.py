@@ -18,7 +18,7 @@ from estimation.contact.radius_difference import radius_difference_curve, refine
 from estimation.contact.worn_family import PAIRS, USUAL_CONICITY, wheelsets
 from estimation.errors import ContactError
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
-from estimation.geometry.contact_roll import ContactRoll
+from estimation.geometry.rolling_line import ContactRoll
 from estimation.geometry.uncertainty import SCALE_STDS, DisplacementError
 from estimation.motion.cross_level import standard_displacement
 from estimation.tables.bin_table import BinParameters

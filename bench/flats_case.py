@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from estimation.motion.hunting import find_hunting
-from estimation.motion.turn_blows import blows_unless_hunting
+from estimation.motion.without_blows import blows_unless_hunting
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import TurnBlows
 from ingest.simulator.axle_motion import axle_motions, contact_of

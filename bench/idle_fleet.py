@@ -24,14 +24,13 @@ from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger
-from estimation.values.track import AlignmentSource
-from estimation.values.track_epochs import FoldState, TrackEpoch
+from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
 from fleet_db.changes import CHANGES
+from fleet_db.due import DUE
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables import (
     ChunkRow,
-    GeometryRow,
     MountingRow,
     ResultRow,
     RollingSumsRow,
@@ -60,7 +59,7 @@ SUMS |= {"roll_ups": ("plain", "forgetting")}
 WINDOWS, POSITIONS, TABLES = table_of(WindowRow), table_of(WindowPositionRow), table_of(WindowBinTableRow)
 ROLL_UPS, MEMBERS, EPOCHS = table_of(RollUpRow), table_of(TrackEpochWindowRow), table_of(TrackEpochRow)
 MOUNTINGS, CHUNKS = table_of(MountingRow), table_of(ChunkRow)
-OF_WHEELSET = (table_of(RollUpStateRow), table_of(RollingSumsRow), table_of(GeometryRow), table_of(ResultRow))
+OF_WHEELSET = (table_of(RollUpStateRow), table_of(RollingSumsRow), table_of(ResultRow))
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,11 +157,8 @@ def _copied(size: FleetSize, number: int, mounting: Mounting) -> Iterator[Insert
     yield _copy(WINDOWS, mounting.wheelset, own)
     yield _copy(POSITIONS, mounting.wheelset)
     yield _copy(ROLL_UPS, mounting.wheelset)
-    was, now = ROLL_UPS.alias("was"), ROLL_UPS.alias("now")
-    key = ("baseline", "baseline_interval", "side", "table_key", "vehicle_class")
-    of_key = [was.c[name] == now.c[name] for name in key]
-    roll_up = select(now.c.number).where(now.c.wheelset == mounting.wheelset, was.c.number == TABLES.c.roll_up, *of_key)
-    yield _copy(TABLES, mounting.wheelset, {"roll_up": roll_up.scalar_subquery(), "track_version": literal(1)})
+    yield _copy(TABLES, mounting.wheelset, {"track_version": literal(1)})
+    yield _copy(DUE, mounting.wheelset, {"vehicle": literal(mounting.vehicle)})
     for table in OF_WHEELSET:
         yield _copy(table, mounting.wheelset)
 
@@ -171,8 +167,7 @@ def _copy(table: Table, serial: str, own: dict[str, object] | None = None) -> In
     cut = {name: func.substr(table.c[name], 1, KEPT_BYTES) for name in SUMS.get(table.name, ())}
     owner = "subject" if table.name == "results" else "wheelset"
     values = {owner: literal(serial), **cut, **(own or {})}
-    numbered = {column.name for column in table.primary_key if column.autoincrement is True} | {"number"}
-    numbered |= {"geometry_id", "result_id"}
+    numbered = {column.name for column in table.primary_key if column.autoincrement is True} | {"number", "result_id"}
     names = [column.name for column in table.columns if column.name not in numbered]
     chosen = select(*(values.get(name, table.c[name]) for name in names)).where(table.c[owner] == SERIAL)
     return insert(table).from_select(names, chosen)

@@ -13,18 +13,16 @@ from sqlalchemy import ColumnElement, Connection, Insert, Table, case, func, ins
 
 from estimation.jobs import refresh_rails, refresh_signatures
 from estimation.jobs.job import JobContext
-from estimation.jobs.steps.section_looks import NO_SECTION
 from estimation.values.registry import Mounting
+from estimation.values.subjects import Mark
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables import (
     GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
-    SectionRailsRow,
     SignatureAnswerRow,
     WearSignatureRow,
-    WheelsetRailsRow,
     WindowAdhesionRow,
     WindowDamperRow,
 )
@@ -33,8 +31,8 @@ KEPT_BYTES = 500
 DAY_NS = 86_400_000_000_000
 CREEP, DAMPERS, GEARS = table_of(WindowAdhesionRow), table_of(WindowDamperRow), table_of(GearDamperRow)
 SIGNATURES, CELLS = table_of(WearSignatureRow), table_of(RailCellRow)
-OF_WHEELSET = (table_of(SignatureAnswerRow), table_of(WheelsetRailsRow))
-OF_SECTIONS = ((table_of(SectionAdhesionRow), "track_section"), (table_of(SectionRailsRow), "section"))
+OF_WHEELSET = (table_of(SignatureAnswerRow),)
+OF_SECTIONS = ((table_of(SectionAdhesionRow), "track_section"),)
 
 
 def opinions_copied(mounting: Mounting, model: Mounting, sections: Sequence[str]) -> Iterator[Insert]:
@@ -74,13 +72,16 @@ def note_opinions(context: JobContext, storage: SqlStorage) -> None:
     """
     with storage.read() as unit:
         of_signatures = refresh_signatures.wheelset_looks(unit, context)
-        of_rails = refresh_rails.wheelset_looks(unit, context)
-        everything = refresh_rails.look_at_all(unit, context, of_rails)
+        seen = {}
+        for stage in (refresh_rails.OF_WHEELSETS, refresh_rails.OF_ALL):
+            inputs = stage.inputs(context)
+            due = unit.marks.due(inputs, context.clock.now_ns())
+            seen[inputs] = {subject: Mark(state.seen, "") for subject, state in due.items()}
     with storage.write() as unit:
-        for stage, looks in ((refresh_signatures.STAGE, of_signatures), (refresh_rails.STAGE, of_rails)):
-            for serial, look in looks.items():
-                unit.looks.note(stage, serial, look)
-        unit.section_looks.note(refresh_rails.STAGE, {NO_SECTION: everything})
+        for serial, look in of_signatures.items():
+            unit.looks.note(refresh_signatures.STAGE, serial, look)
+        for inputs, marks in seen.items():
+            unit.marks.note(inputs, marks)
 
 
 def _same(table: Table, model: Mounting) -> ColumnElement[bool]:

@@ -24,10 +24,15 @@ from estimation.trend.points import conicity_points
 from estimation.trend.trend import TrendParameters, probability_above
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.arrays import FloatArray
-from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
-from estimation.values.interval_conicities import IntervalConicities, interval_conicities
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.geometry import (
+    BinStatus,
+    BinValues,
+    GeometryRecord,
+    IntervalConicities,
+    WheelsetGeometry,
+    interval_conicities,
+)
+from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord

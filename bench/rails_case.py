@@ -32,6 +32,7 @@ from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate
+from estimation.values.rails import SECTION_RAILS, WHEELSET_RAILS
 from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan
 from ingest.simulator.wear import truth_of, wear_at, worn_contact
 
@@ -120,7 +121,8 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
     amplitude = np.array(AMPLITUDES)
     of_sections = []
     for one in sections:
-        found, true = unit.rails.of_section(one.plan.code), reference_wheel(one.scenario, amplitude)
+        stored, true = unit.results.latest(SECTION_RAILS, one.plan.code), reference_wheel(one.scenario, amplitude)
+        found = None if stored is None else stored.value
         part = None if found is None else found.periods[-1]
         of_sections.append(
             {
@@ -135,7 +137,8 @@ def _stored(unit: UnitOfWork, sections: Sequence[BenchSection]) -> Scored:
         )
     wheelsets = []
     for serial, true in sorted(_true_wheels(sections, amplitude).items()):
-        found_wheels, geometry = unit.rails.of_wheelset(serial), unit.geometries.current(serial)
+        apart, geometry = unit.results.latest(WHEELSET_RAILS, serial), unit.geometries.current(serial)
+        found_wheels = None if apart is None else apart.value
         now = None if geometry is None else geometry.geometry
         wheelsets.append(
             {

@@ -17,7 +17,7 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack
 from estimation.contact.profiles import wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
-from estimation.contact.rail_wear import RailWear
+from estimation.contact.wear import RailWear
 from estimation.values.arrays import FloatArray
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.profile_files import rails_of

@@ -15,10 +15,11 @@ import numpy as np
 from api.comparison.trial import ESTIMATION, copied, opened, run_jobs
 from bench.rails_case import received
 from bench.rails_sections import KNOWN, TEMPLATE, BenchSection, on_section, reference_wheel
-from estimation.contact.rail_wear import RailWear
+from estimation.contact.wear import RailWear
 from estimation.jobs import refresh_rails
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.values.quantities import Estimate
+from estimation.values.rails import SECTION_RAILS
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.profile_files import section_at
 from ingest.simulator.scenario import DAY_NS, Scenario, VehiclePlan
@@ -72,8 +73,8 @@ def score_trend(seed: int, cache: Path) -> Scored:
             known = replace(context.settings, rails=RailsSettings(_looked_at(sections[0].scenario)))
             run_jobs(replace(context, settings=known), (*ESTIMATION, refresh_rails.JOB))
             with storage.read() as unit:
-                found = unit.rails.of_section(sections[1].plan.code)
-    trend = None if found is None else found.trend
+                found = unit.results.latest(SECTION_RAILS, sections[1].plan.code)
+    trend = None if found is None or found.value is None else found.value.trend
     if trend is None:
         return {"seed": seed, "amplitude": None}
     per_year = _true_slope(sections[1].scenario, trend.amplitude)

@@ -14,16 +14,15 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.rolling_radius import check_radius, rolling_radius
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, MOST_SHARE
-from estimation.motion.axle_distance import check_axle_distance
+from estimation.motion.axle_distance import bogie_runs_backwards, check_axle_distance, runs_backwards, turned_over
 from estimation.motion.bogie_frame import check_frame_sensors, with_frame_yaw
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
-from estimation.motion.travel import bogie_runs_backwards, runs_backwards, turned_over
 from estimation.tables.bin_table import bin_parameters, merge_all, tabulate_window
 from estimation.values.geometry import WheelsetGeometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.rolling_sums import RollingSums
+from estimation.values.roll_up import RollingSums
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import Arrangement, VehicleClass
 

@@ -11,7 +11,7 @@ import numpy as np
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.track_lookup import deconvolved
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.intervals import NORMAL_95
+from estimation.values.quantities import NORMAL_95
 from estimation.values.track import TrackAlignment
 from ingest.simulator.campaign import scenario_track, vehicle_run
 from ingest.simulator.scenario import Scenario

@@ -14,8 +14,7 @@ import numpy as np
 from bench.signature_cases import Foreign, on_a_vehicle, run_within
 from estimation.contact.geometry import WheelsetOnTrack
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.rail_wear import RailWear, worn_rail
-from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
+from estimation.contact.wear import RailWear, TreadWear, WearFamily, wear_course, worn, worn_rail
 from ingest.simulator.track import TrackTruth
 
 KINDS = {  # how many of each a seed has

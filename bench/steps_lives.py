@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from estimation.values.interval_conicities import IntervalConicities, KnownConicity
+from estimation.values.geometry import IntervalConicities, KnownConicity
 
 HISTORIES = (3, 6, 12, 30, 60, 120, 240)  # intervals before a step
 LEAST = 0.04  # conicity: an outlier is never below it

@@ -10,7 +10,7 @@ from bench.report import BenchRow
 from bench.steps_lives import BEGIN_NS, DAY_NS
 from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
 from estimation.trend.suspension import suspension_histories
-from estimation.values.suspension import SuspensionFinding
+from estimation.values.trend import SuspensionFinding
 
 VEHICLES, DAYS_APART = 5, 3.0
 HISTORIES = (6, 12, 30)  # findings before the change

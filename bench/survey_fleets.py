@@ -13,17 +13,15 @@ import numpy as np
 
 from bench.signature_cases import NODE
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.motion.parameters import WindowParameters
 from estimation.track.examination import examine
-from estimation.track.pass_grid import resampled
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.gridded_pass import resampled
+from estimation.track.passes import Pass, ProfileLife
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from api.comparison.study import TrueWheelset, conicity_errors
-from estimation.accuracy.curve_origin import curve_origin
+from estimation.accuracy.fleet_accuracy import curve_origin
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
-from estimation.values.intervals import NORMAL_95
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import NORMAL_95, Estimate
 
 
 @dataclass(frozen=True, slots=True)

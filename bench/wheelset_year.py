@@ -15,7 +15,7 @@ from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.values.geometry import BinTable
 from estimation.values.runs import JobTrigger
-from estimation.values.track_epochs import EpochMember, FoldState, TrackEpoch
+from estimation.values.track import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import Window, WindowPosition, WindowRecord, WindowState
 from fleet_db.keeping.retention import DAY_NS
 from fleet_db.rows import table_of

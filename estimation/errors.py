@@ -46,12 +46,7 @@ class InputError(TreadwatchError):
     """
 
     def __init__(
-        self,
-        reason: str,
-        *,
-        file: Path | str | None = None,
-        line: int | None = None,
-        field: str | None = None,
+        self, reason: str, *, file: Path | str | None = None, line: int | None = None, field: str | None = None
     ) -> None:
         self.reason = reason
         self.file = str(file) if file is not None else None
@@ -126,7 +121,7 @@ class PassingFaultError(TreadwatchError):
     Args:
         reason: What could not be done, in one sentence, without the place.
         file: The file it was to be done with, if any.
-        code: What is waited for: one of ``estimation.values.quarantine.PASSING``.
+        code: What is waited for: one of ``estimation.values.runs.PASSING``.
     """
 
     def __init__(self, reason: str, *, file: Path | str | None = None, code: str = "waits_for_storage") -> None:

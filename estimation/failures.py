@@ -10,8 +10,8 @@ from estimation.errors import (
     TreadwatchError,
     WorkersEndedError,
 )
-from estimation.values.quarantine import SECOND_NS, Quarantined, QuarantineState, SubjectKind, delay_s
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import SECOND_NS, Quarantined, QuarantineState, SubjectKind, delay_s
 
 ERROR_LENGTH = 500
 

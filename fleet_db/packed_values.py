@@ -14,10 +14,9 @@ import numpy as np
 
 from estimation.contact.profiles import Profile
 from estimation.values.arrays import BoolArray
-from estimation.values.exact_table import ExactTable
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
 from estimation.values.json_value import JsonValue
-from estimation.values.rolling_sums import RollingSums
+from estimation.values.roll_up import RollingSums
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, TrackLayout
 from fleet_db.fields import Array, fields_of, pack, to_json, unpack, value_of
 
@@ -26,7 +25,7 @@ VERSION = 1
 ALIGNMENTS = 4  # that are kept unpacked, some megabytes each
 GEOMETRY, LAYOUT, BIN_TABLE = "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
-EXACT_TABLE, ROLLING_SUMS = "exact_table", "rolling_sums"
+ROLLING_SUMS = "rolling_sums"
 STATUSES = {status.value: status for status in BinStatus}
 PROFILE_ARRAYS = ("y", "z", "slope")
 
@@ -236,60 +235,6 @@ def unpack_filled_cells(blob: bytes, *, where: str) -> FilledCells:
         yaw=rows[:, yaw_from:],
         samples=packed.scalars["samples"],
         windows=packed.scalars["windows"],
-    )
-
-
-def pack_exact_table(table: ExactTable) -> bytes:
-    """Return an exact sum as one blob. A cell is empty when every bit of it is zero."""
-    upper, lower = table.upper, table.lower.view(np.int64)
-    filled: BoolArray = np.any(upper | lower, axis=1)
-    return pack(
-        EXACT_TABLE,
-        VERSION,
-        {
-            "parameter_key": table.parameter_key,
-            "samples": int(table.samples),
-            "windows": int(table.windows),
-            "groups": table.groups,
-            "lateral": table.lateral,
-            "columns": upper.shape[1],
-            "exponent": table.exponent,
-        },
-        {
-            "edges": table.edges,
-            "filled": np.packbits(filled),
-            "upper": np.ascontiguousarray(upper[filled].T),
-            "lower": np.ascontiguousarray(lower[filled].T),
-        },
-    )
-
-
-def unpack_exact_table(blob: bytes, *, where: str) -> ExactTable:
-    """Return the sum, bit for bit.
-
-    Args:
-        blob: From ``pack_exact_table``.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
-    packed = unpack(blob, EXACT_TABLE, where=where)
-    edges, scalars = packed.arrays["edges"], packed.scalars
-    cells = scalars["groups"] * (len(edges) - 1)
-    filled = np.unpackbits(packed.arrays["filled"], count=cells).astype(bool)
-    upper, lower = np.zeros((2, cells, scalars["columns"]), dtype=np.int64)
-    upper[filled], lower[filled] = packed.arrays["upper"].T, packed.arrays["lower"].T
-    return ExactTable(
-        parameter_key=scalars["parameter_key"],
-        edges=edges,
-        groups=scalars["groups"],
-        lateral=scalars["lateral"],
-        exponent=scalars["exponent"],
-        upper=upper,
-        lower=lower.view(np.uint64),
-        samples=scalars["samples"],
-        windows=scalars["windows"],
     )
 
 

@@ -122,19 +122,12 @@ class LostRecordingError(PassingFaultError):
 
 @dataclass(frozen=True, slots=True)
 class RawItem:
-    """What a store lists: a recording, or what a killed process left.
+    """What a store lists: a recording, or what a killed process left."""
 
-    Attributes:
-        place: Path or URL.
-        digest: That its name says; empty for what a killed process left.
-        size_bytes: Of it.
-        changed_s: When it was written last, s since the Unix epoch by the clock of the store.
-    """
-
-    place: str
-    digest: str
-    size_bytes: int
-    changed_s: float
+    place: str  # path or URL
+    digest: str  # that its name says; empty for what a killed process left
+    size_bytes: int  # of it
+    changed_s: float  # when it was written last, s since the Unix epoch by the clock of the store
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 from estimation.values.reasons import Reason
+from estimation.values.served import Served
 
 
 class ChunkState(StrEnum):
@@ -23,21 +25,23 @@ class ChunkState(StrEnum):
 class ChunkRecord:
     """The receipt of a recording: raw bytes are stored under their digest before this row is committed."""
 
-    digest: str  # sha256 of the raw bytes
-    vehicle: str
-    suffix: str  # ".blf", ".asc", ".log", ".mf4"
-    size_bytes: int
+    digest: Annotated[str, Served("SHA-256 of its bytes: its identity.", example="ab" * 32)]
+    vehicle: Annotated[str, Served("Code of the vehicle that it came for; it need not be registered.")]
+    suffix: Annotated[str, Served("Ending of its format.", "format", example=".blf")]
+    size_bytes: Annotated[int, Served("Of its bytes as they came.")]
     state: ChunkState
     reason: Reason | None
-    first_ns: int | None  # vehicle clock, once decoded
-    last_ns: int | None
+    first_ns: Annotated[int | None, Served("First frame, on the vehicle's clock; null until decoded.", "measured_from")]
+    last_ns: Annotated[int | None, Served("Last frame, on the vehicle's clock; null until decoded.", "measured_to")]
     frames: int
     counts: Mapping[str, int]  # marked and counted: unknown identifiers, wrong lengths, gaps, clipped, invalid ...
-    received_ns: int
+    received_ns: Annotated[int, Served("When its receipt was given, by our clock.")]
     recorded_ns: int
-    purged_ns: int | None = None  # our time at which its raw bytes were deleted; its windows stay as they are
+    purged_ns: Annotated[
+        int | None, Served("When its raw bytes were removed; null while they are kept.", "bytes_removed_at")
+    ] = None
     clock_checked_ns: int | None = None  # our time against which the vehicle's is checked where received_ns was wrong
-    file_name: str | None = None  # under which it came
+    file_name: Annotated[str | None, Served("Under which it came.")] = None
     sender: str | None = None  # who sent it where it came by HTTP or through a drop folder
 
     @property
@@ -82,11 +86,11 @@ class RecordingChange:
     """What was done to a recording by hand: when (our time), by whom and why, and how it stood before and after."""
 
     digest: str
-    action: RecordingAction
-    recorded_ns: int
-    actor: str
-    why: str
-    vehicle_before: str
-    state_before: ChunkState
-    vehicle_after: str
-    state_after: ChunkState
+    action: Annotated[RecordingAction, Served("What was done.")]
+    recorded_ns: Annotated[int, Served("When, by our clock.", "at")]
+    actor: Annotated[str, Served("Who.", "by")]
+    why: Annotated[str, Served("As it was written.")]
+    vehicle_before: Annotated[str, Served("Code of its vehicle before it.")]
+    state_before: Annotated[ChunkState, Served("Its state before it.")]
+    vehicle_after: Annotated[str, Served("Code of its vehicle after it.")]
+    state_after: Annotated[ChunkState, Served("Its state after it.")]

@@ -11,8 +11,7 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine
 
 from estimation.errors import StorageError
-from estimation.values.claims import Claimed
-from estimation.values.runs import JobTrigger
+from estimation.values.runs import Claimed, JobTrigger
 from fleet_db import locks
 from fleet_db.changes import Changes
 from fleet_db.due import WindowDueStore
@@ -132,7 +131,7 @@ class SqlUnitOfWork:
         connection = self.connection
         self.subjects = Subjects(connection)
         self.changes = Changes(connection, self.subjects)
-        self.chunks = ChunkStore(connection)
+        self.chunks = ChunkStore(connection, self.subjects)
         self.settings = StoredSettingStore(connection)
         self.stale_spans = StaleSpanStore(connection)
         self.quarantine = QuarantineStore(connection)
@@ -150,12 +149,12 @@ class SqlUnitOfWork:
         self.windows = WindowStore(connection, self.changes, self.files)
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
-        self.geometries = GeometryStore(connection, self.changes)
         self.due = WindowDueStore(connection)
         self.marks = StageMarkStore(connection, self.subjects, self.due)
         self.results = ResultStore(connection, self.changes)
+        self.geometries = GeometryStore(connection, self.changes, self.results)
         self.trends = TrendStore(self.results, self.geometries)
-        self.suspensions = SuspensionStore(connection)
+        self.suspensions = SuspensionStore(connection, self.subjects)
         self.adhesion = AdhesionStore(connection)
         self.dampers = DamperStore(connection, self.changes)
         self.signatures = SignatureStore(connection)
@@ -166,12 +165,12 @@ class SqlUnitOfWork:
         self.jobs = JobRunStore(connection, self.owner)
         self.idempotency = IdempotencyStore(connection)
         reader = WorklistReader(connection, self.registry, self.geometries, self.trends)
-        self.worklist = WorklistStore(connection, self.changes, reader)
+        self.worklist = WorklistStore(connection, self.subjects, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
         self.looks = LookStore(connection, self.changes)
         self.section_looks = SectionLookStore(connection)
-        self.rails = RailsStore(connection)
+        self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
@@ -179,7 +178,7 @@ class SqlUnitOfWork:
     def finish(self) -> None:
         """Let what follows from the changes follow, as the last of the transaction: see ``Changes``."""
         self.changes.flush()
-        self.worklist.refresh(self.changes.take_shown())
+        self.worklist.refresh(self.subjects.take_shown())
 
     def assemble_alone(self, vehicle: str) -> None:
         """Let nobody else store windows or receipts of a vehicle until this transaction has ended.

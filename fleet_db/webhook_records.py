@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
+
+from estimation.values.served import Served
 
 
 class WebhookState(StrEnum):
@@ -50,60 +53,60 @@ class Webhook:
     """Where events of the feed are sent; without its secrets.
 
     Args:
-        webhook_id: Number; 0 until it is stored.
         fleets, kinds, severities: Which events, as the feed's filters; an empty set is no filter.
-        bound: Codes of the fleets of the key that made it: it never carries an event of another. None for all.
-        state, disabled_reason, since_ns: Whether it is delivered to, why not where it is disabled, and since when, ns
-            UTC.
-        created_ns, created_by: When, ns UTC, and by whom it was made.
         position: Number of the event up to which everything is delivered, or is none of its events.
     """
 
-    webhook_id: int
+    webhook_id: Annotated[int, Served(name="id")]
     url: str
     description: str
     fleets: frozenset[str]
     kinds: frozenset[str]
     severities: frozenset[str]
-    bound: frozenset[str] | None
-    state: WebhookState
-    disabled_reason: DisabledReason | None
-    since_ns: int
-    created_ns: int
-    created_by: str
+    bound: Annotated[
+        frozenset[str] | None,
+        Served("Fleets of the key that made it: it never carries an event of another. Null is all.", "bound_to"),
+    ]
+    state: Annotated[WebhookState, Served("Whether it is sent to; a disabled one is sent to again once it is active.")]
+    disabled_reason: Annotated[
+        DisabledReason | None,
+        Served(
+            "`gone`: its receiver answered 410. `failing`: an event was not taken until it was given up. "
+            "Null while it is not disabled."
+        ),
+    ]
+    since_ns: Annotated[int, Served("Since when it is in this state.", "state_since")]
+    created_ns: Annotated[int, Served("When it was made.")]
+    created_by: Annotated[str, Served("Who made it.", example="depot west")]
     position: int
     revision: int = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """An event on its way to a webhook.
+    """An event on its way to a webhook."""
 
-    Args:
-        delivery_id: Number; 0 until it is stored.
-        sequence, event_id, event_kind, alert_id, event_ns: The event: its number, its identity for receivers, what
-            happened, to which alert, and when it was recorded, ns UTC.
-        first_ns, last_ns: When it was sent first and last, ns UTC.
-        next_ns: When it is sent again, ns UTC; None where it is not.
-        status_code: Of the last answer; None without one.
-        failure, detail: Why the last attempt failed, as code and sentence; None where it did not.
-    """
-
-    delivery_id: int
+    delivery_id: Annotated[int, Served(name="id")]
     webhook_id: int
     sequence: int
-    event_id: str
+    event_id: Annotated[str, Served("Id of the event, the same at every attempt.")]
     event_kind: str
     alert_id: int
-    event_ns: int
-    state: DeliveryState
-    attempts: int
-    first_ns: int
-    last_ns: int
-    next_ns: int | None
-    status_code: int | None
-    failure: Failure | None
-    detail: str | None
+    event_ns: Annotated[int, Served("When the event was recorded.", "event_recorded_at")]
+    state: Annotated[
+        DeliveryState,
+        Served(
+            "`waiting` for its next attempt; `delivered`; `failed`: given up, and its webhook is disabled; "
+            "`withdrawn`: its webhook was changed before it was taken."
+        ),
+    ]
+    attempts: Annotated[int, Served("How often it was sent.", example=1)]
+    first_ns: Annotated[int, Served("When it was sent first.", "first_attempt_at")]
+    last_ns: Annotated[int, Served("When it was sent last.", "last_attempt_at")]
+    next_ns: Annotated[int | None, Served("When it is sent again; null where it is not.", "next_attempt_at")]
+    status_code: Annotated[int | None, Served("Status of the last answer; null without one.", example=204)]
+    failure: Annotated[Failure | None, Served("Why the last attempt failed; null where it did not.", "reason_code")]
+    detail: Annotated[str | None, Served("The same as a sentence.", "reason")]
 
 
 @dataclass(frozen=True, slots=True)

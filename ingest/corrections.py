@@ -13,8 +13,8 @@ from datetime import UTC, datetime
 
 from estimation.errors import ConflictError, NotFoundError, PassingFaultError
 from estimation.storage import Clock
-from estimation.values.quarantine import SubjectKind, resolved
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.runs import SubjectKind, resolved
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange

@@ -140,7 +140,7 @@ class Reassembler:
             cause = f"recording {record.digest[:12]}: {OTHER_BUS}"
             for first_ns, last_ns in extent(record):
                 unit.stale_spans.add(record.vehicle, first_ns, last_ns + 1, cause)
-            decode_again(unit.connection, record, OTHER_BUS, self.clock.now_ns())
+            decode_again(unit.chunks, record, OTHER_BUS, self.clock.now_ns())
         return commit(unit, assembly, self.clock.now_ns(), verify=True)
 
     def _next_piece(self, unit: SqlUnitOfWork, vehicle: str, span: Span) -> Span | None:

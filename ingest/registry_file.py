@@ -32,8 +32,7 @@ from estimation.values.registry import (
     WheelsetRecord,
 )
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
-from estimation.vehicle.class_on_file import class_of_document
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, class_of_document
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import Inline, read_value, table_of

@@ -95,7 +95,7 @@ def _changed(found: Mapping[str, StoredBus], given: Mapping[str, StoredBus]) -> 
 def _make_stale(unit: SqlUnitOfWork, changed: Iterable[str], named: frozenset[str], now_ns: int) -> None:
     for vehicle in sorted({code for name in changed for code in _vehicles(unit, name, named)}):
         unit.stale_spans.add(vehicle, None, None, CHANGED)
-        decode_undecoded(unit.connection, vehicle, CHANGED, now_ns)
+        decode_undecoded(unit.chunks, vehicle, CHANGED, now_ns)
 
 
 def _vehicles(unit: SqlUnitOfWork, name: str, named: frozenset[str]) -> Iterator[str]:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 
 quarantine = typer.Typer(no_args_is_help=True, help="List and retry what failed by itself.", rich_markup_mode=None)
 

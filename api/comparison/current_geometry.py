@@ -21,11 +21,10 @@ from estimation.motion.parameters import WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.geometry import WheelsetGeometry
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import WindowPosition, WindowRecord
+from estimation.values.windows import Motion, WindowPosition, WindowRecord
 
 
 def replayed(

@@ -12,9 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.table import ContactTable
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.estimators import paper_equations
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
@@ -22,7 +21,7 @@ from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables import bin_table
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS, WheelsetGeometry
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.track import TrackRecipe, make_track

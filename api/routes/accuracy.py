@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Response
 
 from api.accuracy.placed import placed_comparisons
-from api.answers import IfNoneMatch, answer, answer_payload, table_payload
+from api.answers import answer_payload, table_payload
+from api.asking import AskedDep
 from api.contract import CSV, Accepted
 from api.known import require_known
 from api.parameters import FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
 from api.schemas import accuracy, wheel_contact
-from api.services import Services, ServicesDep
+from api.services import Services
 from api.times import Moment, to_rfc3339
 from estimation.accuracy.fleet_accuracy import fleet_accuracy
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
@@ -39,16 +40,14 @@ Newest = Annotated[int, Query(ge=1, le=500, description="How many measurements a
     response_model=wheel_contact.DesignContact,
     responses={**described(404), **_TABLE},
 )
-def get_design_contact(
-    request: Request, services: ServicesDep, accepted: Accepted, serial: Serial, _held: IfNoneMatch = None
-) -> Response:
+def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> Response:
     """Return rolling radii and conicity of the wheelset's design profile; as `text/csv`, the curve alone."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         wheelset = unit.registry.wheelset(serial)
-        rails = _reader(services, unit).rails(serial, unit.geometries.current(serial))
-        found = _design(services, wheelset, rails)
+        rails = _reader(asked.services, unit).rails(serial, unit.geometries.current(serial))
+        found = _design(asked.services, wheelset, rails)
     body = wheel_contact.design_contact(wheelset, found)
-    return answer_payload(request, table_payload(body, accepted, wheel_contact.table(body.contact)), accepted)
+    return answer_payload(asked.request, table_payload(body, accepted, wheel_contact.table(body.contact)), accepted)
 
 
 @router.get(
@@ -56,39 +55,35 @@ def get_design_contact(
     response_model=accuracy.ProfileComparison,
     responses=described(404),
 )
-def get_profile_comparison(
-    request: Request, services: ServicesDep, serial: Serial, measured_at: MeasuredAt, _held: IfNoneMatch = None
-) -> Response:
+def get_profile_comparison(asked: AskedDep, serial: Serial, measured_at: MeasuredAt) -> Response:
     """Return a measurement of both wheels beside the estimate that belongs to its date."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         wheelset = unit.registry.wheelset(serial)
         wanted = [one for one in unit.registry.measured_profiles(serial) if one.at_ns == measured_at]
-        found = _reader(services, unit).of_wheelset(wheelset, wanted)
+        found = _reader(asked.services, unit).of_wheelset(wheelset, wanted)
     if not found:
         raise NotFoundError("measured profiles", f"{serial} at {to_rfc3339(measured_at)}")
-    return answer(request, accuracy.profile_comparison(found[0]))
+    return asked.answer(accuracy.profile_comparison(found[0]))
 
 
 @router.get("/accuracy", response_model=accuracy.Accuracy, responses={**described(404), **_TABLE})
 def get_accuracy(
-    request: Request,
-    services: ServicesDep,
+    asked: AskedDep,
     accepted: Accepted,
     fleet: FleetFilter = None,
     measured_from: MeasuredFrom = None,
     measured_to: MeasuredTo = None,
     limit: Newest = 100,
-    _held: IfNoneMatch = None,
 ) -> Response:
     """Return whether the intervals of the estimates cover what was measured; as `text/csv`, the measurements alone."""
     require_order(measured_from, measured_to)
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         require_known(unit, fleet=fleet)
         on_file, keys = newest_measurements(unit.connection, fleet, measured_from, measured_to, limit)
-        placed = placed_comparisons(unit, _reader(services, unit), keys)
-    asked = f"?{urlencode(request.query_params.multi_items())}" if request.query_params else ""
-    body = accuracy.accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{asked}"})
-    return answer_payload(request, table_payload(body, accepted, accuracy.table(body.measurements)), accepted)
+        placed = placed_comparisons(unit, _reader(asked.services, unit), keys)
+    query = f"?{urlencode(asked.request.query_params.multi_items())}" if asked.request.query_params else ""
+    body = accuracy.accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{query}"})
+    return answer_payload(asked.request, table_payload(body, accepted, accuracy.table(body.measurements)), accepted)
 
 
 def _reader(services: Services, unit: SqlUnitOfWork) -> ComparisonReader:

@@ -10,16 +10,12 @@ from fastapi import APIRouter, Query, Request, Response
 
 from api import cursors
 from api.answers import (
-    DEFAULT_LIMIT,
-    Cursor,
-    IfNoneMatch,
-    Limit,
     answer,
     answer_payloads,
-    operation,
     payload_of,
     wants_table,
 )
+from api.asking import AskedDep, AskedListDep
 from api.known import require_known
 from api.parameters import FleetFilter, Number, WheelsetFilter
 from api.problems import described
@@ -47,8 +43,7 @@ OpenOnly = Annotated[bool, Query(alias="open", description="Only alerts that are
 
 @router.get("", response_model=Page[alerts.AlertRow], responses=described(400, 404))
 def list_alerts(
-    request: Request,
-    services: ServicesDep,
+    asked: AskedListDep,
     fleet: FleetFilter = None,
     wheelset: WheelsetFilter = None,
     kind: Kind = None,
@@ -58,8 +53,6 @@ def list_alerts(
     fleet_alert: MemberOf = None,
     open_only: OpenOnly = False,  # noqa: FBT002 - a query parameter
     sort: Sort = alerts.AlertSort.OLDEST,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
     """List the alerts with where their wheelsets ran, by `sort`; fleet alerts and their members both."""
     filters = {
@@ -73,11 +66,11 @@ def list_alerts(
         "open": open_only,
         "sort": None if sort is alerts.AlertSort.OLDEST else sort,
     }
-    after = cursors.decode(operation(request), filters, cursor)
+    after = asked.after(filters)
     choice = AlertChoice(fleet, wheelset, kind, condition, severity, scope, fleet_alert, open_only=open_only)
-    now_ns = services.clock.now_ns()
-    with services.storage.read() as unit:
-        found = _found(unit.alerts, choice, sort, after, limit + 1)
+    now_ns = asked.services.clock.now_ns()
+    with asked.read() as unit:
+        found = _found(unit.alerts, choice, sort, after, asked.limit + 1)
         if not found:
             require_known(unit, fleet=fleet, wheelset=wheelset, fleet_alert=fleet_alert)
         places = {one.alert_id: (one.vehicle, one.axle) for one in found}
@@ -89,14 +82,14 @@ def list_alerts(
         def payloads(numbers: Sequence[int]) -> Mapping[int, bytes]:
             return {number: payload_of(row) for number, row in made(numbers).items()}
 
-        keys = {one.alert_id: _key(one, now_ns) for one in found[:limit]}
-        rows = made(list(keys)) if wants_table(request) else {}
-        texts = {} if rows else services.cache.get_or_make_all(keys, payloads)
+        keys = {one.alert_id: _key(one, now_ns) for one in found[: asked.limit]}
+        rows = made(list(keys)) if wants_table(asked.request) else {}
+        texts = {} if rows else asked.services.cache.get_or_make_all(keys, payloads)
     by_severity = sort is alerts.AlertSort.WORST
     return answer_payloads(
-        request,
+        asked.request,
         filters,
-        limit,
+        asked.limit,
         found,
         lambda one: [one.severity.value, one.alert_id] if by_severity else one.alert_id,
         lambda one: texts[one.alert_id],
@@ -142,11 +135,11 @@ def _place(after: object) -> tuple[Severity, int | None]:
 
 
 @router.get("/{alert_id}", response_model=alerts.Alert, responses=described(404))
-def get_alert(request: Request, services: ServicesDep, alert_id: Number, _held: IfNoneMatch = None) -> Response:
+def get_alert(asked: AskedDep, alert_id: Number) -> Response:
     """Return one alert with its evidence; its ETag is what changes to it ask for."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         found = unit.alerts.get(alert_id)
-    return answer(request, alerts.alert(found, services.clock.now_ns()))
+    return asked.answer(alerts.alert(found, asked.services.clock.now_ns()))
 
 
 @router.get("/{alert_id}/events", response_model=alerts.Events, responses=described(404))

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Response
 
-from api import cursors
 from api.access.scopes import Scope, requires
-from api.answers import DEFAULT_LIMIT, Cursor, Limit, answer_page, operation
+from api.asking import AskedListDep
 from api.parameters import require_order
 from api.problems import described
 from api.schemas import access
 from api.schemas.common import Page
-from api.services import ServicesDep
 from api.times import Moment
 from fleet_db.stores.audit import AuditFilter
 
@@ -28,16 +26,13 @@ To = Annotated[Moment | None, Query(alias="to", description="Recorded before thi
 
 @router.get("", response_model=Page[access.AuditRecord], responses=described(400))
 def list_audit_entries(
-    request: Request,
-    services: ServicesDep,
+    asked: AskedListDep,
     owner: OfOwner = None,
     key_prefix: OfKey = None,
     status: OfStatus = None,
     method: OfMethod = None,
     recorded_from: From = None,
     recorded_to: To = None,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
     """List changes and refusals, newest first."""
     require_order(recorded_from, recorded_to)
@@ -49,8 +44,8 @@ def list_audit_entries(
         "from": recorded_from,
         "to": recorded_to,
     }
-    before = cursors.decode_number(operation(request), filters, cursor)
+    before = asked.after_number(filters)
     chosen = AuditFilter(owner, key_prefix, status, method, recorded_from, recorded_to)
-    with services.storage.read() as unit:
-        rows = unit.audit.page(chosen, before, limit + 1)
-    return answer_page(request, filters, limit, rows, lambda entry: entry.entry_id, access.audit_record)
+    with asked.read() as unit:
+        rows = unit.audit.page(chosen, before, asked.limit + 1)
+    return asked.page(filters, rows, lambda entry: entry.entry_id, access.AuditRecord.made)

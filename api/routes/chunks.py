@@ -10,7 +10,8 @@ from starlette.concurrency import run_in_threadpool
 
 from api.access.caller import Caller, CallerDep
 from api.access.scopes import Scope, requires
-from api.answers import IfNoneMatch, answer
+from api.answers import answer
+from api.asking import AskedDep
 from api.middleware import turn_of
 from api.parameters import CODE
 from api.problems import ProblemError, described
@@ -81,13 +82,13 @@ async def put_chunk(
 
 
 @router.get("/{sha256}", response_model=recordings.Chunk, responses=described(404))
-def get_chunk(request: Request, services: ServicesDep, sha256: Sha256, _held: IfNoneMatch = None) -> Response:
+def get_chunk(asked: AskedDep, sha256: Sha256) -> Response:
     """Return the receipt of a chunk, and where it stands."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         record = unit.chunks.get(sha256)
     if record is None:
         raise NotFoundError("chunk", sha256)
-    return answer(request, recordings.chunk(record))
+    return asked.answer(recordings.chunk(record))
 
 
 def _suffix(given: str) -> str:

@@ -5,30 +5,24 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Response
 
-from api import cursors
 from api.answers import (
-    DEFAULT_LIMIT,
-    Cursor,
-    IfNoneMatch,
-    Limit,
-    answer,
-    answer_page,
     answer_payload,
-    operation,
     table_payload,
 )
+from api.asking import AskedDep, AskedListDep
 from api.contract import CSV, Accepted
 from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged, require_order
 from api.problems import described
 from api.schemas import adhesion, geometry, rails, trend, windows
 from api.schemas.common import Page
-from api.services import Services, ServicesDep
+from api.services import Services
 from api.times import to_rfc3339
 from api.window_reasons import WindowReasons
 from estimation.errors import NotFoundError
 from estimation.values.quantities import Status
+from estimation.values.rails import WHEELSET_RAILS
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.windows import WindowRecord
@@ -45,22 +39,15 @@ _TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"t
 
 
 @router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404, 410), **_TABLE})
-def get_geometry(
-    request: Request,
-    services: ServicesDep,
-    accepted: Accepted,
-    serial: Serial,
-    as_of: AsOf = None,
-    _held: IfNoneMatch = None,
-) -> Response:
+def get_geometry(asked: AskedDep, accepted: Accepted, serial: Serial, as_of: AsOf = None) -> Response:
     """Return the wheelset's bin table and the conicity that follows; as `text/csv`, the bin table alone."""
-    not_in_the_future(as_of, services.clock.now_ns())
-    with services.storage.read() as unit:
+    not_in_the_future(as_of, asked.services.clock.now_ns())
+    with asked.read() as unit:
         if as_of is None:
-            payload = _geometry_now(unit, services, serial, accepted)
+            payload = _geometry_now(unit, asked.services, serial, accepted)
         else:
             payload = _geometry_then(unit, serial, accepted, as_of)
-    return answer_payload(request, payload, accepted)
+    return answer_payload(asked.request, payload, accepted)
 
 
 def _geometry_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type: str) -> bytes:
@@ -101,22 +88,15 @@ def _geometry_payload(body: geometry.Geometry, media_type: str) -> bytes:
 
 
 @router.get("/{serial}/trend", response_model=trend.Trend, responses={**described(404, 410), **_TABLE})
-def get_trend(
-    request: Request,
-    services: ServicesDep,
-    accepted: Accepted,
-    serial: Serial,
-    as_of: AsOf = None,
-    _held: IfNoneMatch = None,
-) -> Response:
+def get_trend(asked: AskedDep, accepted: Accepted, serial: Serial, as_of: AsOf = None) -> Response:
     """Return the wheelset's trend since its last reprofiling; as `text/csv`, its points alone."""
-    not_in_the_future(as_of, services.clock.now_ns())
-    with services.storage.read() as unit:
+    not_in_the_future(as_of, asked.services.clock.now_ns())
+    with asked.read() as unit:
         if as_of is None:
-            payload = _trend_now(unit, services, serial, accepted)
+            payload = _trend_now(unit, asked.services, serial, accepted)
         else:
             payload = _trend_then(unit, serial, accepted, as_of)
-    return answer_payload(request, payload, accepted)
+    return answer_payload(asked.request, payload, accepted)
 
 
 def _trend_now(unit: SqlUnitOfWork, services: Services, serial: str, media_type: str) -> bytes:
@@ -173,62 +153,50 @@ def _baseline(wheelset: WheelsetRecord, as_of_ns: int) -> int:
 
 
 @router.get("/{serial}/rails", response_model=rails.WheelsetRails, responses=described(404))
-def get_wheelset_rails(request: Request, services: ServicesDep, serial: Serial, _held: IfNoneMatch = None) -> Response:
+def get_wheelset_rails(asked: AskedDep, serial: Serial) -> Response:
     """Return the conicity of the wheels without the rails they ran on, beside that of the geometry."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found, current = unit.rails.of_wheelset(serial), unit.geometries.current(serial)
+        found, current = unit.results.latest(WHEELSET_RAILS, serial), unit.geometries.current(serial)
     if found is None:
         raise NotFoundError("rails yet of wheelset", serial)
-    return answer(request, rails.wheelset_rails(found, current))
+    return asked.answer(rails.wheelset_rails(found, current))
 
 
 @router.get("/{serial}/windows", response_model=Page[windows.Window], responses=described(400, 404))
 def list_windows(
-    request: Request,
-    services: ServicesDep,
-    serial: Serial,
-    measured_from: MeasuredFrom = None,
-    measured_to: MeasuredTo = None,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
+    asked: AskedListDep, serial: Serial, measured_from: MeasuredFrom = None, measured_to: MeasuredTo = None
 ) -> Response:
     """List the wheelset's windows that begin in `[from, to)`, oldest first, with their quality and state."""
     require_order(measured_from, measured_to)
     filters = {"wheelset": serial, "from": measured_from, "to": measured_to}
-    after = cursors.decode_number(operation(request), filters, cursor)
+    after = asked.after_number(filters)
     if after is None and measured_from is not None:
         after = measured_from - 1
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.windows.page(serial, after, limit + 1)
+        found = unit.windows.page(serial, after, asked.limit + 1)
         rows = [record for record in found if measured_to is None or record.start_ns < measured_to]
-        reasons = WindowReasons(unit).of_records(rows[:limit])
+        reasons = WindowReasons(unit).of_records(rows[: asked.limit])
 
     def represent(record: WindowRecord) -> windows.Window:
         return windows.window(record, reasons[record.key])
 
-    return answer_page(request, filters, limit, rows, lambda record: record.start_ns, represent)
+    return asked.page(filters, rows, lambda record: record.start_ns, represent)
 
 
 @router.get("/{serial}/creep-forces", response_model=Page[adhesion.WindowCreep], responses=described(400, 404))
 def list_creep_forces(
-    request: Request,
-    services: ServicesDep,
-    serial: Serial,
-    measured_from: MeasuredFrom = None,
-    measured_to: MeasuredTo = None,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
+    asked: AskedListDep, serial: Serial, measured_from: MeasuredFrom = None, measured_to: MeasuredTo = None
 ) -> Response:
     """List the creep forces of the wheelset's windows that begin in `[from, to)`, oldest first."""
     require_order(measured_from, measured_to)
     filters = {"wheelset": serial, "from": measured_from, "to": measured_to}
-    after = cursors.decode_number(operation(request), filters, cursor)
+    after = asked.after_number(filters)
     if after is None and measured_from is not None:
         after = measured_from - 1
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = unit.adhesion.of_wheelset(serial, after, limit + 1)
+        found = unit.adhesion.of_wheelset(serial, after, asked.limit + 1)
     rows = [one for one in found if measured_to is None or one.start_ns < measured_to]
-    return answer_page(request, filters, limit, rows, lambda one: one.start_ns, adhesion.window_creep)
+    return asked.page(filters, rows, lambda one: one.start_ns, adhesion.WindowCreep.made)

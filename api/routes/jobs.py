@@ -7,10 +7,10 @@ from http import HTTPStatus
 
 from fastapi import APIRouter, Depends, Request, Response
 
-from api import cursors
 from api.access.caller import Caller, CallerDep
 from api.access.scopes import Scope, requires
-from api.answers import DEFAULT_LIMIT, Cursor, IdempotencyKey, IfNoneMatch, Limit, answer, answer_page, operation
+from api.answers import IdempotencyKey, answer
+from api.asking import AskedDep, AskedListDep
 from api.idempotency import idempotent_post
 from api.parameters import Code, Number
 from api.problems import described
@@ -40,42 +40,25 @@ def _job(services: Services, caller: Caller, name: str) -> jobs.Job:
 
 
 @router.get("/jobs", response_model=Page[jobs.Job], responses=described(400))
-def list_jobs(
-    request: Request, services: ServicesDep, caller: CallerDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
-) -> Response:
+def list_jobs(asked: AskedListDep, caller: CallerDep) -> Response:
     """List the jobs with their last runs, in the order of their names."""
-    after = cursors.decode_text(operation(request), {}, cursor)
-    names = [name for name in sorted(services.jobs) if after is None or name > after]
-    return answer_page(
-        request, {}, limit, names[: limit + 1], lambda name: name, lambda name: _job(services, caller, name)
-    )
+    return asked.named(asked.services.jobs, lambda name: name, lambda name: _job(asked.services, caller, name))
 
 
 @router.get("/jobs/{name}", response_model=jobs.Job, responses=described(404))
-def get_job(
-    request: Request, services: ServicesDep, caller: CallerDep, name: Code, _held: IfNoneMatch = None
-) -> Response:
+def get_job(asked: AskedDep, caller: CallerDep, name: Code) -> Response:
     """Return one job with its last run."""
-    return answer(request, _job(services, caller, name))
+    return asked.answer(_job(asked.services, caller, name))
 
 
 @router.get("/jobs/{name}/runs", response_model=Page[jobs.JobRun], responses=described(400, 404))
-def list_job_runs(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    name: Code,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
-) -> Response:
+def list_job_runs(asked: AskedListDep, caller: CallerDep, name: Code) -> Response:
     """List the runs of a job, newest first."""
-    filters = {"job": services.job(name).name}
-    before = cursors.decode_number(operation(request), filters, cursor)
-    with services.storage.read() as unit:
-        rows = unit.jobs.page(name, before, limit + 1)
-    return answer_page(
-        request, filters, limit, rows, lambda record: record.run_id, lambda record: jobs.run(_seen(record, caller))
-    )
+    filters = {"job": asked.services.job(name).name}
+    before = asked.after_number(filters)
+    with asked.read() as unit:
+        rows = unit.jobs.page(name, before, asked.limit + 1)
+    return asked.page(filters, rows, lambda record: record.run_id, lambda record: jobs.run(_seen(record, caller)))
 
 
 @router.post(
@@ -102,10 +85,8 @@ def run_job_now(
 
 
 @router.get("/job-runs/{run_id}", response_model=jobs.JobRun, responses=described(404))
-def get_job_run(
-    request: Request, services: ServicesDep, caller: CallerDep, run_id: Number, _held: IfNoneMatch = None
-) -> Response:
+def get_job_run(asked: AskedDep, caller: CallerDep, run_id: Number) -> Response:
     """Return one run of a job."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         found = unit.jobs.get(run_id)
-    return answer(request, jobs.run(_seen(found, caller)))
+    return asked.answer(jobs.run(_seen(found, caller)))

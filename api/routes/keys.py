@@ -7,11 +7,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request, Response
 
-from api import cursors
 from api.access.caller import NOBODY_NAMED, CallerDep
 from api.access.key_ring import Wanted, make_key
 from api.access.scopes import Scope, requires
-from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
+from api.answers import answer
+from api.asking import AskedDep, AskedListDep
 from api.problems import described
 from api.schemas import access
 from api.schemas.common import Page
@@ -22,20 +22,20 @@ Prefix = Annotated[str, Path(pattern=r"^[a-z2-7]{8}$", description="Prefix of th
 
 
 @router.get("", response_model=Page[access.Key], responses=described(400))
-def list_keys(request: Request, services: ServicesDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT) -> Response:
+def list_keys(asked: AskedListDep) -> Response:
     """List the keys by prefix, also those that are revoked or have expired; never their secrets."""
-    after = cursors.decode_text(operation(request), {}, cursor)
-    with services.storage.read() as unit:
-        rows = unit.api_keys.page(after, limit + 1)
-    return answer_page(request, {}, limit, rows, lambda record: record.prefix, access.key)
+    after = asked.after_text({})
+    with asked.read() as unit:
+        rows = unit.api_keys.page(after, asked.limit + 1)
+    return asked.page({}, rows, lambda record: record.prefix, access.key)
 
 
 @router.get("/{prefix}", response_model=access.Key, responses=described(404))
-def get_key(request: Request, services: ServicesDep, prefix: Prefix, _held: IfNoneMatch = None) -> Response:
+def get_key(asked: AskedDep, prefix: Prefix) -> Response:
     """Return one key, without its secret."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         found = unit.api_keys.get(prefix)
-    return answer(request, access.key(found))
+    return asked.answer(access.key(found))
 
 
 @router.post(

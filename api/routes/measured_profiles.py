@@ -5,19 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Response
 
-from api import cursors
-from api.access.caller import CallerDep
 from api.access.scopes import Scope, requires
-from api.answers import DEFAULT_LIMIT, Cursor, IdempotencyKey, IfMatch, Limit, answer_page, operation
+from api.asking import AskedListDep, ChangeDep
 from api.parameters import Serial
 from api.problems import ProblemError, ProblemItem, described, pointer
 from api.registry_changes import BodySource, RegistryRequest
 from api.schemas import registry
 from api.schemas.common import Page
 from api.schemas.registry_changes import NewMeasuredProfiles, ProfileFile
-from api.services import ServicesDep, writer_slot
+from api.services import writer_slot
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.errors import ConflictError, ProfileError
 from fleet_db.registry_events import Decision
@@ -33,21 +31,12 @@ router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
     response_model=Page[registry.MeasuredProfilesRecord],
     responses=described(400, 404),
 )
-def list_measured_profiles(
-    request: Request, services: ServicesDep, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
-) -> Response:
+def list_measured_profiles(asked: AskedListDep, serial: Serial) -> Response:
     """List when the profiles of the wheelset's wheels were measured, oldest first."""
-    filters = {"wheelset": serial}
-    after = cursors.decode_number(operation(request), filters, cursor)
-
-    def key(record: MeasuredProfiles) -> int:
-        return record.at_ns
-
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.registry.measured_profiles(serial)
-    rows = [record for record in found if after is None or record.at_ns > after]
-    return answer_page(request, filters, limit, rows[: limit + 1], key, registry.measured_profiles)
+    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, registry.measured_profiles)
 
 
 @router.post(
@@ -57,20 +46,12 @@ def list_measured_profiles(
     response_model=registry.MeasuredProfilesRecord,
     responses=described(404, 409, 412, 413, 415, 428),
 )
-def add_measured_profiles(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    serial: Serial,
-    body: NewMeasuredProfiles,
-    if_match: IfMatch = None,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def add_measured_profiles(asked: ChangeDep, serial: Serial, body: NewMeasuredProfiles) -> Response:
     """Record the profiles of both wheels: the files of the gauge as text in JSON, both in one call.
 
     `If-Match` carries the ETag of the wheelset. Half a wheel, a rail, and what is no profile are refused.
     """
-    change = RegistryRequest(request, services, caller, body, if_match, idempotency_key)
+    change = RegistryRequest(asked, body)
     left, right = _wheel(body.left, "left"), _wheel(body.right, "right")
     record = MeasuredProfiles(serial, body.measured_at, body.mileage_km, left, right, 1e-3 * body.std_mm)
 

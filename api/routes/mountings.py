@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Response
 
-from api import cursors
-from api.access.caller import CallerDep
 from api.access.scopes import Scope, requires
-from api.answers import DEFAULT_LIMIT, Cursor, IdempotencyKey, IfMatch, Limit, answer_page, operation
+from api.asking import AskedListDep, ChangeDep
 from api.parameters import Serial
 from api.problems import described
 from api.registry_changes import BodySource, RegistryRequest
 from api.schemas import registry
 from api.schemas.common import Page
 from api.schemas.registry_changes import Dismounting, Exchange, ExchangeRecord, NewMounting
-from api.services import ServicesDep, writer_slot
+from api.services import writer_slot
 from estimation.errors import ConflictError
+from estimation.values.quantities import utc_text
 from estimation.values.registry import Mounting
-from estimation.values.utc_text import utc_text
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.registry_entry.contents import RegistryContents
@@ -30,21 +28,12 @@ _REFUSALS = described(404, 409, 412, 413, 415, 428)
 
 
 @router.get("/{serial}/mountings", response_model=Page[registry.MountingPeriod], responses=described(400, 404))
-def list_mountings(
-    request: Request, services: ServicesDep, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
-) -> Response:
+def list_mountings(asked: AskedListDep, serial: Serial) -> Response:
     """List where the wheelset ran, oldest first."""
-    filters = {"wheelset": serial}
-    after = cursors.decode_number(operation(request), filters, cursor)
-
-    def key(record: Mounting) -> int:
-        return record.from_ns
-
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.registry.wheelset(serial)
-        found = sorted(unit.registry.mountings(serial), key=key)
-    rows = [record for record in found if after is None or record.from_ns > after]
-    return answer_page(request, filters, limit, rows[: limit + 1], key, registry.mounting)
+        found = unit.registry.mountings(serial)
+    return asked.numbered({"wheelset": serial}, found, lambda record: record.from_ns, registry.MountingPeriod.made)
 
 
 @router.post(
@@ -54,20 +43,12 @@ def list_mountings(
     response_model=registry.MountingPeriod,
     responses=_REFUSALS,
 )
-def mount_wheelset(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    serial: Serial,
-    body: NewMounting,
-    if_match: IfMatch = None,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def mount_wheelset(asked: ChangeDep, serial: Serial, body: NewMounting) -> Response:
     """Record that the wheelset is mounted; windows of that time are assembled for it.
 
     `If-Match` carries the ETag of the wheelset.
     """
-    change = RegistryRequest(request, services, caller, body, if_match, idempotency_key)
+    change = RegistryRequest(asked, body)
     change.visible(lambda unit: unit.registry.vehicle(body.vehicle))
     mounted = Mounting(
         serial,
@@ -85,7 +66,7 @@ def mount_wheelset(
         if any(one.from_ns == body.mounted_from for one in unit.registry.mountings(serial)):
             raise _conflict(serial, "is mounted from this time on file")
         change.enter(unit, decision, RegistryContents(mountings=(mounted,)), source)
-        return registry.mounting(mounted)
+        return registry.MountingPeriod.made(mounted)
 
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
 
@@ -97,25 +78,17 @@ def mount_wheelset(
     response_model=registry.MountingPeriod,
     responses=_REFUSALS,
 )
-def dismount_wheelset(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    serial: Serial,
-    body: Dismounting,
-    if_match: IfMatch = None,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def dismount_wheelset(asked: ChangeDep, serial: Serial, body: Dismounting) -> Response:
     """Record that the wheelset was taken off; its open alerts are closed.
 
     `If-Match` carries the ETag of the wheelset.
     """
-    change = RegistryRequest(request, services, caller, body, if_match, idempotency_key)
+    change = RegistryRequest(asked, body)
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.MountingPeriod:
         ended = _ended(unit, serial, body.dismounted_at)
         change.enter(unit, decision, RegistryContents(mountings=(ended,)), BodySource({"to": "dismounted_at"}))
-        return registry.mounting(ended)
+        return registry.MountingPeriod.made(ended)
 
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
 
@@ -127,20 +100,12 @@ def dismount_wheelset(
     response_model=ExchangeRecord,
     responses=_REFUSALS,
 )
-def exchange_wheelset(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    serial: Serial,
-    body: Exchange,
-    if_match: IfMatch = None,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def exchange_wheelset(asked: ChangeDep, serial: Serial, body: Exchange) -> Response:
     """Record that the wheelset was taken off and another took its place, both or neither.
 
     `If-Match` carries the ETag of the wheelset that is taken off.
     """
-    change = RegistryRequest(request, services, caller, body, if_match, idempotency_key)
+    change = RegistryRequest(asked, body)
     change.visible(lambda unit: unit.registry.wheelset(body.fitted))
     source = BodySource(
         {
@@ -165,7 +130,7 @@ def exchange_wheelset(
             body.reversed,
         )
         change.enter(unit, decision, RegistryContents(mountings=(ended, fitted)), source)
-        return ExchangeRecord(removed=registry.mounting(ended), fitted=registry.mounting(fitted))
+        return ExchangeRecord(removed=registry.MountingPeriod.made(ended), fitted=registry.MountingPeriod.made(fitted))
 
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
 

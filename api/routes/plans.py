@@ -13,8 +13,7 @@ from api.problems import described
 from api.schemas import worklist
 from api.services import ServicesDep
 from api.times import to_rfc3339
-from estimation.plans.reprofiling import turning_plan
-from estimation.plans.values import DiameterLimits
+from estimation.plans.reprofiling import DiameterLimits, turning_plan
 from fleet_db.stores.worklist import WorklistFilter
 from fleet_db.worklist_documents import from_document
 
@@ -78,7 +77,7 @@ def plan_reprofiling(
         made_at=to_rfc3339(now_ns),
         horizon_days=horizon_days,
         together_days=together_days,
-        limits=worklist.turning_limits(limits),
+        limits=worklist.TurningLimits.made(limits),
         items=[worklist.turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
         links=worklist.plan_links(fleet, vehicle),
     )

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query, Response
 
 from api import cursors
-from api.answers import DEFAULT_LIMIT, Cursor, Limit, answer_page, operation
+from api.asking import AskedListDep
 from api.known import require_known
 from api.parameters import CODE
 from api.problems import described
 from api.schemas import recordings
 from api.schemas.common import Page
-from api.services import ServicesDep
-from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
 from fleet_db.stores.quarantine import Place
 
 router = APIRouter(prefix="/v1/quarantine", tags=["quarantine"])
@@ -30,25 +29,18 @@ PARTS = 3
 
 @router.get("", response_model=Page[recordings.QuarantinedItem], responses=described(400, 404))
 def list_quarantine(
-    request: Request,
-    services: ServicesDep,
-    kind: Kind = None,
-    state: InState = None,
-    reason_code: OfCode = None,
-    vehicle: OfVehicle = None,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
+    asked: AskedListDep, kind: Kind = None, state: InState = None, reason_code: OfCode = None, vehicle: OfVehicle = None
 ) -> Response:
     """List what failed by itself, by kind, key and stage; held, and resolved by a later success."""
     filters = {"kind": kind, "state": state, "reason_code": reason_code, "vehicle": vehicle}
-    after = _place(cursors.decode_text(operation(request), filters, cursor))
-    with services.storage.read() as unit:
+    after = _place(asked.after_text(filters))
+    with asked.read() as unit:
         rows = unit.quarantine.page(
-            kind=kind, state=state, code=reason_code, vehicle=vehicle, after=after, limit=limit + 1
+            kind=kind, state=state, code=reason_code, vehicle=vehicle, after=after, limit=asked.limit + 1
         )
         if not rows:
             require_known(unit, vehicle=vehicle)
-    return answer_page(request, filters, limit, rows, _key, recordings.quarantined)
+    return asked.page(filters, rows, _key, recordings.quarantined)
 
 
 def _key(item: Quarantined) -> str:

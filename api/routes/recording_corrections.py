@@ -10,7 +10,8 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 
 from api.access.caller import Caller, CallerDep
 from api.access.scopes import Scope, requires
-from api.answers import IdempotencyKey, answer
+from api.answers import answer
+from api.asking import AskedChange, NewDep
 from api.idempotency import idempotent_post
 from api.problems import described
 from api.routes.recordings import Digest, with_history
@@ -37,39 +38,27 @@ _REFUSALS = described(404, 409, 413, 415)
 
 
 @router.post("/{digest}/reassign", response_model=recordings.RecordingWithHistory, responses=_REFUSALS)
-def reassign_recording(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    digest: Digest,
-    body: recordings.Reassignment,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def reassign_recording(asked: NewDep, digest: Digest, body: recordings.Reassignment) -> Response:
     """Give the recording to another vehicle; the next run of `assemble_windows` decodes it for that one."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.registry.vehicle(body.vehicle)  # one of another fleet is not found
-    author = _author(caller, body)
+    author = _author(asked.caller, body)
     return _correct(
-        request, services, digest, (idempotency_key, body), lambda made: made.reassign(digest, body.vehicle, author)
+        asked,
+        digest,
+        body,
+        lambda made: made.reassign(digest, body.vehicle, author),
     )
 
 
 @router.post("/{digest}/retry", response_model=recordings.RecordingWithHistory, responses=_REFUSALS)
-def retry_recording(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    digest: Digest,
-    body: recordings.Retry,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def retry_recording(asked: NewDep, digest: Digest, body: recordings.Retry) -> Response:
     """Let a rejected or waiting recording be decoded again, by the next run of `assemble_windows`."""
-    author = _author(caller, body)
+    author = _author(asked.caller, body)
     return _correct(
-        request,
-        services,
+        asked,
         digest,
-        (idempotency_key, body),
+        body,
         lambda made: made.retry(digest, author, our_clock_was_behind=body.clock_was_behind),
     )
 
@@ -86,24 +75,20 @@ def delete_recording(
 
 
 def _correct(
-    request: Request,
-    services: Services,
-    digest: str,
-    sent: tuple[str | None, recordings.Correction],
-    apply: Callable[[RecordingCorrections], ChunkRecord],
+    asked: AskedChange, digest: str, body: recordings.Correction, apply: Callable[[RecordingCorrections], ChunkRecord]
 ) -> Response:
     """Correct a recording once, however often the same request comes under one key."""
-    post = idempotent_post(request, *sent)
-    with services.storage.read() as unit:
-        earlier = post.earlier(request, unit)
+    post = idempotent_post(asked.request, asked.key, body)
+    with asked.read() as unit:
+        earlier = post.earlier(asked.request, unit)
     if earlier is not None:
         return earlier
-    apply(_made(services))
-    with services.storage.read() as unit:
+    apply(_made(asked.services))
+    with asked.read() as unit:
         found = with_history(unit, digest)
-    with services.storage.write() as unit:
-        post.remember(unit, HTTPStatus.OK, found, services.clock.now_ns())
-    return answer(request, found)
+    with asked.services.storage.write() as unit:
+        post.remember(unit, HTTPStatus.OK, found, asked.services.clock.now_ns())
+    return asked.answer(found)
 
 
 def _made(services: Services) -> RecordingCorrections:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Response
 
 from api import cursors
-from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
+from api.asking import AskedDep, AskedListDep
 from api.known import require_known
 from api.parameters import CODE, FleetFilter, MeasuredFrom, MeasuredTo, require_order
 from api.problems import described
 from api.schemas import recordings
 from api.schemas.common import Page
-from api.services import ServicesDep
 from api.times import Moment
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
@@ -33,8 +32,7 @@ ReceivedTo = Annotated[Moment | None, Query(description="Received before this ti
 
 @router.get("", response_model=Page[recordings.Recording], responses=described(400, 404))
 def list_recordings(
-    request: Request,
-    services: ServicesDep,
+    asked: AskedListDep,
     vehicle: OfVehicle = None,
     fleet: FleetFilter = None,
     state: InState = None,
@@ -43,30 +41,28 @@ def list_recordings(
     received_to: ReceivedTo = None,
     from_: MeasuredFrom = None,
     to: MeasuredTo = None,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
 ) -> Response:
     """List what was received, the newest first; deleted recordings where they are asked for only."""
     require_order(from_, to)
     require_order(received_from, received_to, "received_from", "received_to")
     chosen = ChosenChunks(state, vehicle, fleet, reason_code, received_from, received_to, from_, to)
     filters = {name: getattr(chosen, name) for name in ChosenChunks.__dataclass_fields__}
-    before = _place(cursors.decode_text(operation(request), filters, cursor))
-    with services.storage.read() as unit:
-        rows = unit.chunks.page(chosen, limit + 1, before)
+    before = _place(asked.after_text(filters))
+    with asked.read() as unit:
+        rows = unit.chunks.page(chosen, asked.limit + 1, before)
         if not rows:
             require_known(unit, fleet=fleet)
             if vehicle is not None and not unit.chunks.page(ChosenChunks(vehicle=vehicle), 1):
                 require_known(unit, vehicle=vehicle)
-    return answer_page(request, filters, limit, rows, _key, recordings.recording)
+    return asked.page(filters, rows, _key, recordings.recording)
 
 
 @router.get("/{digest}", response_model=recordings.RecordingWithHistory, responses=described(404))
-def get_recording(request: Request, services: ServicesDep, digest: Digest, _held: IfNoneMatch = None) -> Response:
+def get_recording(asked: AskedDep, digest: Digest) -> Response:
     """Return one recording, with its windows and what was done to it by hand."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         found = with_history(unit, digest)
-    return answer(request, found)
+    return asked.answer(found)
 
 
 def with_history(unit: SqlUnitOfWork, digest: str) -> recordings.RecordingWithHistory:

@@ -7,17 +7,16 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import NoReturn
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Response
 
-from api.access.caller import CallerDep
 from api.access.scopes import Scope, requires
-from api.answers import IdempotencyKey, IfMatch
+from api.asking import NewDep, PutDep
 from api.parameters import Code, Serial
 from api.problems import ProblemError, ProblemItem, described
 from api.registry_changes import BodySource, RegistryRequest
 from api.schemas import registry, vehicle_classes
 from api.schemas.registry_changes import NewVehicle, NewWheelset, VehicleChange, VehicleClassFile, WheelsetChange
-from api.services import ServicesDep, writer_slot
+from api.services import writer_slot
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.values.registry import SPEED_IN_FILES, VehicleRecord, WheelsetRecord
 from estimation.vehicle.vehicle_class import VehicleClass
@@ -42,15 +41,9 @@ _VEHICLE_FIELDS = {"max_speed_km_h": "max_speed_m_s"}
     response_model=registry.Vehicle,
     responses=_NEW,
 )
-def add_vehicle(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    body: NewVehicle,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def add_vehicle(asked: NewDep, body: NewVehicle) -> Response:
     """Enter a vehicle; recordings that came under its name before are decoded."""
-    change = RegistryRequest(request, services, caller, body, None, idempotency_key)
+    change = RegistryRequest(asked, body)
     change.visible(lambda unit: _fleet(unit, body.fleet))
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Vehicle:
@@ -63,19 +56,12 @@ def add_vehicle(
 @router.put(
     "/vehicles/{code}", tags=["vehicles"], dependencies=_ADMIN, response_model=registry.Vehicle, responses=_CHANGED
 )
-def change_vehicle(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    code: Code,
-    body: VehicleChange,
-    if_match: IfMatch = None,
-) -> Response:
+def change_vehicle(asked: PutDep, code: Code, body: VehicleChange) -> Response:
     """Change a vehicle; its windows are made or estimated again where they rest on what has changed.
 
     `If-Match` carries its ETag.
     """
-    change = RegistryRequest(request, services, caller, body, if_match)
+    change = RegistryRequest(asked, body)
     change.visible(lambda unit: _fleet(unit, body.fleet))
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Vehicle:
@@ -92,15 +78,9 @@ def change_vehicle(
     response_model=registry.Wheelset,
     responses=_NEW,
 )
-def add_wheelset(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    body: NewWheelset,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def add_wheelset(asked: NewDep, body: NewWheelset) -> Response:
     """Enter a wheelset, which is mounted nowhere yet."""
-    change = RegistryRequest(request, services, caller, body, None, idempotency_key)
+    change = RegistryRequest(asked, body)
     change.visible(lambda unit: _fleet(unit, body.fleet))
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Wheelset:
@@ -113,19 +93,12 @@ def add_wheelset(
 @router.put(
     "/wheelsets/{serial}", tags=["wheelsets"], dependencies=_ADMIN, response_model=registry.Wheelset, responses=_CHANGED
 )
-def change_wheelset(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    serial: Serial,
-    body: WheelsetChange,
-    if_match: IfMatch = None,
-) -> Response:
+def change_wheelset(asked: PutDep, serial: Serial, body: WheelsetChange) -> Response:
     """Change a wheelset; with another nominal radius its windows are estimated again.
 
     `If-Match` carries its ETag.
     """
-    change = RegistryRequest(request, services, caller, body, if_match)
+    change = RegistryRequest(asked, body)
     change.visible(lambda unit: _fleet(unit, body.fleet))
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Wheelset:
@@ -142,18 +115,12 @@ def change_wheelset(
     response_model=vehicle_classes.VehicleClassRepresentation,
     responses=_NEW,
 )
-def add_vehicle_class(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    body: VehicleClassFile,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def add_vehicle_class(asked: NewDep, body: VehicleClassFile) -> Response:
     """Register a vehicle class, or a new version of it; its vehicles are estimated again where it differs.
 
     The content of the newest version again changes nothing.
     """
-    change = RegistryRequest(request, services, caller, body, None, idempotency_key)
+    change = RegistryRequest(asked, body)
     found = _class(body.text)
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> vehicle_classes.VehicleClassRepresentation:

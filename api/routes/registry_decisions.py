@@ -5,23 +5,15 @@ from __future__ import annotations
 from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel
 
-from api import cursors
-from api.access.caller import Caller, CallerDep
 from api.access.scopes import Scope, requires
 from api.answers import (
-    DEFAULT_LIMIT,
-    Cursor,
-    IdempotencyKey,
-    IfMatch,
-    Limit,
     answer,
-    answer_page,
-    operation,
     require_match,
 )
+from api.asking import AskedChange, AskedListDep, ChangeDep
 from api.idempotency import idempotent_post
 from api.parameters import CODE
 from api.problems import ProblemError, ProblemItem, described
@@ -29,7 +21,7 @@ from api.registry_changes import UNNAMED
 from api.schemas import registry, registry_changes, tracks, vehicle_classes
 from api.schemas.common import Page
 from api.schemas.registry_changes import RecordDecision as Body
-from api.services import Services, ServicesDep, writer_slot
+from api.services import writer_slot
 from estimation.errors import NotFoundError
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.storage import SqlUnitOfWork
@@ -46,38 +38,24 @@ KeyFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this 
 
 
 @router.get("/history", response_model=Page[registry_changes.RegistryDecision], responses=described(400))
-def list_registry_history(
-    request: Request,
-    services: ServicesDep,
-    kind: KindFilter = None,
-    of: KeyFilter = None,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
-) -> Response:
+def list_registry_history(asked: AskedListDep, kind: KindFilter = None, of: KeyFilter = None) -> Response:
     """List what was decided on records of the registry, oldest first: who, when, why, before and after."""
     filters = {"kind": kind, "of": of}
-    after = cursors.decode_number(operation(request), filters, cursor)
-    with services.storage.read() as unit:
-        rows = unit.registry_history.list(of, after, limit + 1, kind)
-    return answer_page(request, filters, limit, rows, lambda event: event.id, registry_changes.decision)
+    after = asked.after_number(filters)
+    with asked.read() as unit:
+        rows = unit.registry_history.list(of, after, asked.limit + 1, kind)
+    return asked.page(filters, rows, lambda event: event.id, registry_changes.decision)
 
 
 @router.post(
     "/void", status_code=201, dependencies=_ADMIN, response_model=registry_changes.RegistryDecision, responses=_REFUSALS
 )
-def void_record(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    body: Body,
-    if_match: IfMatch = None,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def void_record(asked: ChangeDep, body: Body) -> Response:
     """Take a record out that was wrong; what rests on it is made again, and `as_of` keeps what was believed.
 
     `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of.
     """
-    return _decide(request, services, caller, body, RecordAction.VOIDED, (if_match, idempotency_key))
+    return _decide(asked, body, RecordAction.VOIDED)
 
 
 @router.post(
@@ -87,44 +65,29 @@ def void_record(
     response_model=registry_changes.RegistryDecision,
     responses=_REFUSALS,
 )
-def restore_record(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    body: Body,
-    if_match: IfMatch = None,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def restore_record(asked: ChangeDep, body: Body) -> Response:
     """Put a record back that was voided, as it was.
 
     `If-Match` carries the ETag of the wheelset, vehicle, class or section that the record is of.
     """
-    return _decide(request, services, caller, body, RecordAction.RESTORED, (if_match, idempotency_key))
+    return _decide(asked, body, RecordAction.RESTORED)
 
 
-def _decide(
-    request: Request,
-    services: Services,
-    caller: Caller,
-    body: Body,
-    action: RecordAction,
-    headers: tuple[str | None, str | None],
-) -> Response:
+def _decide(asked: AskedChange, body: Body, action: RecordAction) -> Response:
     """Void or restore a record under If-Match and Idempotency-Key, in one transaction."""
-    if_match, idempotency_key = headers
     key = _key(body)
-    if key.kind in _SHARED and caller.fleets is not None:
+    if key.kind in _SHARED and asked.caller.fleets is not None:
         raise ProblemError(403, "forbidden", "this needs a key of all fleets")
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         _asset(unit, key)
-    post = idempotent_post(request, idempotency_key, body)
-    now_ns = services.clock.now_ns()
-    decision = Decision(caller.acts_as(body.by, UNNAMED), body.reason, now_ns)
-    with services.storage.write() as unit:
-        earlier = post.earlier(request, unit)
+    post = idempotent_post(asked.request, asked.key, body)
+    now_ns = asked.services.clock.now_ns()
+    decision = Decision(asked.caller.acts_as(body.by, UNNAMED), body.reason, now_ns)
+    with asked.services.storage.write() as unit:
+        earlier = post.earlier(asked.request, unit)
         if earlier is not None:
             return earlier
-        require_match(if_match, _asset(unit, key))
+        require_match(asked.if_match, _asset(unit, key))
         if action is RecordAction.VOIDED:
             unit.corrections.void(key, decision)
         else:
@@ -134,7 +97,7 @@ def _decide(
         assert event is not None
         done = registry_changes.decision(event)
         post.remember(unit, HTTPStatus.CREATED, done, now_ns)
-    return answer(request, done, status=HTTPStatus.CREATED)
+    return answer(asked.request, done, status=HTTPStatus.CREATED)
 
 
 def _key(body: Body) -> RecordKey:

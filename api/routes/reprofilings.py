@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import APIRouter, Depends, Response
 
-from api import cursors
-from api.access.caller import CallerDep
 from api.access.scopes import Scope, requires
-from api.answers import DEFAULT_LIMIT, Cursor, IdempotencyKey, IfMatch, Limit, answer_page, operation
+from api.asking import AskedListDep, ChangeDep
 from api.parameters import Serial
 from api.problems import described
 from api.registry_changes import BodySource, RegistryRequest
 from api.schemas import registry
 from api.schemas.common import Page
 from api.schemas.registry_changes import NewReprofiling
-from api.services import ServicesDep, writer_slot
+from api.services import writer_slot
 from estimation.errors import ConflictError
 from estimation.values.registry import Reprofiling
 from fleet_db.registry_events import Decision
@@ -25,20 +23,11 @@ router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 
 
 @router.get("/{serial}/reprofilings", response_model=Page[registry.ReprofilingRecord], responses=described(400, 404))
-def list_reprofilings(
-    request: Request, services: ServicesDep, serial: Serial, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
-) -> Response:
+def list_reprofilings(asked: AskedListDep, serial: Serial) -> Response:
     """List the wheelset's visits to the lathe, oldest first."""
-    filters = {"wheelset": serial}
-    after = cursors.decode_number(operation(request), filters, cursor)
-
-    def key(record: Reprofiling) -> int:
-        return record.at_ns
-
-    with services.storage.read() as unit:
-        found = sorted(unit.registry.wheelset(serial).reprofilings, key=key)
-    rows = [record for record in found if after is None or record.at_ns > after]
-    return answer_page(request, filters, limit, rows[: limit + 1], key, registry.reprofiling)
+    with asked.read() as unit:
+        found = unit.registry.wheelset(serial).reprofilings
+    return asked.numbered({"wheelset": serial}, found, lambda record: record.at_ns, registry.ReprofilingRecord.made)
 
 
 @router.post(
@@ -48,21 +37,13 @@ def list_reprofilings(
     response_model=registry.ReprofilingRecord,
     responses=described(404, 409, 412, 413, 415, 428),
 )
-def add_reprofiling(
-    request: Request,
-    services: ServicesDep,
-    caller: CallerDep,
-    serial: Serial,
-    body: NewReprofiling,
-    if_match: IfMatch = None,
-    idempotency_key: IdempotencyKey = None,
-) -> Response:
+def add_reprofiling(asked: ChangeDep, serial: Serial, body: NewReprofiling) -> Response:
     """Record a visit to the lathe; later windows belong to a new baseline, and the next evaluation closes old alerts.
 
     `If-Match` carries the ETag of the wheelset. A visit that contradicts what is on file is refused with the records
     that it contradicts: one in the future, before the first mounting, or with a mileage that runs backwards.
     """
-    change = RegistryRequest(request, services, caller, body, if_match, idempotency_key)
+    change = RegistryRequest(asked, body)
     record = Reprofiling(serial, body.reprofiled_at, body.mileage_km, body.note)
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.ReprofilingRecord:
@@ -70,6 +51,6 @@ def add_reprofiling(
             reason = "a reprofiling of this wheelset was recorded at the same time; void it to enter another"
             raise ConflictError(reason, kind="wheelset", key=serial)
         change.enter(unit, decision, RegistryContents(reprofilings=(record,)), BodySource({"at": "reprofiled_at"}))
-        return registry.reprofiling(record)
+        return registry.ReprofilingRecord.made(record)
 
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)

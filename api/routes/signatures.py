@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Response
 
-from api.answers import IfNoneMatch, answer
+from api.asking import AskedDep
 from api.parameters import Serial
 from api.problems import described
 from api.schemas import signatures
-from api.services import ServicesDep
 from estimation.errors import NotFoundError
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 
 
 @router.get("/{serial}/signature", response_model=signatures.SignatureAnswer, responses=described(404))
-def get_signature(request: Request, services: ServicesDep, serial: Serial, _held: IfNoneMatch = None) -> Response:
+def get_signature(asked: AskedDep, serial: Serial) -> Response:
     """Return what a library of the other wheelsets' raw signals says of the wheelset, beside its geometry."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.signatures.answer(serial)
         if found is None:
             raise NotFoundError("signature yet of wheelset", serial)
         seen = {one.serial for one in unit.registry.wheelsets_of([one.wheelset for one in found.answer.used])}
-    return answer(request, signatures.signature_answer(found, seen))
+    return asked.answer(signatures.signature_answer(found, seen))

@@ -5,18 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query, Response
 
-from api import cursors
-from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
+from api.asking import AskedDep, AskedListDep
 from api.parameters import Code
 from api.problems import described
 from api.schemas import adhesion, rails, tracks
 from api.schemas.common import Page
-from api.services import ServicesDep
 from api.times import Moment
 from estimation.errors import NotFoundError
 from estimation.values.json_value import JsonValue
+from estimation.values.rails import SECTION_RAILS
 from estimation.values.track import TrackReport
 from fleet_db.storage import SqlUnitOfWork
 
@@ -38,31 +37,25 @@ def _seen(unit: SqlUnitOfWork, report: TrackReport | None) -> TrackReport | None
 
 
 @router.get("", response_model=Page[tracks.TrackSection], responses=described(400))
-def list_track_sections(
-    request: Request, services: ServicesDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
-) -> Response:
+def list_track_sections(asked: AskedListDep) -> Response:
     """List the track sections, by code."""
-    after = cursors.decode_text(operation(request), {}, cursor)
-    with services.storage.read() as unit:
-        found = sorted(unit.tracks.sections(), key=lambda record: record.code)
-    rows = [record for record in found if after is None or record.code > after]
-    return answer_page(request, {}, limit, rows[: limit + 1], lambda record: record.code, tracks.section)
+    with asked.read() as unit:
+        found = unit.tracks.sections()
+    return asked.named(found, lambda record: record.code, tracks.section)
 
 
 @router.get("/{code}", response_model=tracks.TrackSection, responses=described(404))
-def get_track_section(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
+def get_track_section(asked: AskedDep, code: Code) -> Response:
     """Return one track section."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         found = unit.tracks.section(code)
-    return answer(request, tracks.section(found))
+    return asked.answer(tracks.section(found))
 
 
 @router.get("/{code}/alignment", response_model=tracks.Alignment, responses=described(404))
-def get_alignment(
-    request: Request, services: ServicesDep, code: Code, version: Version = None, _held: IfNoneMatch = None
-) -> Response:
+def get_alignment(asked: AskedDep, code: Code, version: Version = None) -> Response:
     """Return what is known of the section's alignment and gauge, and how it was found."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.alignment(code, version)
         if found is None:
@@ -70,56 +63,52 @@ def get_alignment(
             raise NotFoundError("alignment of track section", what)
         (record,) = unit.tracks.versions(code, found.version - 1, 1)
         report = _seen(unit, unit.tracks.report(code, found.version))
-    return answer(request, tracks.alignment(found, record, report))
+    return asked.answer(tracks.alignment(found, record, report))
 
 
 @router.get("/{code}/alignments", response_model=Page[tracks.AlignmentSummary], responses=described(400, 404))
-def list_alignments(
-    request: Request, services: ServicesDep, code: Code, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
-) -> Response:
+def list_alignments(asked: AskedListDep, code: Code) -> Response:
     """List the versions of the section's alignment, oldest first, without their columns."""
     filters = {"section": code}
-    after = cursors.decode_number(operation(request), filters, cursor)
-    with services.storage.read() as unit:
+    after = asked.after_number(filters)
+    with asked.read() as unit:
         unit.tracks.section(code)
-        found = unit.tracks.versions(code, after, limit + 1)
-    return answer_page(request, filters, limit, found, lambda record: record.version, tracks.alignment_summary)
+        found = unit.tracks.versions(code, after, asked.limit + 1)
+    return asked.page(filters, found, lambda record: record.version, tracks.alignment_summary)
 
 
 @router.get("/{code}/alignment-report", response_model=tracks.AlignmentReport, responses=described(404))
-def get_alignment_report(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
+def get_alignment_report(asked: AskedDep, code: Code) -> Response:
     """Return what the last run of the alignment job found of the section, also where it found nothing."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.tracks.section(code)
         found = _seen(unit, unit.tracks.report(code))
     if found is None:
         raise NotFoundError("alignment report yet of track section", code)
-    return answer(request, tracks.report(found))
+    return asked.answer(tracks.report(found))
 
 
 @router.get("/{code}/adhesion", response_model=adhesion.SectionAdhesion, responses=described(404))
 def get_adhesion(
-    request: Request,
-    services: ServicesDep,
+    asked: AskedDep,
     code: Code,
     at: Annotated[Moment | None, Query(description="Of the hours that hold this time; left out, of the last.")] = None,
-    _held: IfNoneMatch = None,
 ) -> Response:
     """Return the friction along the section, pooled over the fleets, and where it is low."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.tracks.section(code)
         found = unit.adhesion.section(code, at)
     if found is None:
         raise NotFoundError("adhesion yet of track section", code)
-    return answer(request, adhesion.section_adhesion(found))
+    return asked.answer(adhesion.section_adhesion(found))
 
 
 @router.get("/{code}/rails", response_model=rails.SectionRails, responses=described(404))
-def get_section_rails(request: Request, services: ServicesDep, code: Code, _held: IfNoneMatch = None) -> Response:
+def get_section_rails(asked: AskedDep, code: Code) -> Response:
     """Return what belongs to the rails of the section, in the conicities of the wheelsets that ran on it."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         unit.tracks.section(code)
-        found = unit.rails.of_section(code)
+        found = unit.results.latest(SECTION_RAILS, code)
     if found is None:
         raise NotFoundError("rails yet of track section", code)
-    return answer(request, rails.section_rails(found))
+    return asked.answer(rails.section_rails(found))

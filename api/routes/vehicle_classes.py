@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query, Response
 
-from api import cursors
-from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_page, operation
+from api.asking import AskedDep, AskedListDep
 from api.parameters import Code
 from api.problems import described
 from api.schemas import vehicle_classes
 from api.schemas.common import Page
-from api.services import ServicesDep
 from estimation.errors import NotFoundError
-from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.vehicle.vehicle_class import ClassOnFile
 from ingest.vehicle_class_file import shipped_class, shipped_classes
 
 router = APIRouter(prefix="/v1/vehicle-classes", tags=["vehicles"])
@@ -22,27 +20,19 @@ Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out,
 
 
 @router.get("", response_model=Page[vehicle_classes.VehicleClassRepresentation], responses=described(400))
-def list_vehicle_classes(
-    request: Request, services: ServicesDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
-) -> Response:
+def list_vehicle_classes(asked: AskedListDep) -> Response:
     """List the newest version of each vehicle class, by code; those of the package too, unless registered again."""
-    after = cursors.decode_text(operation(request), {}, cursor)
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         registered = {found.vehicle_class.code: found for found in unit.registry.vehicle_classes()}
     known = {code: ClassOnFile(shipped_class(code)) for code in shipped_classes()} | registered
-    rows = [known[code] for code in sorted(known) if after is None or code > after]
-    return answer_page(
-        request, {}, limit, rows[: limit + 1], lambda found: found.vehicle_class.code, vehicle_classes.vehicle_class
-    )
+    return asked.named(known.values(), lambda found: found.vehicle_class.code, vehicle_classes.vehicle_class)
 
 
 @router.get("/{code}", response_model=vehicle_classes.VehicleClassRepresentation, responses=described(404))
-def get_vehicle_class(
-    request: Request, services: ServicesDep, code: Code, version: Version = None, _held: IfNoneMatch = None
-) -> Response:
+def get_vehicle_class(asked: AskedDep, code: Code, version: Version = None) -> Response:
     """Return one vehicle class: each parameter with its standard deviation."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         found = unit.registry.vehicle_class(code, version)
     if found is None:
         raise NotFoundError("vehicle class", code if version is None else f"{code} version {version}")
-    return answer(request, vehicle_classes.vehicle_class(found))
+    return asked.answer(vehicle_classes.vehicle_class(found))

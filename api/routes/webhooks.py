@@ -13,16 +13,11 @@ from api import cursors
 from api.access.caller import NOBODY_NAMED, Caller, CallerDep
 from api.access.scopes import Scope, requires
 from api.answers import (
-    DEFAULT_LIMIT,
-    Cursor,
     IfMatch,
-    IfNoneMatch,
-    Limit,
     answer,
-    answer_page,
-    operation,
     require_match,
 )
+from api.asking import AskedDep, AskedListDep
 from api.known import require_known
 from api.problems import ProblemError, ProblemItem, described
 from api.schemas.common import Page
@@ -39,40 +34,31 @@ OfState = Annotated[DeliveryState | None, Query(description="Only in this state.
 
 
 @router.get("", response_model=Page[webhooks.Webhook], responses=described(400))
-def list_webhooks(
-    request: Request, services: ServicesDep, cursor: Cursor = None, limit: Limit = DEFAULT_LIMIT
-) -> Response:
+def list_webhooks(asked: AskedListDep) -> Response:
     """List the webhooks by number: those whose fleets the caller sees, never their secrets."""
-    after = cursors.decode_number(operation(request), {}, cursor)
-    with services.storage.read() as unit:
-        rows = unit.webhooks.page(after, limit + 1)
-    return answer_page(request, {}, limit, rows, lambda record: record.webhook_id, webhooks.webhook)
+    after = asked.after_number({})
+    with asked.read() as unit:
+        rows = unit.webhooks.page(after, asked.limit + 1)
+    return asked.page({}, rows, lambda record: record.webhook_id, webhooks.webhook)
 
 
 @router.get("/{webhook_id}", response_model=webhooks.Webhook, responses=described(404))
-def get_webhook(request: Request, services: ServicesDep, webhook_id: WebhookId, _held: IfNoneMatch = None) -> Response:
+def get_webhook(asked: AskedDep, webhook_id: WebhookId) -> Response:
     """Return one webhook, without its secret; its ETag is what changes to it ask for."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         found = unit.webhooks.get(webhook_id)
-    return answer(request, webhooks.webhook(found))
+    return asked.answer(webhooks.webhook(found))
 
 
 @router.get("/{webhook_id}/deliveries", response_model=Page[webhooks.WebhookDelivery], responses=described(400, 404))
-def list_webhook_deliveries(
-    request: Request,
-    services: ServicesDep,
-    webhook_id: WebhookId,
-    state: OfState = None,
-    cursor: Cursor = None,
-    limit: Limit = DEFAULT_LIMIT,
-) -> Response:
+def list_webhook_deliveries(asked: AskedListDep, webhook_id: WebhookId, state: OfState = None) -> Response:
     """List what was sent to a webhook, newest first, with attempts, answers, and when what waits is sent again."""
     filters = {"webhook": webhook_id, "state": state}
-    before = cursors.decode_number(operation(request), filters, cursor)
-    with services.storage.read() as unit:
+    before = asked.after_number(filters)
+    with asked.read() as unit:
         unit.webhooks.get(webhook_id)
-        rows = unit.webhooks.deliveries(webhook_id, before, limit + 1, state)
-    return answer_page(request, filters, limit, rows, lambda record: record.delivery_id, webhooks.delivery)
+        rows = unit.webhooks.deliveries(webhook_id, before, asked.limit + 1, state)
+    return asked.page(filters, rows, lambda record: record.delivery_id, webhooks.delivery)
 
 
 @router.post(

@@ -8,7 +8,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from api import cursors
-from api.answers import DEFAULT_LIMIT, Cursor, IfNoneMatch, Limit, answer, answer_payloads, operation, payload_of
+from api.answers import DEFAULT_LIMIT, Cursor, Limit, answer_payloads, operation, payload_of
+from api.asking import AskedDep
 from api.known import require_known
 from api.parameters import CODE, FleetFilter, Serial, VehicleFilter
 from api.problems import described
@@ -76,11 +77,11 @@ def list_wheelsets(
 
 
 @router.get("/{serial}/state", response_model=worklist.WheelsetRow, responses=described(404))
-def get_wheelset_state(request: Request, services: ServicesDep, serial: Serial, _held: IfNoneMatch = None) -> Response:
+def get_wheelset_state(asked: AskedDep, serial: Serial) -> Response:
     """Return one wheelset as the list has it: where it runs, how it is, and how urgent that is."""
-    with services.storage.read() as unit:
+    with asked.read() as unit:
         found = unit.worklist.row(serial)
-    return answer(request, worklist.row_of_document(found))
+    return asked.answer(worklist.row_of_document(found))
 
 
 def _key(entry: WorklistEntry) -> list[float | int | str | None]:

@@ -1,299 +1,285 @@
-"""What led to an alert, typed by its kind: numbers in the units of the API, times as RFC 3339.
+"""What led to an alert, typed by its kind: models and readers are derived from the evidence of its rule.
 
-A property is null where it does not apply, is not known, or was not stored by the release that raised the alert.
+A property is null where it does not apply, is not known, or was not stored. An alert is answered for good: nothing here
+raises, whatever is stored.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import partial, reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args, get_origin
 
-from pydantic import Field
+from pydantic import BaseModel, create_model
+from pydantic import Field as Described
 
 from api.schemas.common import Href, Representation, Uncertain
-from api.schemas.trend import DateForecast, DistanceForecast
-from api.times import Timestamp
-from estimation.alerts.fleet_alerts import MOST_NAMED
-from estimation.values.reasons import ReasonCode
+from api.schemas.derived import MODELS, Derived, fields_of
+from api.schemas.trend import BEYOND, DateForecast, DistanceForecast
+from api.times import Timestamp, to_rfc3339
+from estimation.alerts.fleet_alerts import FleetAlertEvidence
+from estimation.alerts.life_cycle import DELAYS, Delays
+from estimation.alerts.rules import low_adhesion
+from estimation.alerts.rules.book import ALERT_RULES
+from estimation.values.alerts import Alert, AlertScope
+from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+
+SAFE = 2**53  # beyond it a reader of JSON may round an integer
+SECOND_NS = 1_000_000_000
+_QUANTILES = ("p10", "p50", "p90")
+Stored = Mapping[str, JsonValue]
+Read = Callable[[JsonValue], Any]
 
 
-class Delays(Representation):
-    """The delays of the rule as they were when the alert was raised, and how far they have been counted."""
-
-    on_evaluations: int | None = Field(description="Evaluations on end before it is raised.")
-    off_evaluations: int | None = Field(description="Evaluations on end before it is cleared.")
-    on_delay_km: float | None = Field(
-        description="Distance that findings on end must cover before it is raised; null where evaluations are counted."
-    )
-    off_delay_km: float | None = Field(
-        description="Distance that findings on end must cover before it is cleared; null where evaluations are counted."
-    )
-    acknowledgement_days: float | None = Field(description="After which an acknowledgement ends by itself.")
-    clear_seen: int | None = Field(description="Evaluations on end beyond the clear limit so far.")
-    counted_at: Timestamp | None = Field(description="Time of the newest data that were counted.")
+def _number(value: JsonValue) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        return None
+    return float(value)
 
 
-class _OfRule(Representation):
-    unknown_because: str | None = Field(description="Why the data decide nothing at present; null where they do.")
-    unknown_because_code: ReasonCode | None = Field(description="The same as a code.")
-    delays: Delays | None = Field(description="The delays that it was raised with.")
+def _count(value: JsonValue) -> int | None:
+    """Return a whole number that every reader of JSON keeps."""
+    number = _number(value)
+    return None if number is None or abs(number) >= SAFE else int(number)
 
 
-class ConicityLimitEvidence(_OfRule):
-    """Evidence of `conicity_limit`: equivalent conicity against its limit."""
-
-    kind: Literal["conicity_limit"]
-    quantity: str | None = Field(description="What is compared with the limit.", examples=["equivalent_conicity"])
-    amplitude_mm: float | None = Field(description="Amplitude that the conicity is of.")
-    conicity_1: Uncertain | None = Field(description="Equivalent conicity that is compared with the limit.")
-    current_1: Uncertain | None = Field(description="Equivalent conicity of the current geometry.")
-    windows: int | None = Field(description="Windows behind the geometry.")
-    limit_1: float | None = Field(description="The raise limit.")
+def _moment(value: JsonValue) -> str | None:
+    if isinstance(value, float):
+        value = round(value / SECOND_NS) * SECOND_NS if math.isfinite(value) else None
+    if isinstance(value, bool) or not isinstance(value, int) or abs(value) >= 2**63:
+        return None
+    return to_rfc3339(value)
 
 
-class MeasureEvidence(_OfRule):
-    """Evidence of `measure`: the conicity may be over its limit, and only a measurement of the profiles decides."""
-
-    kind: Literal["measure"]
-    quantity: str | None = Field(description="What is compared with the limit.", examples=["equivalent_conicity"])
-    conicity_1: Uncertain | None = Field(description="Equivalent conicity at 3 mm; its reason says if extrapolated.")
-    reached_mm: float | None = Field(description="Largest amplitude that the motion covers, at most 3 mm.")
-    reached_1: Uncertain | None = Field(description="Equivalent conicity at that amplitude.")
-    windows: int | None = Field(description="Windows behind the geometry.")
-    limit_1: float | None = Field(description="Limit of the conicity at 3 mm.")
+def _part(value: JsonValue) -> Stored:
+    return value if isinstance(value, Mapping) else {}
 
 
-class LimitForecastEvidence(_OfRule):
-    """Evidence of `limit_forecast`: when the trend reaches the limit."""
-
-    kind: Literal["limit_forecast"]
-    quantity: str | None = Field(description="What the trend is of.", examples=["equivalent_conicity"])
-    slope_1_per_1000_km: Uncertain | None = Field(description="Slope of the trend.")
-    fitted_1: Uncertain | None = Field(description="The fitted trend at its last point.")
-    distance_to_limit_km: DistanceForecast = Field(description="Distance left to the limit.")
-    date_of_limit: DateForecast = Field(description="When the limit is reached; to the second.")
-    within_km: float | None = Field(description="Distance within which reaching the limit raises the alert.")
-    limit_1: float | None = Field(description="Limit of the quantity.")
-    points: int | None = Field(description="Points of the trend.")
+def _one_of(members: Sequence[Any], value: JsonValue) -> Any:  # noqa: ANN401 - of the members' type
+    return next((member for member in members if member == value), None)
 
 
-class WheelAsymmetryEvidence(_OfRule):
-    """Evidence of `wheel_asymmetry`: left and right wheel differ."""
-
-    kind: Literal["wheel_asymmetry"]
-    offset_mm: Uncertain | None = Field(
-        description="Lateral displacement at which both wheels roll on one radius.",
-    )
-    shape_mm: Uncertain | None = Field(
-        description="Even part of the rolling radius difference, outside against inside.",
-    )
-    raised_by: list[Literal["offset", "shape"]] = Field(description="What raised it.")
-    windows: int | None = Field(description="Windows behind the geometry.")
+def _listed(read: Read, value: JsonValue) -> list[Any]:
+    items = value if isinstance(value, list) else []
+    return [item for item in map(read, items) if item is not None]
 
 
-class NoDataEvidence(Representation):
-    """Evidence of `no_data`: how long nothing usable has come."""
-
-    kind: Literal["no_data"]
-    last_usable_at: Timestamp | None = Field(description="End of the newest usable window; null where there is none.")
-    in_service_since: Timestamp | None = Field(description="When the wheelset was mounted.")
-    limit_days: float | None = Field(description="Limit in days that the silence has passed.")
-    refused_windows: int | None = Field(description="Windows since then, of the latest, that cannot be used.")
-    reasons: dict[str, int] = Field(description="These windows by reason code.")
-    reason: str | None = Field(description="Why the newest of the most frequent reason cannot be used.")
-    delays: Delays | None = Field(description="The delays that it was raised with.")
+def _counts(value: JsonValue) -> dict[str, int]:
+    return {name: n for name, item in _part(value).items() if (n := _count(item)) is not None}
 
 
-class SensorFaultEvidence(_OfRule):
-    """Evidence of `sensor_fault`: too many of the latest windows are of a faulty sensor."""
-
-    kind: Literal["sensor_fault"]
-    faulty_windows: int | None = Field(description="Faulty ones of the latest windows.")
-    windows: int | None = Field(description="How many windows were looked at.")
-    reasons: dict[str, int] = Field(
-        description="Faulty windows by what is wrong: `self_test_or_emergency`, `clipping`, `invalid_values`."
+def _estimate(value: JsonValue) -> Uncertain | None:
+    if not isinstance(value, Mapping):
+        return None
+    ends = [_number(end) for end in _listed(lambda end: end, value.get("interval_95"))]
+    low, high = ends if len(ends) == 2 else (None, None)  # noqa: PLR2004 - an interval has two ends
+    return Uncertain(
+        value=_number(value.get("value")),
+        std=_number(value.get("std")),
+        interval_95=None if low is None or high is None else (low, high),
+        n_windows=_number(value.get("n_windows")) or 0.0,
+        status=_one_of(list(Status), value.get("status")) or Status.INVALID,
+        reason=_text(value.get("reason")),
+        reason_code=_one_of(list(ReasonCode), value.get("reason_code")),
     )
 
 
-class MountedAs(Representation):
-    """How a wheelset is mounted on file."""
-
-    vehicle: str = Field(description="Code of the vehicle.")
-    axle: int = Field(description="Number of the axle, from 1.")
-    mounted_from: Timestamp = Field(description="Since when.")
-    reversed: bool = Field(description="The left wheel runs on the right-hand side.")
+def _text(value: JsonValue) -> str | None:
+    return value if isinstance(value, str) else None
 
 
-class IdentityEvidence(Representation):
-    """Evidence of `identity`: the wheelset that runs is not the one on file, or not the way round."""
-
-    kind: Literal["identity"]
-    mistake: Literal["reversed", "swapped"] | None = Field(description="The mistake that explains the jump.")
-    partner: str | None = Field(description="The other wheelset of a swap.")
-    last_data_before_at: Timestamp | None = Field(description="End of the last data before it happened.")
-    first_data_after_at: Timestamp | None = Field(description="Begin of the first data after it.")
-    jump_1: float | None = Field(description="Standard deviations between the geometries before and after.")
-    left_1: float | None = Field(description="Standard deviations that the explanation leaves.")
-    reason: str | None = Field(description="The explanation, as a sentence.")
-    mounted: MountedAs | None = Field(description="The mounting that it was raised on.")
-    delays: Delays | None = Field(description="The delays that it was raised with.")
+def _flag(value: JsonValue) -> bool | None:
+    return value if isinstance(value, bool) else None
 
 
-class HuntingEvidence(_OfRule):
-    """Evidence of `hunting`: several of the latest windows show it."""
-
-    kind: Literal["hunting"]
-    hunting_windows: int | None = Field(description="Windows of hunting among the latest.")
-    windows: int | None = Field(description="How many windows were looked at.")
-    frequency_hz: float | None = Field(description="Median frequency.")
-    wavelength_m: float | None = Field(description="Median wavelength.")
-    amplitude_mm: float | None = Field(description="Largest lateral amplitude.")
-    speed_max_m_s: float | None = Field(description="Greatest speed of those windows.")
+def _forecast(model: type[DateForecast | DistanceForecast], read: Read, value: JsonValue) -> Representation:
+    quantiles = {name: read(_part(value).get(name)) for name in _QUANTILES}
+    reason = BEYOND if None in quantiles.values() else None
+    return model(**quantiles, reason=text_of(reason), reason_code=code_of(reason))
 
 
-class SuspensionChangeEvidence(Representation):
-    """Evidence of `suspension_change`: yaw stiffness over creep coefficient of a vehicle has changed."""
-
-    kind: Literal["suspension_change"]
-    vehicle: str | None = Field(description="Code of the vehicle.")
-    change_1: Uncertain | None = Field(description="Relative change; -0.3 is softer by 30 %.")
-    past_findings: int | None = Field(description="Findings of its own past.")
-    step_probability_1: float | None = Field(description="That it changed at once; null where it did not seem to.")
-    step_at: Timestamp | None = Field(description="First finding behind the step.")
-    recent_findings: int | None = Field(description="Findings that count as now.")
-    other_vehicles: int | None = Field(description="Vehicles on the same sections at the same time.")
-    limit_1: float | None = Field(description="Change that raises the alert.")
-    delays: Delays | None = Field(description="The delays that it was raised with.")
+_SIMPLE: Mapping[object, tuple[Any, Read]] = {
+    Estimate: (Uncertain, _estimate),
+    float: (float, _number),
+    int: (int, _count),
+    str: (str, _text),
+    bool: (bool, _flag),
+}
 
 
-class DataQualityEvidence(_OfRule):
-    """Evidence of `data_quality`: the data contradict themselves or the registry."""
+def _served(hint: Any, key: str) -> tuple[Any, Read]:  # noqa: ANN401 - a type
+    """Return the type that a field is served as, and what reads it; None where another thing is stored."""
+    origin, parts = get_origin(hint), get_args(hint)
+    served: tuple[Any, Read]
+    if hint is Forecast:
+        model = DateForecast if key.endswith("_ns") else DistanceForecast
+        served = model, partial(_forecast, model, _moment if key.endswith("_ns") else _number)
+    elif key.endswith("_ns"):
+        served = Timestamp, _moment
+    elif origin is tuple:
+        kind, read = _served(parts[0], key)
+        served = list[kind], partial(_listed, read)  # type: ignore[valid-type]  # a type all the same
+    elif origin is Literal:
+        served = hint, partial(_one_of, parts)
+    elif origin is not None:
+        served = dict[str, int], _counts
+    elif is_dataclass(hint) and hint is not Estimate:
+        shape = Shape.of(cast("type", hint), nested=True)
+        served = shape.model, shape.read
+    else:
+        served = _SIMPLE[hint] if hint in _SIMPLE else (hint, partial(_one_of, list(hint)))
+    return served
 
-    kind: Literal["data_quality"]
-    implausible_windows: int | None = Field(description="Implausible ones of the latest windows.")
-    windows: int | None = Field(description="How many windows were looked at.")
-    reasons: dict[str, int] = Field(description="Implausible windows by reason code.")
-    rejected_recordings: int | None = Field(description="Rejected recordings of the vehicle.")
-    rejected_reasons: dict[str, int] = Field(description="Rejected recordings by reason code.")
 
-
-class Stretch(Representation):
+class Stretch(Derived, of=low_adhesion.Stretch):
     """A stretch of a track section."""
 
-    from_m: float = Field(description="Where it begins, along the section.")
-    to_m: float = Field(description="Where it ends, along the section.")
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """How a described class is served: its model, what reads each field under which key, and what must be stored."""
+
+    model: type[BaseModel]
+    readers: Mapping[str, tuple[str, Read]]
+    required: frozenset[str]
+
+    @staticmethod
+    def of(described: type, *, nested: bool = False, **more: Any) -> Shape:  # noqa: ANN401 - fields of the model
+        """Return the shape of a class; a nested one is there with its fields, or it is not."""
+        types: dict[str, Any] = {}
+        readers: dict[str, tuple[str, Read]] = {}
+        required = set()
+        defaults = {field.name: field.default for field in fields(cast("Any", described))}
+        for field in fields_of(described):
+            if field.hint is Reason:
+                types |= {"unknown_because": (str | None, field.words), "unknown_because_code": _CODE}
+                readers |= {"unknown_because": ("unknown_because", _text)}
+                readers |= {"unknown_because_code": ("unknown_because_code", partial(_one_of, list(ReasonCode)))}
+                continue
+            kind, read = _served(field.hint, field.key)
+            is_there = get_origin(kind) in {list, dict} or field.hint is Forecast
+            has_default = defaults[field.key] is not MISSING and not field.nullable
+            if nested and not field.nullable:
+                required.add(field.name)
+            if has_default and not is_there:
+                read = partial(_or_default, read, defaults[field.key])
+            types[field.name] = (
+                kind if is_there or has_default or field.name in required else kind | None,
+                field.words,
+            )
+            readers[field.name] = field.key, read
+        doc = (described.__doc__ or "").split("\n", maxsplit=1)[0]
+        made = partial(create_model, described.__name__, __base__=Representation, __doc__=doc)
+        model = MODELS[described] if described in MODELS else made(**more, **types)
+        return Shape(model, readers, frozenset(required))
+
+    def read(self, value: JsonValue, **more: Any) -> BaseModel | None:  # noqa: ANN401 - fields of the model
+        """Return what is stored; None where something required is missing."""
+        stored = _part(value)
+        values = {name: read(stored.get(key)) for name, (key, read) in self.readers.items()}
+        if any(values[name] is None for name in self.required):
+            return None
+        because, code = values.get("unknown_because"), values.get("unknown_because_code")
+        if because is not None and code is not None:
+            values = {name: _because(found, because, code) for name, found in values.items()}
+        return self.model(**values, **more)
 
 
-class LowAdhesionEvidence(Representation):
-    """Evidence of `low_adhesion`: rails of little friction along a track section."""
-
-    kind: Literal["low_adhesion"]
-    track_section: str | None = Field(description="Code of the section.")
-    stretches: list[Stretch] = Field(description="Where friction is below the limit.")
-    friction_1: Uncertain | None = Field(description="Coefficient of friction at the surest place of them.")
-    passes: int | None = Field(description="Passes of wheelsets behind it.")
-    windows: int | None = Field(description="Windows that are pooled along the section.")
-    measured_from: Timestamp | None = Field(description="Start of the first of them.")
-    measured_to: Timestamp | None = Field(description="Start of the last of them.")
-    limit_1: float | None = Field(description="Friction below which the alert is raised.")
-    delays: Delays | None = Field(description="The delays that it was raised with.")
+_CODE = (ReasonCode | None, Described(description="The same as a code."))
 
 
-class WeakDamperEvidence(_OfRule):
-    """Evidence of `weak_damper`: the lateral damper of a running gear has lost most of its damping."""
-
-    kind: Literal["weak_damper"]
-    vehicle: str | None = Field(description="Code of the vehicle.")
-    first_axle: int | None = Field(description="First axle of the running gear, from 1.")
-    damping_share_1: Uncertain | None = Field(description="Damping over that of the vehicle class on file.")
-    windows: int | None = Field(description="Windows that show it.")
-    measured_from: Timestamp | None = Field(description="Start of the first of them.")
-    measured_to: Timestamp | None = Field(description="Start of the last of them.")
-    limit_1: float | None = Field(description="Share below which the alert is raised.")
+def _or_default(read: Read, default: object, value: JsonValue) -> object:
+    found = read(value)
+    return default if found is None else found
 
 
-class StepCause(Representation):
-    """What may be behind a sudden change, and how well it explains it."""
-
-    cause: Literal["turned", "exchanged", "turned_end_for_end", "damaged", "sensor"] = Field(
-        description="What may have happened."
-    )
-    share_1: float | None = Field(description="Probability among the causes.")
-    left_1: float | None = Field(description="Standard deviations that it leaves open.")
+def _because(value: object, because: str, code: ReasonCode) -> object:
+    """Return a forecast that is not known with the reason of its rule, and everything else as it is."""
+    if isinstance(value, DateForecast | DistanceForecast) and value.reason is not None:
+        return value.model_copy(update={"reason": because, "reason_code": code})
+    return value
 
 
-class UnregisteredChangeEvidence(Representation):
-    """Evidence of `unregistered_change`: the conicity has changed at once, and no event on file says why."""
-
-    kind: Literal["unregistered_change"]
-    last_data_before_at: Timestamp | None = Field(description="End of the last data before it.")
-    first_data_behind_at: Timestamp | None = Field(description="Begin of the first data behind it.")
-    before_km: float | None = Field(description="Mileage of the last interval before it.")
-    after_km: float | None = Field(description="Mileage of the first interval behind it.")
-    size_1: Uncertain | None = Field(description="By how much the conicity has changed.")
-    level_before_1: float | None = Field(description="Conicity before it.")
-    amplitude_mm: float | None = Field(description="Amplitude that size and level are of.")
-    intervals_before: int | None = Field(description="Intervals before it.")
-    intervals_behind: int | None = Field(description="Intervals behind it.")
-    causes: list[StepCause] = Field(description="What may have happened, the likeliest first.")
-    reason: str | None = Field(description="The finding as a sentence.")
-    delays: Delays | None = Field(description="The delays that it was raised with.")
+_DELAYS = Shape.of(Delays)
 
 
-class WheelFlatEvidence(_OfRule):
-    """Evidence of `wheel_flat`: a wheel strikes once a turn in many of the latest windows."""
-
-    kind: Literal["wheel_flat"]
-    striking_windows: int | None = Field(description="Windows in which it strikes, of the latest.")
-    windows: int | None = Field(description="How many windows were looked at.")
-    blow_m_s2: float | None = Field(description="Median lateral acceleration; at least that where the sensor clips.")
-    wheel: Literal["left", "right"] | None = Field(description="Of the wheelset itself; null where it is not known.")
-    turn_m: float | None = Field(description="Distance between two blows.")
-    speed_max_m_s: float | None = Field(description="Greatest speed of those windows.")
+def _shape(kind: str, described: type, **more: Any) -> Shape:  # noqa: ANN401 - fields of the model
+    delays = (_DELAYS.model | None, Described(description="The delays that it was raised with."))
+    return Shape.of(described, kind=(Literal[kind], ...), delays=delays, **more)
 
 
-class FleetAlertEvidence(Representation):
-    """Evidence of a fleet alert of any kind: how many alerts it stands for. They themselves are under `members`."""
-
-    kind: Literal["fleet_alert"]
-    more_than: int | None = Field(description="How many alerts a flood has more than.")
-    within_hours: float | None = Field(description="Span of opening times that counts as a flood.")
-    member_count: int = Field(description="How many alerts it stands for, open and closed.")
-    open_member_count: int = Field(description="How many of them are open.")
-    wheelsets: list[str] = Field(
-        description=f"At most {MOST_NAMED} wheelsets of its members, open ones first, then the most severe."
-    )
-    members: Href = Field(description="Where all of its members are listed.")
-    delays: Delays | None = Field(description="The delays of the kind when it was raised.")
+_MEMBERS = (Href, Described(description="Where all of its members are listed."))
+_SHAPES = {rule.kind: _shape(rule.kind, rule.evidence) for rule in ALERT_RULES if rule.evidence is not None}
+_FLEET = _shape("fleet_alert", FleetAlertEvidence, members=_MEMBERS)
 
 
 class OtherEvidence(Representation):
-    """Evidence of a kind of its own: of a rule that is not among the shipped ones, or is gone."""
+    """Evidence of a kind of its own: of a rule that has no class of evidence, or is gone."""
 
     kind: Literal["other"]
-    numbers: dict[str, float | None] = Field(
+    numbers: dict[str, float | None] = Described(
         description="Numbers, each under its name; nested names are joined by a point."
     )
-    texts: dict[str, str] = Field(description="Words, each under its name.")
-    times: dict[str, Timestamp] = Field(description="Times, each under its name.")
-    delays: Delays | None = Field(description="The delays that it was raised with.")
+    texts: dict[str, str] = Described(description="Words, each under its name.")
+    times: dict[str, Timestamp] = Described(description="Times, each under its name.")
+    delays: _DELAYS.model | None = Described(description="The delays that it was raised with.")  # type: ignore[name-defined]  # made above
 
 
-Evidence = Annotated[
-    ConicityLimitEvidence
-    | MeasureEvidence
-    | LimitForecastEvidence
-    | WheelAsymmetryEvidence
-    | NoDataEvidence
-    | SensorFaultEvidence
-    | IdentityEvidence
-    | HuntingEvidence
-    | SuspensionChangeEvidence
-    | DataQualityEvidence
-    | LowAdhesionEvidence
-    | WeakDamperEvidence
-    | UnregisteredChangeEvidence
-    | WheelFlatEvidence
-    | FleetAlertEvidence
-    | OtherEvidence,
-    Field(discriminator="kind"),
-]
+if TYPE_CHECKING:
+    AnyEvidence = BaseModel
+else:
+    AnyEvidence = Annotated[
+        reduce(or_, (shape.model for shape in [*_SHAPES.values(), _FLEET]), OtherEvidence),
+        Described(discriminator="kind"),
+    ]
+
+
+def evidence_of(alert: Alert) -> BaseModel:
+    """Return the evidence of an alert."""
+    stored = alert.evidence
+    delays = _DELAYS.read(stored[DELAYS]) if _part(stored.get(DELAYS)) else None
+    if alert.scope is AlertScope.FLEET:
+        members = f"/v1/alerts?fleet_alert={alert.alert_id}"
+        return _found(_FLEET.read(dict(stored), kind="fleet_alert", delays=delays, members=members))
+    if alert.kind in _SHAPES:
+        return _found(_SHAPES[alert.kind].read(dict(stored), kind=alert.kind, delays=delays))
+    return _other(stored, delays)
+
+
+def _found(evidence: BaseModel | None) -> BaseModel:
+    assert evidence is not None  # nothing is required of it
+    return evidence
+
+
+def _other(stored: Stored, delays: BaseModel | None) -> OtherEvidence:
+    """Return what an unknown rule has stored, by what it is."""
+    numbers: dict[str, float | None] = {}
+    texts: dict[str, str] = {}
+    times: dict[str, str] = {}
+    for name, value in _leaves({key: value for key, value in stored.items() if key != DELAYS}):
+        at = _moment(value) if name.endswith("_ns") else None
+        if at is not None:
+            times[f"{name.removesuffix('_ns')}_at"] = at
+        elif isinstance(value, (bool, str)):
+            texts[name] = str(value)
+        elif not name.endswith("_ns"):
+            numbers[name] = _number(value)
+    return OtherEvidence(kind="other", numbers=numbers, texts=texts, times=times, delays=delays)
+
+
+def _leaves(value: JsonValue, name: str = "") -> Iterator[tuple[str, JsonValue]]:
+    """Yield the values inside a value, each with the names that lead to it."""
+    if isinstance(value, Mapping):
+        inner = [(str(key), item) for key, item in value.items()]
+    elif isinstance(value, list):
+        inner = [(str(index), item) for index, item in enumerate(value)]
+    else:
+        yield name, value
+        return
+    for key, item in inner:
+        yield from _leaves(item, f"{name}.{key}" if name else key)

@@ -5,24 +5,18 @@ from __future__ import annotations
 from pydantic import Field
 
 from api.schemas.common import Links, Representation
+from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.values.runs import JobOutcome, JobTrigger
 from estimation.values.runs import JobRun as JobRunValue
 
 
-class JobRun(Representation):
+class JobRun(
+    Derived, of=JobRunValue, columns="id job trigger started_at finished_at duration_s outcome counts error links"
+):
     """One run of one job and what it did; `finished_at` is null while it runs."""
 
-    id: int = Field(examples=[42])
-    job: str = Field(examples=["estimate_windows"])
-    trigger: JobTrigger
-    started_at: Timestamp
-    finished_at: Timestamp | None
     duration_s: float | None
-    outcome: JobOutcome
-    counts: dict[str, int]
-    error: str | None
     links: Links
 
 
@@ -40,16 +34,9 @@ class Job(Representation):
 def run(record: JobRunValue) -> JobRun:
     """Return the representation of a run."""
     finished = record.finished_ns
-    return JobRun(
-        id=record.run_id,
-        job=record.job,
-        trigger=record.trigger,
-        started_at=to_rfc3339(record.started_ns),
-        finished_at=None if finished is None else to_rfc3339(finished),
+    return JobRun.made(
+        record,
         duration_s=None if finished is None else max(0, finished - record.started_ns) / 1e9,
-        outcome=record.outcome,
-        counts=dict(record.counts),
-        error=record.error,
         links={"self": f"/v1/job-runs/{record.run_id}", "job_runs": f"/v1/jobs/{segment(record.job)}/runs"},
     )
 

@@ -8,12 +8,14 @@ from enum import StrEnum
 from pydantic import Field
 
 from api.schemas.common import Links, Representation, Uncertain, uncertain
+from api.schemas.derived import Derived, provenance
 from api.schemas.registry import segment
-from api.times import Timestamp, to_rfc3339
+from api.times import Timestamp
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Status
-from estimation.values.rails import RailPart, RailsReference, SectionRailsRecord, WheelsetRailsRecord
+from estimation.values.rails import RailPart, RailsFinding, RailTrend, WheelPart, WheelsFinding
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.results import Result
 
 MM = 1000.0
 NO_GEOMETRY = Estimate.unknown(Reason(ReasonCode.NO_GEOMETRY, "there is no geometry at this amplitude yet"))
@@ -39,47 +41,21 @@ class RailsAtAmplitude(Representation):
     excess_1: Uncertain = Field(description="Of that over what it would be on the rails as on file.")
 
 
-class RailsPeriod(Representation):
+class RailsPeriod(Derived, of=RailPart, without=("rail", "part", "reference_wheel", "excess")):
     """What was found of the rails over one period."""
 
-    measured_from: Timestamp
-    measured_to: Timestamp
-    reference: RailsReference | None = Field(description="What the rails are compared with; null where nothing was.")
-    n_wheelsets: int = Field(description="Number of wheelsets that ran on the section.")
-    n_windows: int
     by_amplitude: list[RailsAtAmplitude] = Field(description="Smallest amplitude first.")
 
 
-class RailsTrend(Representation):
+class RailsTrend(Derived, of=RailTrend):
     """How fast the excess grows."""
 
-    excess_per_year_1: Uncertain = Field(description="Growth of the excess in a year.")
-    excess_per_100_mgt_1: Uncertain = Field(
-        description="Growth of the excess with 100 million gross tonnes, where the traffic of the section is on file."
-    )
-    amplitude_mm: float
-    n_periods: int = Field(description="Number of periods behind it.")
 
-
-class SectionRails(Representation):
+class SectionRails(Derived, of=RailsFinding, without=("amplitude",)):
     """The rails of a section, from the conicities of the wheelsets that ran on it and on others."""
 
     section: str
-    reference_wheel_profile: str = Field(description="The wheel as designed, of most wheelsets.", examples=["P8"])
-    limit_1: float = Field(description="On the excess.")
-    limit_exceeded: bool | None = Field(
-        description="Whether the newest excess is beyond the limit, and its interval leaves no doubt of its sign; "
-        "null where it is not known: the newest period says why."
-    )
-    limit_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude below that is known.")
     periods: list[RailsPeriod] = Field(description="Oldest first.")
-    trend: RailsTrend | None = Field(description="Null where there is none; `trend_reason_code` says why.")
-    trend_reason: str | None = Field(description="Why there is no trend; null where there is one.")
-    trend_reason_code: ReasonCode | None = Field(description="Its code.")
-    reason: str | None = Field(
-        description="Why the section holds no level though it is named as known; null where that does not apply."
-    )
-    reason_code: ReasonCode | None = Field(description="Its code.")
     code_version: str
     input_digest: str
     recorded_at: Timestamp
@@ -100,90 +76,65 @@ class ConicitiesAtAmplitude(Representation):
     conicities: list[ConicityBySource] = Field(description="One by each method.")
 
 
-class WheelsetRails(Representation):
+class _WheelPart(Derived, of=WheelPart, without=("wheel", "conicity")):
+    """What belongs to the wheels."""
+
+
+class WheelsetRails(_WheelPart, of=WheelsFinding, without=("amplitude", "part")):
     """The wheels of a wheelset without the rails that it ran on, beside the geometry of all its windows."""
 
     wheelset: str = Field(examples=["WS-0001"])
     baseline: int = Field(description="Number of reprofilings before it.")
     geometry_baseline: int | None = Field(description="That of the geometry; null without one.")
     interval: int = Field(description="Mileage interval since the last reprofiling.")
-    reference: RailsReference | None = Field(description="Whose rails the conicities are for; null where none are.")
-    sections: list[str] = Field(description="On which it ran.")
-    n_windows: int
-    measured_from: Timestamp
-    measured_to: Timestamp
     by_amplitude: list[ConicitiesAtAmplitude] = Field(description="Smallest amplitude first.")
     status: Status = Field(description="`estimated` where a conicity is published at some amplitude.")
-    reason: str | None = Field(
-        description="Why it holds no level though its profiles were measured; null where that does not apply."
-    )
-    reason_code: ReasonCode | None = Field(description="Its code.")
     code_version: str
     input_digest: str
     recorded_at: Timestamp
     links: Links
 
 
-def section_rails(record: SectionRailsRecord) -> SectionRails:
+def section_rails(found: Result[RailsFinding]) -> SectionRails:
     """Return the representation of what was found of a section's rails."""
-    own, trend = f"/v1/track-sections/{segment(record.section)}", record.trend
-    no_trend = record.no_trend if trend is None else None
-    return SectionRails(
-        section=record.section,
-        reference_wheel_profile=record.reference_wheel_profile,
-        limit_1=record.limit,
-        limit_exceeded=record.exceeded,
-        limit_amplitude_mm=None if record.reported_amplitude is None else record.reported_amplitude * MM,
+    assert found.value is not None
+    record, own = found.value, f"/v1/track-sections/{segment(found.subject)}"
+    no_trend = record.no_trend if record.trend is None else None
+    return SectionRails.made(
+        record,
+        **provenance(found),
+        section=found.subject,
         periods=[_period(one, record.amplitude) for one in record.periods],
-        trend=None
-        if trend is None
-        else RailsTrend(
-            excess_per_year_1=uncertain(trend.per_year),
-            excess_per_100_mgt_1=uncertain(trend.per_100_mgt),
-            amplitude_mm=trend.amplitude * MM,
-            n_periods=trend.periods,
-        ),
         trend_reason=text_of(no_trend),
         trend_reason_code=code_of(no_trend),
-        reason=text_of(record.refused),
-        reason_code=code_of(record.refused),
-        code_version=record.code_version,
-        input_digest=record.input_digest,
-        recorded_at=to_rfc3339(record.recorded_ns),
         links={"self": f"{own}/rails", "track_section": own},
     )
 
 
-def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None) -> WheelsetRails:
+def wheelset_rails(found: Result[WheelsFinding], geometry: GeometryRecord | None) -> WheelsetRails:
     """Return the representation of a wheelset's wheels, beside its geometry.
 
     Args:
         geometry: The current one; None without.
     """
-    part, own = record.part, f"/v1/wheelsets/{segment(record.wheelset)}"
+    assert found.value is not None
+    record, part, own = found.value, found.value.part, f"/v1/wheelsets/{segment(found.subject)}"
     rows = []
     for amplitude, apart in zip(record.amplitude, part.conicity, strict=True):
         beside = ((ConicityMethod.WHEEL_AND_RAIL_APART, apart), (ConicityMethod.GEOMETRY, _at(geometry, amplitude)))
         conicities = [ConicityBySource(method=how, equivalent_conicity_1=uncertain(one)) for how, one in beside]
         rows.append(ConicitiesAtAmplitude(amplitude_mm=amplitude * MM, conicities=conicities))
     known = any(one.status is Status.ESTIMATED for one in part.conicity)
-    return WheelsetRails(
-        wheelset=record.wheelset,
+    return WheelsetRails.made(
+        record,
+        **_WheelPart.parts(part),
+        **provenance(found),
+        wheelset=found.subject,
         baseline=part.wheel.baseline,
         geometry_baseline=None if geometry is None else geometry.baseline,
         interval=part.wheel.interval,
-        reference=part.reference,
-        sections=list(part.sections),
-        n_windows=part.windows,
-        measured_from=to_rfc3339(part.from_ns),
-        measured_to=to_rfc3339(part.to_ns),
         by_amplitude=rows,
         status=Status.ESTIMATED if known else Status.UNESTIMATED,
-        reason=text_of(record.refused),
-        reason_code=code_of(record.refused),
-        code_version=record.code_version,
-        input_digest=record.input_digest,
-        recorded_at=to_rfc3339(record.recorded_ns),
         links={
             "self": f"{own}/rails",
             "wheelset": own,
@@ -195,12 +146,8 @@ def wheelset_rails(record: WheelsetRailsRecord, geometry: GeometryRecord | None)
 
 def _period(part: RailPart, amplitude: Sequence[float]) -> RailsPeriod:
     columns = zip(amplitude, part.part, part.reference_wheel, part.excess, strict=True)
-    return RailsPeriod(
-        measured_from=to_rfc3339(part.from_ns),
-        measured_to=to_rfc3339(part.to_ns),
-        reference=part.reference,
-        n_wheelsets=part.wheelsets,
-        n_windows=part.windows,
+    return RailsPeriod.made(
+        part,
         by_amplitude=[
             RailsAtAmplitude(
                 amplitude_mm=at * MM,

@@ -10,12 +10,13 @@ from typing import Any
 from pydantic import Field
 
 from api.schemas.common import Links, Representation, Request
+from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.values.quarantine import TRIED_AGAIN, Quarantined, QuarantineState, SubjectKind
-from estimation.values.reasons import ReasonCode
+from estimation.values.reasons import ReasonCode, code_of
+from estimation.values.runs import TRIED_AGAIN, Quarantined, QuarantineState, SubjectKind
 from estimation.values.windows import WindowState
-from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction
+from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.receipts import RecordingChange as Change
 
 _FOLDERS = re.compile(r"(?<![\w:/.])/(?:[^\s/:'\"]+/)+")
@@ -27,18 +28,15 @@ _RESOURCES = {
 }
 
 
-class QuarantinedItem(Representation):
+class QuarantinedItem(
+    Derived,
+    of=Quarantined,
+    without=("error", "inputs", "due_ns"),
+    columns="kind key stage state reason_code reason attempts first_failed_at last_failed_at next_attempt_at links",
+):
     """One thing at which one stage of the work failed, and when it is tried again; kept when it succeeds later."""
 
-    kind: SubjectKind
-    key: str = Field(description="Digest, serial or code; of a window `serial@start in ns`.", examples=["WS-0001"])
-    stage: str = Field(description="The job, or `ingest` for recordings.", examples=["refresh_geometry"])
-    state: QuarantineState
-    reason_code: ReasonCode
     reason: str = Field(description="First line of the error.")
-    attempts: int = Field(description="Failures in a row.")
-    first_failed_at: Timestamp
-    last_failed_at: Timestamp
     next_attempt_at: Timestamp | None = Field(description="Null once it has succeeded.")
     links: Links
 
@@ -51,16 +49,9 @@ def without_folders(message: str) -> str:
 def quarantined(item: Quarantined) -> QuarantinedItem:
     """Return the representation of what is kept of a failure; its message without the folders of the machine."""
     resource = _RESOURCES.get(item.kind)
-    return QuarantinedItem(
-        kind=item.kind,
-        key=item.key,
-        stage=item.stage,
-        state=item.state,
-        reason_code=item.code,
+    return QuarantinedItem.made(
+        item,
         reason=without_folders(item.error),
-        attempts=item.attempts,
-        first_failed_at=to_rfc3339(item.first_ns),
-        last_failed_at=to_rfc3339(item.last_ns),
         next_attempt_at=to_rfc3339(item.due_ns) if item.state is QuarantineState.HELD else None,
         links={} if resource is None else {item.kind.value: f"/v1/{resource}/{segment(item.key)}"},
     )
@@ -95,36 +86,26 @@ class RecordingWindows(Representation):
     refused: int = Field(description="Those that were refused, each with its reason.")
 
 
-class Recording(Representation):
+_NOT_SERVED = ("frames", "counts", "recorded_ns", "clock_checked_ns", "sender", "reason")
+
+
+class Recording(
+    Derived,
+    of=ChunkRecord,
+    without=_NOT_SERVED,
+    columns="digest vehicle file_name format size_bytes received_at measured_from measured_to state reason reason_code"
+    " bytes_removed_at counts links",
+):
     """The receipt of a recording, and where it stands."""
 
-    digest: str = Field(description="SHA-256 of its bytes: its identity.", examples=["ab" * 32])
-    vehicle: str = Field(description="Code of the vehicle that it came for; it need not be registered.")
-    file_name: str | None = Field(description="Under which it came.")
-    format: str = Field(description="Ending of its format.", examples=[".blf"])
-    size_bytes: int = Field(description="Of its bytes as they came.")
-    received_at: Timestamp = Field(description="When its receipt was given, by our clock.")
-    measured_from: Timestamp | None = Field(description="First frame, on the vehicle's clock; null until decoded.")
-    measured_to: Timestamp | None = Field(description="Last frame, on the vehicle's clock; null until decoded.")
-    state: ChunkState
     reason: str | None = Field(description="Why it is in this state; null where nothing is wrong.")
     reason_code: ReasonCode | None = Field(description="Why it is in this state; null where nothing is wrong.")
-    bytes_removed_at: Timestamp | None = Field(description="When its raw bytes were removed; null while they are kept.")
     counts: RecordingCounts
     links: Links
 
 
-class RecordingChange(Representation):
+class RecordingChange(Derived, of=Change, without=("digest",)):
     """What was done to a recording by hand."""
-
-    action: RecordingAction = Field(description="What was done.")
-    at: Timestamp = Field(description="When, by our clock.")
-    by: str = Field(description="Who.")
-    why: str = Field(description="As it was written.")
-    vehicle_before: str = Field(description="Code of its vehicle before it.")
-    vehicle_after: str = Field(description="Code of its vehicle after it.")
-    state_before: ChunkState = Field(description="Its state before it.")
-    state_after: ChunkState = Field(description="Its state after it.")
 
 
 class RecordingWithHistory(Recording):
@@ -170,7 +151,7 @@ class Retry(Correction):
 
 def recording(record: ChunkRecord) -> Recording:
     """Return the representation of a receipt."""
-    return Recording(**_fields(record))
+    return Recording.made(record, **_fields(record))
 
 
 def recording_with_history(
@@ -178,34 +159,26 @@ def recording_with_history(
 ) -> RecordingWithHistory:
     """Return the representation of a receipt with its windows and changes."""
     by_state = {state.value: windows.get(state, 0) for state in WindowState}
-    return RecordingWithHistory(
+    return RecordingWithHistory.made(
+        record,
         **_fields(record),
         windows=RecordingWindows(made=sum(windows.values()), **by_state),
-        changes=[_change(one) for one in changes],
+        changes=[RecordingChange.made(one) for one in changes],
     )
 
 
 def _fields(record: ChunkRecord) -> dict[str, Any]:
     return {
-        "digest": record.digest,
-        "vehicle": record.vehicle,
-        "file_name": record.file_name,
-        "format": record.suffix,
-        "size_bytes": record.size_bytes,
-        "received_at": to_rfc3339(record.received_ns),
-        "measured_from": _time(record.first_ns),
-        "measured_to": _time(record.last_ns),
-        "state": record.state,
-        "reason": None if record.reason is None else without_folders(record.reason.text),
-        "reason_code": None if record.reason is None else record.reason.code,
-        "bytes_removed_at": _time(record.purged_ns),
+        **_why(record),
         "counts": _counts(record),
         "links": {"self": f"/v1/recordings/{record.digest}", "vehicle": f"/v1/vehicles/{segment(record.vehicle)}"},
     }
 
 
-def _time(t_ns: int | None) -> str | None:
-    return None if t_ns is None else to_rfc3339(t_ns)
+def _why(record: ChunkRecord) -> dict[str, Any]:
+    """Return why a recording is in its state, without the folders of the machine."""
+    reason = record.reason
+    return {"reason": None if reason is None else without_folders(reason.text), "reason_code": code_of(reason)}
 
 
 def _counts(record: ChunkRecord) -> RecordingCounts:
@@ -214,19 +187,6 @@ def _counts(record: ChunkRecord) -> RecordingCounts:
     used = record.frames - sum(unused.values())
     return RecordingCounts(
         frames=record.frames, used=used, unused=unused, lost=record.counts.get(LOST, 0), marked=marked
-    )
-
-
-def _change(change: Change) -> RecordingChange:
-    return RecordingChange(
-        action=change.action,
-        at=to_rfc3339(change.recorded_ns),
-        by=change.actor,
-        why=change.why,
-        vehicle_before=change.vehicle_before,
-        vehicle_after=change.vehicle_after,
-        state_before=change.state_before,
-        state_after=change.state_after,
     )
 
 
@@ -270,8 +230,7 @@ def chunk(record: ChunkRecord) -> Chunk:
         received_at=to_rfc3339(record.received_ns),
         sender=record.sender,
         state=progress(record),
-        reason=None if record.reason is None else without_folders(record.reason.text),
-        reason_code=None if record.reason is None else record.reason.code,
+        **_why(record),
         links={
             "self": f"/v1/chunks/{record.digest}",
             "recording": f"/v1/recordings/{record.digest}",

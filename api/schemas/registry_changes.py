@@ -11,13 +11,14 @@ from pydantic import Field
 from api.parameters import CODE
 from api.schemas import registry, tracks, vehicle_classes
 from api.schemas.common import Representation, Request
+from api.schemas.derived import Derived
 from api.schemas.registry import MountingPeriod
 from api.times import Moment, Timestamp, to_rfc3339
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import TreadwatchError
-from estimation.values.registry import Mounting, Reprofiling, SensorChange, SensorWork, VehicleRecord
+from estimation.values.registry import Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from estimation.vehicle.class_on_file import ClassOnFile, class_of_document
+from estimation.vehicle.vehicle_class import ClassOnFile, class_of_document
 from fleet_db.packed_values import unpack_wheel_pair
 from fleet_db.registry_events import RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.sensor_changes import sensor_change_of
@@ -199,28 +200,12 @@ class RecordDecision(Request):
     )
 
 
-MM = 1000.0
-
-
-class SensorChangeRecord(Representation):
+class SensorChangeRecord(Derived, of=SensorChange):
     """The sensors of an axle were exchanged or calibrated."""
 
-    vehicle: str = Field(examples=["V-101"])
-    axle: int = Field(examples=[2])
-    worked_at: Timestamp
-    work: SensorWork
-    removed: str = Field(description="Serial number of what was taken off.", examples=["N-0815"])
-    fitted: str = Field(description="Serial number of what is there since.", examples=["N-0816"])
-    note: str = Field(examples=["cable chafed"])
 
-
-class WheelsetValues(Representation):
+class WheelsetValues(Derived, of=WheelsetRecord, without=("mounting", "reprofilings")):
     """What a wheelset is, without its life."""
-
-    serial: str = Field(examples=["WS-0001"])
-    fleet: str = Field(examples=["demo"])
-    wheel_profile: str = Field(examples=["P8"])
-    nominal_radius_mm: float = Field(examples=[460.0])
 
 
 Record = (
@@ -248,19 +233,6 @@ class RegistryDecision(Representation):
     recorded_at: Timestamp | None = Field(description="Our time; null where it is not known.")
     before: Record | None = Field(description="The record before; null where it is new or was restored.")
     after: Record | None = Field(description="The record since; null where it was voided, or is not known.")
-
-
-def sensor_change(record: SensorChange) -> SensorChangeRecord:
-    """Return the representation of work on sensors."""
-    return SensorChangeRecord(
-        vehicle=record.vehicle,
-        axle=record.axle,
-        worked_at=to_rfc3339(record.at_ns),
-        work=record.work,
-        removed=record.removed,
-        fitted=record.fitted,
-        note=record.note,
-    )
 
 
 def decision(event: RegistryEvent) -> RegistryDecision:
@@ -293,18 +265,14 @@ def _record(kind: RecordKind, values: Mapping[str, Any] | None) -> Record | None
 def _represented(kind: RecordKind, values: dict[str, Any]) -> Record:  # noqa: PLR0911 - one line a kind
     match kind:
         case RecordKind.MOUNTING:
-            return registry.mounting(Mounting(**values))
+            return registry.MountingPeriod.made(Mounting(**values))
         case RecordKind.REPROFILING:
-            return registry.reprofiling(Reprofiling(**values))
+            return registry.ReprofilingRecord.made(Reprofiling(**values))
         case RecordKind.MEASUREMENT:
             return _measurement(values)
         case RecordKind.WHEELSET:
-            return WheelsetValues(
-                serial=values["serial"],
-                fleet=values["fleet"],
-                wheel_profile=values["wheel_profile"],
-                nominal_radius_mm=values["nominal_radius_m"] * MM,
-            )
+            names = ("serial", "fleet", "wheel_profile", "nominal_radius_m")
+            return WheelsetValues.made(WheelsetRecord(**{name: values[name] for name in names}, mounting=None))
         case RecordKind.VEHICLE:
             return registry.vehicle(VehicleRecord(**(values | {"axle_offsets_m": tuple(values["axle_offsets_m"])})))
         case RecordKind.VEHICLE_CLASS:
@@ -312,7 +280,7 @@ def _represented(kind: RecordKind, values: dict[str, Any]) -> Record:  # noqa: P
         case RecordKind.SECTION:
             return tracks.section(TrackSectionRecord(**values))
         case RecordKind.SENSOR_CHANGE:
-            return sensor_change(sensor_change_of(values))
+            return SensorChangeRecord.made(sensor_change_of(values))
 
 
 def _measurement(values: dict[str, Any]) -> registry.MeasuredProfilesRecord:

@@ -10,9 +10,15 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, finite
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.vehicle.class_on_file import SHIPPED_VERSION, ClassOnFile
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import (
+    SHIPPED_VERSION,
+    Arrangement,
+    BogieParameters,
+    ClassOnFile,
+    SensorLayout,
+    VehicleClass,
+)
 
 _UNITS: Mapping[str, str] = {
     "longitudinal_creep_coefficient": "N",

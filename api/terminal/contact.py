@@ -16,13 +16,11 @@ import typer
 
 from api.plots.contact import save_contact_figure
 from api.plots.contact_summary import AMPLITUDE_MM, ContactSummary, contact_summary
-from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter
-from estimation.contact.conicity_uncertainty import MeasuredShapes, conicity_std
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity, nonlinearity_parameter
+from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import TREAD_DATUM, ProfileKind, is_design, rail_profile, wheel_profile
 from estimation.contact.radius_difference import RadiusDifferenceCurve, radius_difference_curve
 from estimation.contact.smoothed_profile import SmoothedProfile, exact
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import InputError, ParameterError
 from estimation.values.arrays import FloatArray
 from ingest.profiles.files import read_measured_profile
@@ -75,11 +73,7 @@ def contact_of(
     method: ContactMethod,
     speed_km_h: float = 120.0,
 ) -> Contact:
-    """Return a wheelset on a track from the names or files of its profiles.
-
-    Raises:
-        ProfileError, ParameterError, ContactError: As `measured_shapes`; an inclination or a dimension that is none.
-    """
+    """Return a wheelset on a track from the names or files of its profiles."""
     shapes = measured_shapes(wheels, rail, options)
     wheelset = WheelsetOnTrack(
         left_wheel=shapes.left_wheel.profile,
@@ -189,11 +183,7 @@ def parse_inclination(text: str) -> float:
 
 
 def save_picture(contact: Contact, out: Path | None) -> None:
-    """Write the contact geometry of a wheelset as PNG.
-
-    Raises:
-        ParameterError: No file is given.
-    """
+    """Write the contact geometry of a wheelset as PNG."""
     if out is None:
         raise ParameterError("a picture needs --out FILE.png", field="--format")
     conicity, std = _conicity(_curve(contact)), _std(contact)
@@ -215,11 +205,7 @@ def refusals() -> Iterator[None]:
 
 
 def table_text(contact: Contact, *, as_json: bool) -> str:
-    """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone.
-
-    Args:
-        as_json: JSON with the conicity at every amplitude, or else CSV.
-    """
+    """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone."""
     return _json(contact) if as_json else _csv(contact)
 
 

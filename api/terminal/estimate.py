@@ -9,11 +9,12 @@ from dataclasses import replace
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import TaskID
 from rich.table import Table
 
 from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
+from api.progress import bar
 from api.settings import Settings
 from api.terminal.reasons import fleet_reasons, summary_lines
 from api.tracing import start_tracing
@@ -26,15 +27,7 @@ from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
 
 def run_jobs_once(name: str | None, settings: Settings) -> bool:
-    """Run every job, or one, print what the runs did, and return whether all succeeded.
-
-    Args:
-        name: Of the one job; None for all.
-
-    Raises:
-        ParameterError: There is no job of that name.
-        StorageError: The database cannot be used.
-    """
+    """Run every job, or one, print what the runs did, and return whether all succeeded."""
     logs.configure(settings)
     start_tracing()
     jobs = _chosen(settings, name)
@@ -72,14 +65,7 @@ def run_in_order(
         context: What the jobs may touch.
     """
     runs = []
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
+    with bar(console) as progress:
         for job in jobs:
             task = progress.add_task(job.description, total=None)
 

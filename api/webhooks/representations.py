@@ -9,12 +9,13 @@ from pydantic import AfterValidator, Field, Strict, StringConstraints
 from api.parameters import CODE
 from api.schemas.alerts import KnownKind
 from api.schemas.common import Links, Representation, Request
+from api.schemas.derived import Derived
 from api.times import Moment, Timestamp, to_rfc3339
 from api.webhooks.sending import Outcome
 from api.webhooks.targets import MOST_CHARACTERS, parsed
 from estimation.errors import ParameterError
 from estimation.values.alerts import AlertEventKind, Severity
-from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Failure, WebhookState
+from fleet_db.webhook_records import Delivery, Failure
 from fleet_db.webhook_records import Webhook as WebhookRecord
 
 MOST_VALUES = 50
@@ -43,26 +44,20 @@ SEVERITIES = "Only alerts that have had one of these, from then on to their end;
 EXAMPLE_URL = "https://receiver.example/treadwatch"
 
 
-class Webhook(Representation):
+class Webhook(
+    Derived,
+    of=WebhookRecord,
+    without=("position", "revision"),
+    columns="id url description fleets kinds severities bound_to state disabled_reason state_since created_at"
+    " created_by links",
+):
     """Where events of the feed are sent, without its secret."""
 
-    id: int
     url: str = Field(description=URL, examples=[EXAMPLE_URL])
     description: str = Field(description=DESCRIPTION, examples=["work orders"])
     fleets: list[str] = Field(description=FLEETS, examples=[["alpha"]])
     kinds: list[str] = Field(description=KINDS)
     severities: list[Severity] = Field(description=SEVERITIES)
-    bound_to: list[str] | None = Field(
-        description="Fleets of the key that made it: it never carries an event of another. Null is all."
-    )
-    state: WebhookState = Field(description="Whether it is sent to; a disabled one is sent to again once it is active.")
-    disabled_reason: DisabledReason | None = Field(
-        description="`gone`: its receiver answered 410. `failing`: an event was not taken until it was given up. "
-        "Null while it is not disabled."
-    )
-    state_since: Timestamp = Field(description="Since when it is in this state.")
-    created_at: Timestamp = Field(description="When it was made.")
-    created_by: str = Field(description="Who made it.", examples=["depot west"])
     links: Links
 
 
@@ -128,24 +123,16 @@ class Rotation(Request):
     )
 
 
-class WebhookDelivery(Representation):
+class WebhookDelivery(
+    Derived,
+    of=Delivery,
+    without=("webhook_id", "sequence", "event_kind", "alert_id"),
+    columns="id event_id event event_recorded_at state attempts first_attempt_at last_attempt_at next_attempt_at"
+    " status_code reason_code reason links",
+):
     """An event on its way to a webhook."""
 
-    id: int
-    event_id: str = Field(description="Id of the event, the same at every attempt.")
     event: AlertEventKind
-    event_recorded_at: Timestamp = Field(description="When the event was recorded.")
-    state: DeliveryState = Field(
-        description="`waiting` for its next attempt; `delivered`; `failed`: given up, and its webhook is disabled; "
-        "`withdrawn`: its webhook was changed before it was taken."
-    )
-    attempts: int = Field(description="How often it was sent.", examples=[1])
-    first_attempt_at: Timestamp = Field(description="When it was sent first.")
-    last_attempt_at: Timestamp = Field(description="When it was sent last.")
-    next_attempt_at: Timestamp | None = Field(description="When it is sent again; null where it is not.")
-    status_code: int | None = Field(description="Status of the last answer; null without one.", examples=[204])
-    reason_code: Failure | None = Field(description="Why the last attempt failed; null where it did not.")
-    reason: str | None = Field(description="The same as a sentence.")
     links: Links
 
 
@@ -162,12 +149,12 @@ class WebhookTrial(Representation):
 
 def webhook(record: WebhookRecord) -> Webhook:
     """Return a webhook as it is shown."""
-    return Webhook(**_fields(record))
+    return Webhook.made(record, **_fields(record))
 
 
 def webhook_with_secret(record: WebhookRecord, secret: str) -> WebhookWithSecret:
     """Return a webhook that was just made, with its secret."""
-    return WebhookWithSecret(**_fields(record), secret=secret)
+    return WebhookWithSecret.made(record, **_fields(record), secret=secret)
 
 
 def rotated(webhook_id: int, secret: str, until_ns: int) -> RotatedSecret:
@@ -178,19 +165,9 @@ def rotated(webhook_id: int, secret: str, until_ns: int) -> RotatedSecret:
 
 def delivery(record: Delivery) -> WebhookDelivery:
     """Return a delivery as it is shown."""
-    return WebhookDelivery(
-        id=record.delivery_id,
-        event_id=record.event_id,
+    return WebhookDelivery.made(
+        record,
         event=AlertEventKind(record.event_kind),
-        event_recorded_at=to_rfc3339(record.event_ns),
-        state=record.state,
-        attempts=record.attempts,
-        first_attempt_at=to_rfc3339(record.first_ns),
-        last_attempt_at=to_rfc3339(record.last_ns),
-        next_attempt_at=None if record.next_ns is None else to_rfc3339(record.next_ns),
-        status_code=record.status_code,
-        reason_code=record.failure,
-        reason=record.detail,
         links={"webhook": f"/v1/webhooks/{record.webhook_id}", "alert": f"/v1/alerts/{record.alert_id}"},
     )
 
@@ -210,17 +187,10 @@ def trial(identity: str, outcome: Outcome) -> WebhookTrial:
 def _fields(record: WebhookRecord) -> dict[str, Any]:
     own = f"/v1/webhooks/{record.webhook_id}"
     return {
-        "id": record.webhook_id,
         "url": record.url,
         "description": record.description,
         "fleets": sorted(record.fleets),
         "kinds": sorted(record.kinds),
         "severities": [one for one in Severity if one.value in record.severities],
-        "bound_to": None if record.bound is None else sorted(record.bound),
-        "state": record.state,
-        "disabled_reason": record.disabled_reason,
-        "state_since": to_rfc3339(record.since_ns),
-        "created_at": to_rfc3339(record.created_ns),
-        "created_by": record.created_by,
         "links": {"self": own, "deliveries": f"{own}/deliveries"},
     }

@@ -1,16 +1,256 @@
-"""Over a fleet: how many intervals covered what was measured."""
+"""Estimates beside measured wheels, and over a fleet: how many intervals covered what was measured."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
-from estimation.accuracy.comparison import Comparison
-from estimation.accuracy.coverage import CoverageCount
-from estimation.accuracy.wheel_contact import AMPLITUDES
-from estimation.values.reasons import ReasonCode
+import numpy as np
+from scipy.special import betaincinv
+
+from estimation.accuracy.wheel_contact import AMPLITUDES, WheelContact
+from estimation.contact.profiles import MeasuredProfiles
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, conicity_at_limit_amplitude
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import GeometryRecord, WheelsetGeometry
+from estimation.values.quantities import NORMAL_95, Estimate, Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import WheelsetRecord
+from estimation.values.served import Served
+from estimation.values.trend import IdentityChange
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateOfDate:
+    """The estimate that belongs to a measurement; ``reason`` is why there is none, or why it holds no number."""
+
+    record: GeometryRecord | None
+    reason: Reason | None
+
+
+def baseline_at(wheelset: WheelsetRecord, at_ns: int) -> tuple[int, float]:
+    """Return the number of reprofilings up to a time, and the mileage of the last of them (0 where there is none).
+
+    Args:
+        at_ns: Time, ns UTC; the profile of a reprofiling at that time is the new one.
+    """
+    turned = [item for item in wheelset.reprofilings if item.at_ns <= at_ns]
+    return len(turned), max(turned, key=lambda item: item.at_ns).mileage_km if turned else 0.0
+
+
+def estimate_of_date(
+    measurement: MeasuredProfiles,
+    wheelset: WheelsetRecord,
+    intervals: Sequence[GeometryRecord],
+    interval_km: float,
+    change: IdentityChange | None = None,
+) -> EstimateOfDate:
+    """Return the estimate that belongs to a measurement, or why there is none.
+
+    It is that of the mileage interval which contains the measurement, since the last reprofiling before it and with no
+    data of after the next. Where that interval has no conicity it is the nearest one that has, if its mileage is
+    within an interval of the measurement: in that distance a profile hardly wears.
+
+    Args:
+        change: Its last identity change: estimates of the other side are of another wheelset.
+    """
+    baseline, begin_km = baseline_at(wheelset, measurement.at_ns)
+    own = [one for one in intervals if one.baseline == baseline and one.interval is not None and one.geometry.windows]
+    if not own:
+        since = "the wheelset was new" if baseline == 0 else f"reprofiling {baseline}"
+        return EstimateOfDate(None, Reason(ReasonCode.NO_GEOMETRY, f"nothing was estimated since {since}"))
+    same = [one for one in own if _same_side(one, measurement.at_ns, change)]
+    if not same:
+        text = "all estimates of this profile are of another wheelset, or of one mounted the other way round"
+        return EstimateOfDate(None, Reason(ReasonCode.IDENTITY_DOUBTFUL, text))
+    containing = int((measurement.mileage_km - begin_km) // interval_km)
+    chosen = next((one for one in same if one.interval == containing), None)
+    if chosen is None or not _has_conicity(chosen):
+        chosen = _nearest(measurement, same, interval_km) or chosen
+    if chosen is None:
+        least = min(abs(one.mileage_km - measurement.mileage_km) for one in same)
+        text = f"the nearest estimate of this profile is {least:.0f} km from the measurement"
+        return EstimateOfDate(None, Reason(ReasonCode.NO_ESTIMATE_NEAR, text))
+    return EstimateOfDate(chosen, None if _has_conicity(chosen) else _why_not(chosen))
+
+
+def _nearest(
+    measurement: MeasuredProfiles, records: Sequence[GeometryRecord], within_km: float
+) -> GeometryRecord | None:
+    def apart(record: GeometryRecord) -> float:
+        return abs(record.mileage_km - measurement.mileage_km)
+
+    near = [one for one in records if _has_conicity(one) and apart(one) <= within_km]
+    return min(near, key=apart, default=None)
+
+
+def _has_conicity(record: GeometryRecord) -> bool:
+    return any(one.status is Status.ESTIMATED for one in record.geometry.conicity)
+
+
+def _why_not(record: GeometryRecord) -> Reason | None:
+    return record.geometry.reason or record.geometry.equivalent_conicity.reason
+
+
+def _same_side(record: GeometryRecord, at_ns: int, change: IdentityChange | None) -> bool:
+    if change is None:
+        return True
+    if at_ns >= change.after_ns:
+        return record.from_ns >= change.after_ns
+    return record.to_ns <= change.before_ns
+
+
+_NO_ESTIMATE = Reason(ReasonCode.NO_GEOMETRY, "there is no estimate")
+
+
+@dataclass(frozen=True, slots=True)
+class ConicityPair:
+    """The equivalent conicity at one amplitude, measured and estimated."""
+
+    amplitude: float  # m
+    measured: Annotated[Estimate, Served("From the measured profiles; `n_windows` is 0.", "measured_1")]
+    estimated: Annotated[
+        Estimate, Served("Of the estimate; at 3 mm it may be extrapolated, see its reason.", "estimated_1")
+    ]
+
+    @property
+    def covered(
+        self,
+    ) -> Annotated[
+        bool | None,
+        Served(
+            "Whether the estimate's 95 % interval, widened by the error of the measurement, covers it; "
+            "null where either is unknown."
+        ),
+    ]:
+        """Whether the interval of the estimate covers the measurement; None where either is unknown."""
+        return covers(self.estimated, self.measured)
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A measurement, the estimate of its date, and the conicities of both.
+
+    ``independent`` is whether the estimate was made without any measurement of the same wheels; None where there is
+    no estimate. ``contact`` is a reason where the profiles have no contact geometry.
+    """
+
+    measurement: MeasuredProfiles
+    contact: WheelContact | Reason
+    estimate: EstimateOfDate
+    independent: bool | None
+    conicity: tuple[ConicityPair, ...]
+
+    @property
+    def at_limit(self) -> ConicityPair:
+        """The pair at the amplitude of limits, 3 mm."""
+        return next(one for one in self.conicity if abs(one.amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE)
+
+    @property
+    def reason(self) -> Reason | None:
+        """Why the conicity at 3 mm is not compared; None where it is."""
+        pair = self.at_limit
+        if pair.covered is not None:
+            return None
+        return pair.measured.reason or self.estimate.reason or pair.estimated.reason or _NO_ESTIMATE
+
+
+def compared(
+    measurement: MeasuredProfiles, contact: WheelContact | Reason, estimate: EstimateOfDate, *, independent: bool | None
+) -> Comparison:
+    """Return a measurement beside the estimate that belongs to it.
+
+    Args:
+        contact: What follows from it, or why nothing does.
+        independent: Whether the estimate was made without a measurement of the same wheels; None without an estimate.
+    """
+    if isinstance(contact, Reason):
+        measured = dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(contact))
+    else:
+        measured = dict(zip(map(_key, contact.amplitude), contact.conicity, strict=True))
+    estimated = _estimated(estimate)
+    pairs = (ConicityPair(float(a), measured[_key(a)], estimated[_key(a)]) for a in AMPLITUDES)
+    return Comparison(measurement, contact, estimate, independent, tuple(pairs))
+
+
+def _estimated(estimate: EstimateOfDate) -> Mapping[int, Estimate]:
+    """Return the estimated conicity at each amplitude; at that of limits it may be extrapolated."""
+    if estimate.record is None:
+        return dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(estimate.reason or _NO_ESTIMATE))
+    return {_key(a): _at(estimate.record, float(a)) for a in AMPLITUDES}
+
+
+def _at(record: GeometryRecord, amplitude: float) -> Estimate:
+    geometry = record.geometry
+    if abs(amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE:
+        return conicity_at_limit_amplitude(geometry)
+    near = np.flatnonzero(np.abs(geometry.amplitude - amplitude) < SAME_AMPLITUDE)
+    if len(near):
+        return geometry.conicity[int(near[0])]
+    if geometry.reason is not None:
+        return Estimate.unknown(geometry.reason, geometry.windows)
+    text = f"amplitude {1e3 * amplitude:g} mm is not estimated"
+    return Estimate.unknown(Reason(ReasonCode.AMPLITUDE_NOT_COVERED, text), geometry.windows)
+
+
+def _key(amplitude: float) -> int:
+    return round(amplitude / SAME_AMPLITUDE)
+
+
+_TAIL = 0.025  # on either side of a 95 % interval
+
+
+def covers(estimated: Estimate, measured: Estimate) -> bool | None:
+    """Return whether the 95 % interval of an estimate covers a measured value; None where either is unknown.
+
+    The measurement errs too: the half of the interval on its side and 1.96 of its standard deviations are added as
+    squares.
+    """
+    if estimated.value is None or estimated.low is None or estimated.high is None:
+        return None
+    if measured.value is None or measured.std is None:
+        return None
+    difference = measured.value - estimated.value
+    half = estimated.high - estimated.value if difference > 0.0 else estimated.value - estimated.low
+    return abs(difference) <= math.hypot(half, NORMAL_95 * measured.std)
+
+
+@dataclass(frozen=True, slots=True)
+class CoverageCount:
+    """How many intervals were compared with a measurement, and how many covered it."""
+
+    compared: Annotated[int, Served("Intervals that were compared with a measurement.")] = 0
+    covered: Annotated[int, Served("Of these, the ones that cover it.")] = 0
+
+    @staticmethod
+    def of(outcomes: Iterable[bool | None]) -> CoverageCount:
+        """Return the count of outcomes of :func:`covers`; those that are None are not counted."""
+        known = [outcome for outcome in outcomes if outcome is not None]
+        return CoverageCount(len(known), sum(known))
+
+    @property
+    def fraction(
+        self,
+    ) -> Annotated[float | None, Served("Share that is covered; null where nothing was compared.", "fraction_1")]:
+        """Share that is covered; None where nothing was compared."""
+        return self.covered / self.compared if self.compared else None
+
+    @property
+    def interval_95(self) -> tuple[float, float] | None:
+        """The 95 % interval of the share after Clopper and Pearson (Biometrika 26, 1934); None without a comparison.
+
+        Comparisons count as independent of each other.
+        """
+        n, k = self.compared, self.covered
+        if n == 0:
+            return None
+        low = 0.0 if k == 0 else float(betaincinv(k, n - k + 1, _TAIL))
+        high = 1.0 if k == n else float(betaincinv(k + 1, n - k, 1.0 - _TAIL))
+        return low, high
 
 
 class Outcome(StrEnum):
@@ -42,8 +282,10 @@ class PlacedComparison:
 class CoveragePair:
     """A count of all comparisons, and of those whose estimate was made without a measurement of the same wheels."""
 
-    all: CoverageCount
-    independent: CoverageCount
+    all: Annotated[CoverageCount, Served("Of all comparisons.", "everything")]
+    independent: Annotated[
+        CoverageCount, Served("Of those whose estimate was made without a measurement of the same profiles.")
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,3 +327,44 @@ def _grouped(
         for key in keys(row):
             groups[key].append(row)
     return {key: _count(members) for key, members in sorted(groups.items())}
+
+
+SEARCHED = 0.6e-3  # m
+SEARCH_STEP = 5e-6  # m
+MOST_DEVIATION = 3.0  # standard deviations that one bin counts at most
+
+
+@dataclass(frozen=True, slots=True)
+class CurveOrigin:
+    """The point of a known curve from which the estimated one is counted."""
+
+    displacement: float  # m
+    difference: float  # rL - rR there, m
+
+
+def curve_origin(
+    found: WheelsetGeometry, displacement: FloatArray, difference: FloatArray, crossing: float
+) -> CurveOrigin:
+    """Return the point of a known curve rL - rR from which an estimated one is counted.
+
+    The estimated curve has its origin at the mean of both: it may be anywhere along the known curve, with its own R
+    zero on average. The place where it fits best is taken; a wheelset of unlike wheels runs nearer to the track centre
+    than its zero crossing is.
+
+    Args:
+        displacement, difference: (n,) m, the known curve.
+        crossing: Its zero crossing, m.
+    """
+    centre, R = found.bin_centres, found.rolling_radius_difference
+    known = np.isfinite(R.value)
+    if not known.any():
+        return CurveOrigin(crossing, 0.0)
+    best = (np.inf, crossing, 0.0)
+    low, high = min(crossing, 0.0) - SEARCHED, max(crossing, 0.0) + SEARCHED
+    for shift in np.linspace(low, high, round((high - low) / SEARCH_STEP) + 1):
+        curve = np.interp(centre + shift, displacement, difference)
+        mean = float(found.samples @ curve / found.samples.sum())
+        deviation = (R.value - curve + mean)[known] / R.std[known]
+        misfit = float(np.minimum(deviation**2, MOST_DEVIATION**2).sum())
+        best = min(best, (misfit, float(shift), mean))
+    return CurveOrigin(best[1], best[2])

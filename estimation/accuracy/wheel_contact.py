@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.contact.radius_difference import RadiusDifferenceCurve, refined_curve
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError, ParameterError, ProfileError
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.intervals import NORMAL_95, with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.served import MM, Served
 
 AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
 REACH = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
@@ -27,10 +27,10 @@ STEP = 0.1e-3  # m
 class RailShare:
     """Rails as they are laid on some of the track, and the share of the running on them."""
 
-    rail: str  # name of the profile
-    inclination: float  # tangent
-    gauge: float  # m, nominal
-    share: float  # 0 to 1
+    rail: Annotated[str, Served(name="rail_profile", example="60E1")]  # name of the profile
+    inclination: Annotated[float, Served(name="rail_inclination_1", example=0.025)]  # tangent
+    gauge: Annotated[float, Served(name="nominal_gauge_mm", scale=MM, example=1435.0)]  # m, nominal
+    share: Annotated[float, Served("Share of the running on them.", "share_1", example=1.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class WheelPair:
 
 
 @dataclass(frozen=True, slots=True)
-class WheelContact:
+class WheelContact(FrozenArrays):
     """What profiles give: NaN, or an unknown conicity, where both wheels have no contact.
 
     The wheelset does not roll, as in EN 15302. On rails of several kinds the radii are the means over them, weighted
@@ -52,26 +52,19 @@ class WheelContact:
     """
 
     rails: tuple[RailShare, ...]
-    displacement: FloatArray  # (n,) m, uniform, positive to the left
-    radius_sum: FloatArray  # (n,) rL + rR, m
-    radius_difference: FloatArray  # (n,) rL - rR, m
-    radius_difference_std: FloatArray  # (n,) m
-    amplitude: FloatArray  # (k,) m
-    conicity: tuple[Estimate, ...]  # (k,)
+    displacement: Annotated[FloatArray, "n"]  # m, uniform, positive to the left
+    radius_sum: Annotated[FloatArray, "n"]  # rL + rR, m
+    radius_difference: Annotated[FloatArray, "n"]  # rL - rR, m
+    radius_difference_std: Annotated[FloatArray, "n"]  # m
+    amplitude: Annotated[FloatArray, "k"]  # m
+    conicity: Annotated[tuple[Estimate, ...], "k"]
     zero_crossing: float  # m; NaN where there is none
-
-    def __post_init__(self) -> None:
-        n = len(self.displacement)
-        for name in ("displacement", "radius_sum", "radius_difference", "radius_difference_std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (len(self.conicity),), name="amplitude"))
 
 
 def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact | Reason:
     """Return the contact geometry of two wheels on rails, or why there is none.
 
     Args:
-        wheels: Profiles, radius and their standard deviation.
         rails: Rails with the share of the running on each; shares need not add up to one.
     """
     if not rails:

@@ -3,17 +3,34 @@
 A chain over the places with 1/mu on a grid (a hidden Markov model, Rabiner 1989). From a place to the next one the
 logarithm of 1/mu changes with a std; some places have nothing in common with the one before, as leaf fall has a
 sharp end: they begin with what is known of rails beforehand.
+
+What the passes of a place have wrong in common: the std of 1/mu that no pass more makes smaller.
+
+All passes meet the same track: what its alignment, its gauge, its cross level and curves put into e is the same in all
+of them, and their scatter does not show it. It is in what is left of e, though: were all of that common to the passes,
+a place would be known as one pass alone would know it. How much of it is common the places show themselves. Creep
+cannot be less than linear: a place that seems to say so is wrong by that much at least.
+
+By how much the linear creep of vehicles differs from that of their class, from the level of their creep.
+
+The level of a place is what e shows in proportion to q, whatever its shape. Half of the places of a section, at least,
+are rails as rails are: over the places of a vehicle the median of what exceeds the creep of usual rails is its b, as
+far as b is likely at all. The shape of e over q says nothing of b here: what alignment, curves, cross level and contact
+jumps put into e has a shape, too, and quiet sensors would make it sure that a b of that shape, and rails of a tenth of
+their friction, are there.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from estimation.adhesion.pass_sums import PassSums
 from estimation.values.adhesion import INVERSE
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 
 POINTS = 160
 GRID = frozen_array(np.geomspace(1.0, INVERSE[-1], POINTS), (POINTS,), name="GRID")
@@ -24,15 +41,11 @@ LEAST_LIKELIHOOD = 1e-12  # of the largest: no place makes another one impossibl
 
 
 @dataclass(frozen=True, slots=True)
-class Along:
+class Along(FrozenArrays):
     """1/mu of c places."""
 
-    mean: FloatArray  # (c,)
-    std: FloatArray  # (c,)
-
-    def __post_init__(self) -> None:
-        for name in ("mean", "std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.mean),), name=name))
+    mean: Annotated[FloatArray, "n"]
+    std: Annotated[FloatArray, "n"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +65,6 @@ def along_track(cells: IntArray, misfits: FloatArray, place_std: FloatArray, par
         cells: (c,) numbers of the places, rising; the chain begins again behind a gap.
         misfits: (c, k) twice the negative logarithm of the likelihood at each of ``INVERSE``, but for a constant.
         place_std: (c,) error of 1/mu of each place that all its passes share.
-        parameters: What is known beforehand.
     """
     width = np.gradient(GRID)
     prior = np.exp(-0.5 * ((GRID - parameters.usual) / parameters.usual_std) ** 2) * width
@@ -94,3 +106,104 @@ def _spread(std: float, width: FloatArray) -> FloatArray:
 
 def _normal(values: FloatArray) -> FloatArray:
     return np.asarray(values / values.sum())
+
+
+BEST = 2.0  # 1/mu of the best rails: what places show below is error
+LOWEST = 0.1  # share of the places that may be below by their errors alone
+BELOW = 1.2816  # stds from the mean to that quantile
+LEAST_COMMON = 0.4  # std of what is common over all that is left: no section shows less
+PLACES_BEFORE = 20.0  # that are worth as much as the expectation that all of it is common
+TINY = np.finfo(float).tiny
+
+
+def common_std(sums: PassSums, inverse: FloatArray, creep: FloatArray, slope: FloatArray, usual: float) -> FloatArray:
+    """Return the std of 1/mu (c,) that what all passes of a place have in common leaves.
+
+    Args:
+        inverse: (c,) 1/mu of the places.
+        creep: (v,) b of the vehicles.
+        slope: (w,) a of the wheelsets.
+        usual: 1/mu about which creep is taken to be in proportion to it.
+    """
+    b, a = creep[sums.vehicle], slope[sums.wheelset]
+    _, gg, gq, _ = sums.at(np.full(len(sums.cells), usual))
+    samples, left = sums.by_place(sums.samples), sums.by_place(_left(sums, inverse, b, a))
+    variance = np.maximum(left / samples, left.sum() / samples.sum())
+    one_pass = usual * np.sqrt(np.maximum(variance, 0.0) * sums.counts / (sums.by_place(gg) + TINY))
+    level = sums.by_place(sums.squares[:, 1] - b * sums.squares[:, 2] - a * sums.squares[:, 4])
+    by_level = usual * level / (sums.by_place(gq) + TINY)
+    return np.asarray(_common_share((by_level - BEST) / (one_pass + TINY)) * one_pass)
+
+
+def _common_share(beyond: FloatArray) -> float:
+    """Return the std of what is common, in parts of what one pass leaves, from where places (c,) seem to be."""
+    shown = max(-float(np.quantile(beyond, LOWEST)) / BELOW, LEAST_COMMON)
+    places = len(beyond)
+    return float(np.sqrt((places * shown**2 + PLACES_BEFORE) / (places + PLACES_BEFORE)))
+
+
+def _left(sums: PassSums, inverse: FloatArray, b: FloatArray, a: FloatArray) -> FloatArray:
+    """Return the sum of squares (n,) of what is left of e; ``b`` and ``a`` (n,) are those of each entry."""
+    ee, eq, qq, ex, qx, xx = sums.squares.T
+    ge, gg, gq, gx = sums.at(inverse)
+    linear = b * (b * qq - 2.0 * eq + 2.0 * gq) + a * (a * xx - 2.0 * ex + 2.0 * gx) + 2.0 * a * b * qx
+    return np.asarray(np.maximum(ee + gg - 2.0 * ge + linear, 0.0))
+
+
+MEDIAN_ERROR = 1.2533  # std of a median over that of a mean
+ROBUST = 1.4826  # std over median absolute deviation
+
+
+@dataclass(frozen=True, slots=True)
+class RailsBefore:
+    """What is known beforehand of b and of the rails of a section."""
+
+    usual: float  # 1/mu of half of the places
+    level_std: float  # of it
+    creep_error_std: float  # of b
+
+
+@dataclass(frozen=True, slots=True)
+class CreepLevels(FrozenArrays):
+    """b of v vehicles, and the std that what all share leaves to it."""
+
+    creep: Annotated[FloatArray, "n"]
+    std: float
+
+
+def creep_levels(sums: PassSums, slope: FloatArray, slippery: BoolArray, before: RailsBefore) -> CreepLevels:
+    """Return b of the vehicles.
+
+    Args:
+        slope: (w,) a of the wheelsets.
+        slippery: (c,) places that are no usual rails; a vehicle that has met them for the most part is held against all
+            of its.
+    """
+    usual = sums.at(np.full(len(sums.cells), before.usual))[2]
+    entry = sums.vehicle * len(sums.cells) + sums.place
+    left = sums.squares[:, 1] - slope[sums.wheelset] * sums.squares[:, 4] - usual
+    passed, index = np.unique(entry, return_inverse=True)
+    square = _summed(sums.squares[:, 2], index, len(passed)) + TINY
+    exceeds, expected = _summed(left, index, len(passed)) / square, _summed(usual, index, len(passed)) / square
+    vehicle = passed // len(sums.cells)
+    by_rails = before.level_std * float(np.median(expected)) / before.usual
+    usual_rails = ~slippery[passed % len(sums.cells)]
+    found = []
+    for one in range(len(sums.vehicles)):
+        of_vehicle = vehicle == one
+        chosen = of_vehicle & usual_rails
+        chosen = chosen if 2 * chosen.sum() >= of_vehicle.sum() else of_vehicle
+        found.append(_shrunk(exceeds[chosen], by_rails, before.creep_error_std))
+    return CreepLevels(np.array(found), float(1.0 / np.sqrt(before.creep_error_std**-2 + by_rails**-2)))
+
+
+def _shrunk(exceeds: FloatArray, by_rails: float, likely: float) -> float:
+    """Return the median of what places (p,) exceed the usual by, as far as a b of std ``likely`` is its cause."""
+    middle = float(np.median(exceeds))
+    spread = ROBUST * float(np.median(np.abs(exceeds - middle)))
+    sampled = MEDIAN_ERROR * spread / np.sqrt(len(exceeds))
+    return float(middle * likely**2 / (likely**2 + by_rails**2 + sampled**2))
+
+
+def _summed(values: FloatArray, index: IntArray, count: int) -> FloatArray:
+    return np.asarray(np.bincount(index, weights=values, minlength=count), np.float64)

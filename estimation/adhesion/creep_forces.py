@@ -14,22 +14,98 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 import scipy.signal
 
-from estimation.adhesion import smoother_kernels as kernels
-from estimation.adhesion.gear_equations import AXLE
 from estimation.adhesion.gear_segments import ROLL, GearSegment, GearSegments, gear_segments
-from estimation.adhesion.stationary_filter import FilterParameters, StationaryFilter, stationary_filter
+from estimation.adhesion.stationary_filter import AXLE, FilterParameters, StationaryFilter, stationary_filter
+from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment
 from estimation.motion.parameters import SignalParameters
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import VehicleClass
+
+
+@compiled(nogil=True)
+def filter_forward(
+    transition: FloatArray,
+    measured: FloatArray,
+    gain: FloatArray,
+    measurements: FloatArray,
+    known: BoolArray,
+    varying: IntArray,
+    excess: FloatArray,
+    predicted: FloatArray,
+    filtered: FloatArray,
+    innovations: FloatArray,
+) -> None:
+    """Write states before (s, n) and after (s, n) each sample, and innovations (s, m); begin at zero.
+
+    Args:
+        transition, measured, gain: (n, n), (n, m) and (m, n): columns of the matrices of the filter.
+        measurements: (s, m).
+        known: (s,) samples that were measured; over the others the state runs on, and the innovation is zero.
+        varying: (a,) states by which the last a measurements vary from sample to sample.
+        excess: (s,) what is added to their rows there, of a scaled state.
+        predicted, filtered, innovations: Written: (s, n), (s, n) and (s, m).
+    """
+    samples, n = predicted.shape
+    first = measurements.shape[1] - len(varying)
+    state, correction = np.zeros(n), np.zeros(n)
+    for i in range(samples):
+        predicted[i] = state
+        filtered[i] = state
+        innovations[i] = 0.0
+        if known[i]:
+            add_product(measured, state, innovations[i])
+            for j in range(measurements.shape[1]):
+                innovations[i, j] = measurements[i, j] - innovations[i, j]
+            for a in range(len(varying)):
+                innovations[i, first + a] -= excess[i] * state[varying[a]]
+            correction[:] = 0.0
+            add_product(gain, innovations[i], correction)
+            for k in range(n):
+                filtered[i, k] += correction[k]
+        state[:] = 0.0
+        add_product(transition, filtered[i], state)
+
+
+@compiled(nogil=True)
+def add_product(columns: FloatArray, vector: FloatArray, product: FloatArray) -> None:
+    """Add the product (n,) of a matrix and a vector (m,); every sum goes in the order of its terms.
+
+    Args:
+        columns: (m, n) columns of the matrix: n sums are formed side by side.
+        vector: (m,).
+        product: (n,) changed.
+    """
+    for j in range(len(vector)):
+        for k in range(len(product)):
+            product[k] += columns[j, k] * vector[j]
+
+
+@compiled(nogil=True)
+def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -> None:
+    """Change filtered states (s, n) to what all samples together give.
+
+    Args:
+        back: (n, n) columns of the matrix of the smoother.
+        predicted: (s, n) states before each sample.
+        filtered: (s, n) states after each sample; changed.
+    """
+    samples, n = filtered.shape
+    gained = np.zeros(n)
+    for i in range(samples - 2, -1, -1):
+        for k in range(n):
+            gained[k] = filtered[i + 1, k] - predicted[i + 1, k]
+        add_product(back, gained, filtered[i])
+
 
 BAND_HZ = 12.0
 """End of the band that is kept."""
@@ -46,8 +122,6 @@ def without_vibration(
 
     Args:
         accelerations: (k, n) without means, 0 where not known; m/s2 and rad/s2.
-        known: (n,) samples that were measured.
-        sample_interval_s: Between samples, s.
     """
     rate = 1.0 / sample_interval_s
     weights = scipy.signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)
@@ -70,22 +144,16 @@ class ForceParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class ContactForces:
+class ContactForces(FrozenArrays):
     """What acts on one wheelset at the samples of a window, in the axes of its sensors; NaN where not known."""
 
-    contact: FloatArray  # (n,) N, lateral, creep and gravitational stiffness
-    moment: FloatArray  # (n,) N m, of the creep forces
-    yaw_rate: FloatArray  # (n,) rad/s
-    roll: FloatArray  # (n,) rad
-    known: BoolArray  # (n,) samples that were measured
+    contact: Annotated[FloatArray, "n"]  # N, lateral, creep and gravitational stiffness
+    moment: Annotated[FloatArray, "n"]  # N m, of the creep forces
+    yaw_rate: Annotated[FloatArray, "n"]  # rad/s
+    roll: Annotated[FloatArray, "n"]  # rad
+    known: Annotated[BoolArray, "n"]  # samples that were measured
     innovation: float  # largest mean square of a channel's innovations over what was expected
     smoothed: bool = False  # without vibration of the axle boxes, and what is as fast
-
-    def __post_init__(self) -> None:
-        n = len(self.known)
-        for name in ("contact", "moment", "yaw_rate", "roll"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "known", frozen_array(self.known, (n,), np.bool_, name="known"))
 
 
 def contact_forces(
@@ -95,9 +163,6 @@ def contact_forces(
 
     Args:
         windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
-
-    Raises:
-        ValueError: The windows are not those of a running gear of the class.
     """
     segments = gear_segments(windows, vehicle_class, signals)
     return segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, parameters)
@@ -175,7 +240,7 @@ def smoothed_states(
         frozen_array(matrix.T, matrix.T.shape, name="columns")
         for matrix in (made.transition, made.measured, made.gain, made.back)
     )
-    kernels.filter_forward(
+    filter_forward(
         transition,
         measured,
         gain,
@@ -187,7 +252,7 @@ def smoothed_states(
         filtered,
         innovations,
     )
-    kernels.smooth_back(back, predicted, filtered)
+    smooth_back(back, predicted, filtered)
     return filtered * made.scale, innovations
 
 

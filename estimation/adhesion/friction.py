@@ -7,6 +7,12 @@ moment, and measured against usual rails (``creep_levels``). What no b explains 
 grows with the force. Of a place 1/mu is known beforehand as ``usual`` with a wide std. With a and b known, what the
 passes say of each place, and what all of them have wrong (``place_errors``), is put together along the track
 (``along_track``).
+
+Whether a section is slippery for the most part, or all its vehicles creep by more than their class.
+
+The level of creep is the same for both. More creep than two stds of what a class leaves open is unlikely for all
+vehicles alike; then the shape decides: an error of linear creep leaves squares that no friction takes up, slippery
+rails leave none of them.
 """
 
 from __future__ import annotations
@@ -18,18 +24,53 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from estimation.adhesion.along_track import Along, AlongParameters, along_track
-from estimation.adhesion.creep_levels import CreepLevels, RailsBefore, creep_levels
+from estimation.adhesion.along_track import (
+    Along,
+    AlongParameters,
+    CreepLevels,
+    RailsBefore,
+    along_track,
+    common_std,
+    creep_levels,
+)
 from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.pass_sums import PassSums, pass_sums
-from estimation.adhesion.place_errors import common_std
 from estimation.adhesion.scales import Agreed, contradicting
-from estimation.adhesion.slippery_section import slippery_throughout
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.arrays import FloatArray
-from estimation.values.intervals import NORMAL_95
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+
+MOST_CREEP = 2.0  # stds of b that all vehicles have in common, from which the shape is asked
+LEAST_SUPPORT = 0.8  # of the squares that an error of linear creep would leave, to be taken for one
+
+
+def slippery_throughout(sums: PassSums, creep: FloatArray, slope: FloatArray, creep_error_std: float) -> bool:
+    """Return whether it is the rails that make the creep of all vehicles large.
+
+    Args:
+        creep: (v,) b of the vehicles against usual rails.
+        slope: (w,) a of the wheelsets.
+    """
+    common = float(np.mean(creep))
+    if common < MOST_CREEP * creep_error_std:
+        return False
+    by_rails, by_creep = (_left(sums, b, slope) for b in (creep - common, creep))
+    gg, gq = sums.saturated[:, 1], sums.saturated[:, 2]
+    square = common**2 * float(sums.squares[:, 2].sum())
+    error_alone = square + float(sums.by_place(gg - 2.0 * common * gq).min(axis=1).sum())
+    return by_rails - by_creep < LEAST_SUPPORT * error_alone
+
+
+def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
+    """Return the squares of e that are left where each place has the friction that fits it best, but for a constant."""
+    b, a = creep[sums.vehicle], slope[sums.wheelset]
+    _, eq, qq, _, qx, _ = sums.squares.T
+    ge, gg, gq, gx = (sums.saturated[:, row] for row in range(4))
+    linear = b * (b * qq - 2.0 * eq + 2.0 * a * qx)
+    saturated = gg - 2.0 * ge + 2.0 * b[:, None] * gq + 2.0 * a[:, None] * gx
+    return float(linear.sum() + sums.by_place(saturated).min(axis=1).sum())
+
 
 LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of a place
 TINY = np.finfo(float).tiny
@@ -69,8 +110,6 @@ def section_adhesion(
     """Return the friction along a section and where it is low; None where no pass says anything.
 
     Args:
-        passes: Of it, over the time that is pooled, in any order.
-        parameters: Limits and what is known beforehand.
         length: Of the section, m; what was measured before its begin and behind its end belongs to no place of it.
     """
     known = [one for one in passes if one.sums is not None and len(one.sums.cells)]
@@ -97,7 +136,6 @@ def pooled_friction(
     """Return the friction of every place that passes have met, in order of distance, and whose passes are left out.
 
     Args:
-        passes: Of one section over the time that is pooled, in any order; those without sums say nothing.
         parameters: Limits and what is known beforehand.
     """
     left_out: list[LeftOut] = []

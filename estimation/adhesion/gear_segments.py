@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.usable_samples import moving_samples
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.equations_of_motion import GRAVITY
@@ -39,16 +40,13 @@ class GearSegment:
 
 
 @dataclass(frozen=True, slots=True)
-class GearSegments:
+class GearSegments(FrozenArrays):
     """All segments of the windows of a running gear."""
 
     segments: tuple[GearSegment, ...]
-    usable: BoolArray  # (n,) samples of the windows
+    usable: Annotated[BoolArray, None]  # samples of the windows
     sample_interval_s: float
     axles: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "usable", frozen_array(self.usable, (None,), np.bool_, name="usable"))
 
 
 def gear_segments(
@@ -58,9 +56,6 @@ def gear_segments(
 
     Args:
         windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
-
-    Raises:
-        ValueError: The windows are not those of a running gear of the class.
     """
     axles = 1 if vehicle_class.bogie is None else AXLES_OF_A_BOGIE
     if len(windows) != axles or len({(one.start_ns, len(one.valid)) for one in windows}) != 1:

@@ -11,16 +11,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, worn
 from estimation.contact.worn_family import WHEELS
 from estimation.errors import ContactError, ProfileError
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackSectionRecord
 
@@ -33,17 +33,13 @@ KEPT = 64
 
 
 @dataclass(frozen=True, slots=True)
-class ContactAngles:
+class ContactAngles(FrozenArrays):
     """Contact angles over R of one wheelset on one rail; linear between."""
 
-    difference: FloatArray  # (n,) rL - rR, m, increasing
-    angle_difference: FloatArray  # (n,) dL - dR, rad
-    angle_sum: FloatArray  # (n,) dL + dR, rad
+    difference: Annotated[FloatArray, "n"]  # rL - rR, m, increasing
+    angle_difference: Annotated[FloatArray, "n"]  # dL - dR, rad
+    angle_sum: Annotated[FloatArray, "n"]  # dL + dR, rad
     misfit: float  # m, rms of rL - rR against the estimate
-
-    def __post_init__(self) -> None:
-        for name in ("difference", "angle_difference", "angle_sum"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.difference),), name=name))
 
     def difference_at(self, difference: FloatArray) -> FloatArray:
         """Return dL - dR (n,), rad, at rL - rR (n,), m; beyond the table its last values.

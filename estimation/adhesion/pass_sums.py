@@ -4,37 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from estimation.values.adhesion import INVERSE, WindowAdhesion
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 
 
 @dataclass(frozen=True, slots=True)
-class PassSums:
+class PassSums(FrozenArrays):
     """n entries at c places, of v vehicles and w wheelsets."""
 
-    samples: FloatArray  # (n,) as in ``FrictionSums``
-    squares: FloatArray  # (n, 6)
-    saturated: FloatArray  # (n, 4, k)
-    place: IntArray  # (n,) index of the place, rising
-    vehicle: IntArray  # (n,) index
-    wheelset: IntArray  # (n,) index
-    smoothed: FloatArray  # (n,) 1 where vibration was taken out of the forces, else 0
-    cells: IntArray  # (c,) numbers of the places
+    samples: Annotated[FloatArray, "n"]  # as in ``FrictionSums``
+    squares: Annotated[FloatArray, "n", 6]
+    saturated: Annotated[FloatArray, "n", 4, len(INVERSE)]
+    place: Annotated[IntArray, "n"]  # index of the place, rising
+    vehicle: Annotated[IntArray, "n"]  # index
+    wheelset: Annotated[IntArray, "n"]  # index
+    smoothed: Annotated[FloatArray, "n"]  # 1 where vibration was taken out of the forces, else 0
+    cells: Annotated[IntArray, "k"]  # numbers of the places
     vehicles: tuple[str, ...]  # (v,) codes
     wheelsets: tuple[str, ...]  # (w,) serials
-
-    def __post_init__(self) -> None:
-        n = len(self.place)
-        object.__setattr__(self, "squares", frozen_array(self.squares, (n, 6), name="squares"))
-        object.__setattr__(self, "saturated", frozen_array(self.saturated, (n, 4, len(INVERSE)), name="saturated"))
-        object.__setattr__(self, "samples", frozen_array(self.samples, (n,), name="samples"))
-        object.__setattr__(self, "smoothed", frozen_array(self.smoothed, (n,), name="smoothed"))
-        for name in ("place", "vehicle", "wheelset"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), np.int64, name=name))
-        object.__setattr__(self, "cells", frozen_array(self.cells, (len(self.cells),), np.int64, name="cells"))
 
     @property
     def counts(self) -> IntArray:

@@ -9,13 +9,14 @@ that differs by more than its class states is left out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.pass_sums import PassSums
 from estimation.values.adhesion import LeftOut
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 
 GRID = frozen_array(np.linspace(-1.8, 1.8, 73), (73,), name="GRID")
@@ -30,17 +31,11 @@ TINY = np.finfo(float).tiny
 
 
 @dataclass(frozen=True, slots=True)
-class Scales:
+class Scales(FrozenArrays):
     """Logarithms of the scales of 1/mu of g groups of passes."""
 
-    logarithm: FloatArray  # (g,)
-    misfits: FloatArray  # (s, g) sum of squares at each of ``GRID`` over the noise, but for a constant
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "logarithm", frozen_array(self.logarithm, (len(self.logarithm),), name="logarithm"))
-        object.__setattr__(
-            self, "misfits", frozen_array(self.misfits, (len(GRID), len(self.logarithm)), name="misfits")
-        )
+    logarithm: Annotated[FloatArray, "n"]
+    misfits: Annotated[FloatArray, len(GRID), "n"]  # sums of squares at ``GRID`` over the noise, but for a constant
 
     def std_from(self, other: FloatArray) -> FloatArray:
         """Return the std (g,) of the difference from other logarithms that the misfit there says; infinite for none.

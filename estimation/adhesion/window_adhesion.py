@@ -1,9 +1,18 @@
-"""Creep forces of a wheelset over one window, with std and status, and its sums of friction."""
+"""Creep forces of a wheelset over one window, with std and status, and its sums of friction.
+
+By how much creepage exceeds the linear one at a force, of every sample at every friction, compiled.
+
+The law is that of Vermeulen and Johnson (1964), solved for the creepage. With t = T/(mu N), T the resultant creep force
+of a wheel and N its normal force, t = 1 - (1 - u/3)^3 gives the linear force that would act at the same creepage,
+u mu N = 3 (1 - (1 - t)^(1/3)) mu N. To first order it exceeds T by t/3 of it.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cache
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -11,20 +20,85 @@ import numpy.typing as npt
 from estimation.adhesion.creep_forces import ContactForces
 from estimation.adhesion.file_errors import ForceErrors
 from estimation.adhesion.gravity import ContactAngles, contact_angles
-from estimation.adhesion.saturation_kernels import add_saturated, excess_table
+from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.parameters import WindowParameters
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array, runs
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
-from estimation.values.intervals import with_interval
-from estimation.values.motion import Motion
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackSectionRecord
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import VehicleClass
+
+SHARE_ROUNDS = 3  # of spin and saturation, each of which decides on the other
+MOST_UTILISATION = 0.98  # near 1 the creepage is beyond all bounds
+LEAST_UTILISATION = 1e-6
+STEPS = 4096  # of the table of excesses
+
+
+@cache
+def excess_table() -> FloatArray:
+    """Return linear over true creep force of a wheel less 1 at T/(mu N) from 0 to 0.98 in equal steps, (4097,).
+
+    It is 0 without slip. Between the points it is taken as linear, which misses it by less than 1e-5.
+    """
+    t = np.maximum(np.linspace(0.0, MOST_UTILISATION, STEPS + 1), LEAST_UTILISATION)
+    return frozen_array(3.0 * (1.0 - np.cbrt(1.0 - t)) / t - 1.0, (STEPS + 1,), name="excess")
+
+
+@compiled(nogil=True)
+def excess_at(table: FloatArray, utilisation: float) -> float:
+    """Return linear over true creep force of a wheel less 1.
+
+    Args:
+        table: (4097,) of :func:`excess_table`.
+        utilisation: T/(mu N), not negative; of more than 0.98 the excess at 0.98.
+    """
+    at = min(utilisation / MOST_UTILISATION, 1.0) * STEPS
+    below = min(int(at), STEPS - 1)
+    return float(table[below] + (at - below) * (table[below + 1] - table[below]))
+
+
+@compiled(nogil=True)
+def add_saturated(
+    table: FloatArray,
+    signals: FloatArray,
+    forces: FloatArray,
+    place: IntArray,
+    bounds: FloatArray,
+    saturated: FloatArray,
+) -> None:
+    """Add the sums of g e, g g, g q and g x, g = q times the mean excess of both wheels, to each place and friction.
+
+    Args:
+        table: (4097,) of :func:`excess_table`.
+        signals: (3, n) e, q and x.
+        forces: (3, n) of a wheel: longitudinal and lateral creep force without spin, and the linear lateral force of
+            spin, which is the other way round on the right wheel.
+        place: (n,) index of the place.
+        bounds: (k,) mu N.
+        saturated: (c, 4, k) changed.
+    """
+    for i in range(len(place)):
+        e, q, x = signals[0, i], signals[1, i], signals[2, i]
+        along, lateral, spin = forces[0, i], forces[1, i], forces[2, i]
+        sums = saturated[place[i]]
+        for k in range(len(bounds)):
+            excess = 0.0
+            for _ in range(SHARE_ROUNDS):
+                own = spin / (1.0 + excess)
+                left = math.sqrt(along * along + (lateral + own) * (lateral + own))
+                right = math.sqrt(along * along + (lateral - own) * (lateral - own))
+                excess = 0.5 * (excess_at(table, left / bounds[k]) + excess_at(table, right / bounds[k]))
+            g = q * excess
+            sums[0, k] += g * e
+            sums[1, k] += g * g
+            sums[2, k] += g * q
+            sums[3, k] += g * x
+
 
 SUMMED_S = 0.012  # between samples that are summed: creep changes within some 20 ms
 FEWEST_S = 0.4  # of a place
@@ -33,21 +107,15 @@ TRIMMED_S = 1.0  # at each of its ends
 
 
 @dataclass(frozen=True, slots=True)
-class CreepSignals:
+class CreepSignals(FrozenArrays):
     """Creep of one wheelset over one window in the band of its motion, in its own axes; NaN where not known."""
 
-    lateral: FloatArray  # (n,) N, creep force of both wheels; NaN all over without an angle difference
-    contact: FloatArray  # (n,) N, with gravitational stiffness
-    moment: FloatArray  # (n,) N m
-    linear_difference: FloatArray  # (n,) R by linear creep, m
-    spin: FloatArray  # (n,) N, lateral force of a wheel by the spin of its inclined contact, the other's reversed
-    valid: BoolArray  # (n,)
-
-    def __post_init__(self) -> None:
-        n = len(self.valid)
-        for name in ("lateral", "contact", "moment", "linear_difference", "spin"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
+    lateral: Annotated[FloatArray, "n"]  # N, creep force of both wheels; NaN all over without an angle difference
+    contact: Annotated[FloatArray, "n"]  # N, with gravitational stiffness
+    moment: Annotated[FloatArray, "n"]  # N m
+    linear_difference: Annotated[FloatArray, "n"]  # R by linear creep, m
+    spin: Annotated[FloatArray, "n"]  # N, lateral, of a wheel by the spin of its inclined contact, the other's reversed
+    valid: Annotated[BoolArray, "n"]
 
     def resultants(self, half_contact_distance: float, share: float | FloatArray = 1.0) -> FloatArray:
         """Return the resultant creep force of left and right wheel (2, n), N.
@@ -75,9 +143,7 @@ def creep_signals(
     """Return the creep of a wheelset, high-passed as its motion is.
 
     Args:
-        forces: (n,) of the window, in the axes of the sensors.
         motion: (n,) of the same window.
-        sample_interval_s: Between samples, s.
         cutoff_wavelength: Of the high-pass of the motion, m.
         angles: dL - dR of the wheelset; None where it is not known.
         mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
@@ -118,10 +184,8 @@ def friction_sums(
 
     Args:
         signals: (n,) creep.
-        motion: (n,) of the same window.
         distance: (n,) m along the section.
         curve: (b,) centres of bins of y - d, m, and (b,) rL - rR there, m, NaN where it is not known.
-        sample_interval_s: Between samples, s.
     """
     p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
     difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
@@ -149,9 +213,8 @@ def _summed(values: FloatArray, index: npt.NDArray[np.intp], count: int) -> Floa
 def _on_curve(displacement: FloatArray, centres: FloatArray, values: FloatArray) -> FloatArray:
     """Return the curve (n,) at displacements (n,), NaN outside and where one of both neighbours is not known."""
     width = centres[1] - centres[0]
-    with np.errstate(invalid="ignore"):
-        place = (displacement - centres[0]) / width
-        inside = (place >= 0.0) & (place < len(centres) - 1)
+    place = (displacement - centres[0]) / width
+    inside = (place >= 0.0) & (place < len(centres) - 1)
     cell = np.where(inside, place, 0.0).astype(np.int64)
     part = np.where(inside, place, np.nan) - cell
     return np.asarray((1.0 - part) * values[cell] + part * values[cell + 1])
@@ -183,7 +246,6 @@ def window_adhesion(
 
     Args:
         forces: On its wheelset, or why they are not known.
-        motion: Of the window relative to the track, or why it is not known.
     """
     of_window = (window.wheelset, window.start_ns, window.vehicle, window.track_section, content_digest)
     if isinstance(forces, Reason):

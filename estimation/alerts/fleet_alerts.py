@@ -8,17 +8,33 @@ and every event carries it. Its times are those of its members, thus of the data
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 from estimation.alerts.life_cycle import DELAYS, SEVERITY_RANK, updated, without_stale_acknowledgement
 from estimation.alerts.rules.book import AlarmFloodRule, RuleBook
+from estimation.alerts.rules.evidence import Evidence
 from estimation.errors import InputError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Transition
 from estimation.values.json_value import JsonValue
+from estimation.values.served import Served
 
 HOUR_NS = 3_600_000_000_000
 MOST_NAMED = 5  # wheelsets in the evidence
-MEMBER_COUNT, OPEN_MEMBER_COUNT, WHEELSETS = "member_count", "open_member_count", "wheelsets"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetAlertEvidence(Evidence):
+    """Evidence of a fleet alert of any kind: how many alerts it stands for. They themselves are under `members`."""
+
+    more_than: Annotated[int, Served("How many alerts a flood has more than.")]
+    within_hours: Annotated[float, Served("Span of opening times that counts as a flood.")]
+    member_count: Annotated[int, Served("How many alerts it stands for, open and closed.")] = 0
+    open_member_count: Annotated[int, Served("How many of them are open.")] = 0
+    wheelsets: Annotated[
+        tuple[str, ...],
+        Served(f"At most {MOST_NAMED} wheelsets of its members, open ones first, then the most severe."),
+    ] = ()
 
 
 def in_flood(opened_ns: Sequence[int], rule: AlarmFloodRule) -> list[bool]:
@@ -72,9 +88,9 @@ def opened(fleet: str, kind: str, members: Sequence[Alert], book: RuleBook) -> A
         occurrence_count=len(members),
         probability=None,
         evidence={
-            "more_than": book.alarm_flood.more_than,
-            "within_hours": book.alarm_flood.within_hours,
-            **_counted([]),
+            **FleetAlertEvidence(
+                more_than=book.alarm_flood.more_than, within_hours=book.alarm_flood.within_hours
+            ).stored(),
             DELAYS: {"acknowledgement_days": book.delays_of(kind).acknowledgement_days},
         },
         action=worst.action,
@@ -133,7 +149,7 @@ def _counted(members: Sequence[Alert]) -> dict[str, JsonValue]:
         key=lambda one: (one.closed_ns is not None, -SEVERITY_RANK[one.severity], one.opened_ns, one.wheelset or ""),
     )
     return {
-        MEMBER_COUNT: len(members),
-        OPEN_MEMBER_COUNT: sum(member.closed_ns is None for member in members),
-        WHEELSETS: [member.wheelset for member in ordered[:MOST_NAMED]],
+        "member_count": len(members),
+        "open_member_count": sum(member.closed_ns is None for member in members),
+        "wheelsets": [member.wheelset for member in ordered[:MOST_NAMED]],
     }

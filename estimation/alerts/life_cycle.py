@@ -15,18 +15,37 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
 from estimation.values.json_value import JsonValue
+from estimation.values.served import Served
 
 DELAYS = "delays"
 RUN_FROM = "run_from_km"  # among them: mileage of the first of the findings on end that are counted
 DAY_NS = 86_400_000_000_000
 PROBABILITY_BANDS = (0.05, 0.5, 0.8, 0.95, 0.99)
 SEVERITY_RANK = {severity: rank for rank, severity in enumerate(Severity)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Delays:
+    """The delays of the rule as they were when the alert was raised, and how far they have been counted."""
+
+    on_evaluations: Annotated[int, Served("Evaluations on end before it is raised.")]
+    off_evaluations: Annotated[int, Served("Evaluations on end before it is cleared.")]
+    on_delay_km: Annotated[
+        float | None, Served("Distance of findings on end before it is raised; null where evaluations are counted.")
+    ]
+    off_delay_km: Annotated[
+        float | None, Served("Distance of findings on end before it is cleared; null where evaluations are counted.")
+    ]
+    acknowledgement_days: Annotated[float, Served("After which an acknowledgement ends by itself.")]
+    clear_seen: Annotated[int, Served("Evaluations on end beyond the clear limit so far.")]
+    counted_ns: Annotated[int, Served("Time of the newest data that were counted.")]
 
 
 def transition(
@@ -78,7 +97,7 @@ def _opened(finding: Finding, fleet: str, delays: AlertDelays) -> Transition:
         "counted_ns": finding.measured_ns,
     }
     if in_km or delays.off_delay_km > 0.0:
-        counters |= {"on_delay_km": delays.on_delay_km, "off_delay_km": delays.off_delay_km}
+        counters |= {"on_delay_km": delays.on_delay_km or None, "off_delay_km": delays.off_delay_km or None}
         counters[RUN_FROM] = finding.mileage_km
     alert = Alert(
         alert_id=0,

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.values.interval_conicities import KnownConicity
-from estimation.values.step_causes import StepCause, StepExplanation
-from estimation.values.trend import TrendStep
+from estimation.values.geometry import KnownConicity
+from estimation.values.trend import StepCause, StepExplanation, TrendStep
 
 USUAL = {
     StepCause.TURNED: 0.4,

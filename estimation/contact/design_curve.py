@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -18,10 +19,9 @@ from scipy.spatial import cKDTree
 
 from estimation.contact.en13715 import HEIGHTS, THICKNESSES
 from estimation.contact.profiles import ProfileKind, rail_profile, wheel_profile
-from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import Segment
-from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 
 FARTHEST = 0.3  # mm, median distance of the points, beyond which no design is tried
 SIGNIFICANT = 5.0  # standard deviations of a mean distance that noise does not explain
@@ -43,20 +43,15 @@ _Movement = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class DesignCurve:
+class DesignCurve(FrozenArrays):
     """A design profile over its arc, in the axes of the points; mm."""
 
     name: str
-    arc: FloatArray  # (m,) mm
-    points: FloatArray  # (m, 2) mm
-    tangent: FloatArray  # (m, 2) of length 1
+    arc: Annotated[FloatArray, "m"]  # mm
+    points: Annotated[FloatArray, "m", 2]  # mm
+    tangent: Annotated[FloatArray, "m", 2]  # of length 1
     inner: tuple[float, float]  # arc of what is or may be in contact, mm
     turn: float = 0.0  # rad, by which the points are turned against the design
-
-    def __post_init__(self) -> None:
-        m = len(self.arc)
-        for field, shape in (("arc", (m,)), ("points", (m, 2)), ("tangent", (m, 2))):
-            object.__setattr__(self, field, frozen_array(getattr(self, field), shape, name=field))
 
     def at(self, arc: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return points and derivatives (n, 2) at arc (n,), mm; beyond the ends straight on."""

@@ -10,18 +10,18 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from estimation.contact.en13715 import NAMES as EN13715_NAMES
 from estimation.contact.en13715 import en13715_wheel
-from estimation.contact.rail_definitions import RAIL_DEFINITIONS
 from estimation.contact.segments import Segment, sample
-from estimation.contact.wheel_definitions import WHEEL_DEFINITIONS
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.served import MM, Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +32,17 @@ class MeasuredProfiles:
     displacement at a given rolling radius difference which follows from them.
     """
 
-    wheelset: str
-    at_ns: int
-    mileage_km: float  # of the wheelset since new
+    wheelset: Annotated[str, Served(example="WS-0001")]
+    at_ns: Annotated[int, Served(name="measured_at")]
+    mileage_km: Annotated[float, Served(example=151200.0)]  # of the wheelset since new
     left: Profile
     right: Profile
-    std: float  # m
+    std: Annotated[
+        float,
+        Served(
+            "How well the lateral displacement at a rolling radius difference follows from them.", "std_mm", MM, 0.1
+        ),
+    ]
 
 
 ProfileKind = Literal["wheel", "rail"]

@@ -8,9 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.contact import kernels
-from estimation.contact.geometry import Setting, WheelsetOnTrack, search_contacts, search_setting
-from estimation.contact.table import ContactMethod, ContactTable
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.contact.geometry import (
+    ContactMethod,
+    ContactTable,
+    Setting,
+    WheelsetOnTrack,
+    search_contacts,
+    search_setting,
+)
+from estimation.values.arrays import FloatArray, IntArray, freeze, frozen_array
 
 _HOLD = 1.5 * kernels.CURVE_INTERVAL  # m, neighbours on both sides of a jump are no farther apart
 
@@ -27,6 +33,7 @@ class RadiusDifferenceCurve:
     jumps: FloatArray  # (k,) m, displacements at which a contact point of either side jumps
 
     def __post_init__(self) -> None:
+        freeze(self)
         for name, n in (("displacement", None), ("difference", len(self.displacement)), ("jumps", None)):
             object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
 

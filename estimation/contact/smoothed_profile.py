@@ -9,9 +9,32 @@ import numpy as np
 from estimation.contact.design_curve import DesignCurve, explains, nearest_design
 from estimation.contact.penalised_spline import DEGREE, PenalisedSpline, correlated_noise, fit_spline
 from estimation.contact.profiles import Profile, ProfileKind, profile_from_points
-from estimation.contact.thinning import thinned
 from estimation.errors import ProfileError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
+
+MOST_POINTS = 4000  # one in 0.05 mm of a wheel's arc: the spacing at which smoothed profiles are given
+
+
+def thinned(points: FloatArray) -> IntArray:
+    """Return the indices of at most `MOST_POINTS` points, evenly spaced along the arc; all where there are no more.
+
+    Points are chosen, not averaged: each keeps the noise of the instrument, its place in the file, and whether it is
+    an outlier. The arc is that of the running mean of the points, which noise lengthens little.
+
+    Args:
+        points: (n, 2) mm, in their order along the curve.
+    """
+    n = len(points)
+    if n <= MOST_POINTS:
+        return np.arange(n)
+    width = 2 * (n // MOST_POINTS) + 1
+    total = np.cumsum(np.pad(points, ((width, width - 1), (0, 0)), mode="edge"), axis=0)
+    mean = (total[width:] - total[:-width]) / width
+    arc = np.cumsum(np.hypot(*np.diff(mean, axis=0, prepend=mean[:1]).T))[-n:]
+    share = (arc - arc[0]) / max(float(arc[-1] - arc[0]), np.finfo(np.float64).tiny)
+    cell = np.minimum((share * MOST_POINTS).astype(np.int64), MOST_POINTS - 1)
+    return np.unique(cell, return_index=True)[1].astype(np.int64)
+
 
 EXACT_BELOW = 1e-4  # mm: points with less noise are taken as they are
 SAMPLING_STEP = 0.05  # mm of arc between the points of a smoothed profile
@@ -50,11 +73,7 @@ class SmoothedProfile:
 
 
 def exact(profile: Profile) -> SmoothedProfile:
-    """Return a profile whose shape is known, as one of a drawing.
-
-    Args:
-        profile: Of a wheel or a rail.
-    """
+    """Return a profile whose shape is known, as one of a drawing."""
     return SmoothedProfile(profile, 0.0)
 
 
@@ -65,7 +84,7 @@ def smoothed_profile(
 
     Points that are farther from the curve than 5 times the local noise are left out, one after another where they
     are alone. Points without noise (less than 0.1 um) are taken as they are. Of more points than
-    `estimation.contact.thinning.MOST_POINTS` so many are smoothed, evenly spaced along the arc.
+    `estimation.contact.smoothed_profile.MOST_POINTS` so many are smoothed, evenly spaced along the arc.
 
     Args:
         points: (n, 2) mm, y to the field side and z down, along the profile with y increasing on the whole.
@@ -127,9 +146,6 @@ def _on_design(
 
 def datum_at_zero(profile: Profile) -> Profile:
     """Return a wheel with z = 0 at its tread datum, and a rail as it is.
-
-    Args:
-        profile: Of a wheel or a rail.
 
     Raises:
         ProfileError: The wheel does not reach its tread datum.

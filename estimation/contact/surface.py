@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from estimation.contact.profiles import Profile
 from estimation.errors import ContactError
-from estimation.values.arrays import FloatArray, frozen_array, runs
+from estimation.values.arrays import FloatArray, FrozenArrays, runs
 
 GRID_STEP = 2e-5
 """Distance between grid points, m."""
@@ -28,18 +29,13 @@ _WALL = math.tan(math.radians(70.0))  # a gauge face at least this steep may be 
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class Surface(FrozenArrays):
     """A height over a lateral axis on a uniform grid; between grid points the cubic through heights and slopes."""
 
     start: float  # m
     step: float  # m
-    height: FloatArray  # (n,) m, down
-    slope: FloatArray  # (n,)
-
-    def __post_init__(self) -> None:
-        n = len(self.height)
-        object.__setattr__(self, "height", frozen_array(self.height, (n,), name="height"))
-        object.__setattr__(self, "slope", frozen_array(self.slope, (n,), name="slope"))
+    height: Annotated[FloatArray, "n"]  # m, down
+    slope: Annotated[FloatArray, "n"]
 
 
 def wheel_surface(wheel: Profile) -> Surface:

@@ -4,6 +4,22 @@ A new profile becomes a worn one by two steps. The tread loses ``depth * (1 - u^
 the centre of the hollow over its half width: twice continuously differentiable, so that wear adds no corner to the
 contact. The flange face is moved towards the flange back by ``flange_wear``, blended in over the root and out over the
 tip. Reprofiling needs no function: a reprofiled wheel has the new profile again.
+
+What a depot measures on a wheel: flange height Sh, thickness Sd and gradient qR, and the hollow of the tread.
+
+Sh, Sd and qR are those of EN 15313:2016 (and of profile gauges, which print them): with the tread datum 70 mm from the
+flange back, Sh is the height of the flange tip over the tread there, Sd the distance of the flange face from the flange
+back 10 mm beyond the tread, and qR the lateral distance of that point from the face 2 mm short of the tip. EN 15313
+leaves the hollow to the operator; here it is the depth of the tread below the highest point farther out, which is what
+a straight edge from the field side finds.
+
+Wear of a rail head: a band of the running surface that is worn away, smooth at both ends.
+
+The head loses ``depth * (1 - u^2)^3`` of height, u the distance from the middle of the band over its half width: the
+form of the hollow in a tread (``estimation.contact.wear``), twice continuously differentiable, so that wear adds no
+corner to the contact. A band towards the gauge side lets the contact of a wheel near its flange go down to the field
+side; one in the middle flattens the head. Where the band reaches over the gauge corner, the gauge face is worn too,
+because its steep surface is lowered.
 """
 
 from __future__ import annotations
@@ -11,12 +27,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.profiles import Profile
+from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
+from estimation.values.served import MM, Served
 
 DEEPEST_HOLLOW = 6e-3
 """Largest depth that the form is meant for, m."""
@@ -70,10 +88,7 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
     Raises:
         ParameterError: As `TreadWear`.
     """
-    centre, half_width = {
-        WearFamily.P8_ON_56E1: (3e-3, 44e-3),
-        WearFamily.S1002_ON_60E1: (4e-3, 33e-3),
-    }[family]
+    centre, half_width = {WearFamily.P8_ON_56E1: (3e-3, 44e-3), WearFamily.S1002_ON_60E1: (4e-3, 33e-3)}[family]
     return TreadWear(depth, centre, half_width, depth)
 
 
@@ -116,3 +131,128 @@ def _blend(y: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArr
 def _within(field: str, value: float, largest: float) -> None:
     if not 0.0 <= value <= largest:
         raise ParameterError(f"{value!r} m is outside 0 to {largest} m", field=field)
+
+
+_FACE_BELOW_TREAD = 10e-3  # m, where the flange thickness is measured
+_FACE_ABOVE_TIP = 2e-3  # m, upper point of the flange gradient
+_TREAD_FROM = -0.030  # m, field side of the flange root
+_RIM_MARGIN = 5e-3  # m, the outermost part belongs to the chamfer
+_FINE = 2e-5  # m
+
+
+@dataclass(frozen=True, slots=True)
+class WearMeasures:
+    """Wear measures of a wheel profile, m."""
+
+    flange_height: Annotated[
+        float,
+        Served(
+            "Sh: tip of the flange over the tread 70 mm from the flange back.",
+            "flange_height_mm",
+            MM,
+            28.0,
+            finite=False,
+        ),
+    ]
+    flange_thickness: Annotated[
+        float,
+        Served(
+            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", MM, 32.5, finite=False
+        ),
+    ]
+    flange_gradient: Annotated[
+        float,
+        Served(
+            "qR: lateral distance of the face 10 mm beyond the tread from that 2 mm short of the tip.",
+            "flange_gradient_mm",
+            MM,
+            10.8,
+            finite=False,
+        ),
+    ]
+    hollow: Annotated[
+        float,
+        Served(
+            "Depth of the tread below the highest point farther out; 0 for a new wheel.",
+            "hollow_mm",
+            MM,
+            0.0,
+            finite=False,
+        ),
+    ]
+
+
+def wear_measures(wheel: Profile) -> WearMeasures:
+    """Return the wear measures of a wheel whose origin is the tread datum, 70 mm from the flange back.
+
+    Raises:
+        ProfileError: A rail, or a profile that does not reach from the flange to the datum.
+    """
+    if wheel.kind != "wheel":
+        raise ProfileError(f"{wheel.name!r} is a rail; wear measures are a wheel's", field="kind")
+    if not wheel.y[0] < _TREAD_FROM or not wheel.y[-1] > 0.0:
+        raise ProfileError(f"{wheel.name!r} does not reach from the flange to the tread datum", field="y")
+    y = np.arange(wheel.y[0], wheel.y[-1], _FINE)
+    z = wheel.height(y)
+    tip = int(np.argmax(z))
+    tread = float(wheel.height(np.zeros(1))[0])
+    thick = _face(y[tip:], z[tip:], tread + _FACE_BELOW_TREAD)
+    high = _face(y[tip:], z[tip:], float(z[tip]) - _FACE_ABOVE_TIP)
+    return WearMeasures(float(z[tip]) - tread, thick + TREAD_DATUM, thick - high, _deepest_hollow(y, z))
+
+
+def _face(y: FloatArray, z: FloatArray, level: float) -> float:
+    """Return where the flange face, from its tip outwards, first rises above ``level``."""
+    above = np.flatnonzero(z < level)
+    if len(above) == 0 or above[0] == 0:
+        raise ProfileError(f"the flange face does not cross a depth of {level * 1e3:.2f} mm", field="z")
+    i = int(above[0])
+    return float(y[i] - (y[i] - y[i - 1]) * (level - z[i]) / (z[i - 1] - z[i]))
+
+
+def _deepest_hollow(y: FloatArray, z: FloatArray) -> float:
+    """Return the largest amount by which a point further out is deeper than the tread."""
+    part = z[(y >= _TREAD_FROM) & (y <= y[-1] - _RIM_MARGIN)]
+    deepest_outside = np.maximum.accumulate(part[::-1])[::-1]
+    return float((deepest_outside - part).max())
+
+
+DEEPEST_BAND = 4e-3
+"""Largest depth that the form is meant for, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class RailWear:
+    """Material that a rail head has lost; metres on the profile's lateral axis.
+
+    Raises:
+        ParameterError: Depth outside 0 to 4 mm, a half width that is not positive, a middle that is no number.
+    """
+
+    depth: float  # at the middle of the band
+    centre: float = 0.0  # lateral, from the middle of the head, negative to the gauge side
+    half_width: float = 0.030  # from the middle to where the band ends
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.depth <= DEEPEST_BAND:
+            raise ParameterError(f"{self.depth!r} m is outside 0 to {DEEPEST_BAND} m", field="depth")
+        if not (math.isfinite(self.half_width) and self.half_width > 0.0):
+            raise ParameterError(f"{self.half_width!r} is not a positive length", field="half_width")
+        if not math.isfinite(self.centre):
+            raise ParameterError(f"{self.centre!r} is not a position", field="centre")
+
+
+def worn_rail(rail: Profile, wear: RailWear) -> Profile:
+    """Return the rail profile after it has lost that material; the new profile is not touched.
+
+    Raises:
+        ProfileError: The profile is a wheel.
+    """
+    if rail.kind != "rail":
+        raise ProfileError(f"{rail.name!r} is a wheel; a band is worn into rails", field="kind")
+    if wear.depth == 0.0:
+        return rail
+    u = np.clip((rail.y - wear.centre) / wear.half_width, -1.0, 1.0)
+    rest = 1.0 - u * u
+    loss, slope = wear.depth * rest**3, -6.0 * wear.depth / wear.half_width * u * rest**2
+    return Profile("rail", f"{rail.name} worn", rail.y, rail.z + loss, rail.slope + slope)

@@ -11,16 +11,123 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 import scipy.linalg
 
-from estimation.dampers import damper_kernels as kernels
+from estimation.compiled import compiled
 from estimation.dampers.suspension_equations import suspension_equations, uncertain_parameters
 from estimation.dampers.thinning import between_samples, low_pass, stride_of
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.dampers import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
+
+
+@compiled(nogil=True)
+def add_innovation_products(
+    transition: FloatArray,
+    by_input: FloatArray,
+    measured: FloatArray,
+    gain: FloatArray,
+    source: IntArray,
+    below: FloatArray,
+    above: FloatArray,
+    counted: BoolArray,
+    products: FloatArray,
+) -> None:
+    """Add the products of the innovations over a segment, its filters beginning at zero.
+
+    Args:
+        transition, by_input, measured, gain: (q, v, n, n), (q, v, 2, n), (q, v, n) and (q, v, n) of the filters.
+        source: (v,) which row of the accelerations each variant takes.
+        below, above: (k, s) accelerations of the wheelsets and of what is above them, m/s2.
+        counted: (s,) samples whose innovations are summed.
+        products: (q - 1, v + 1, v + 1) of the innovations of a particle's variants, and of the next particle's first;
+            added to.
+    """
+    q, v, n = measured.shape
+    size = q * v
+    # filters side by side: every sum of each goes in the order of its terms
+    of_states, of_inputs = np.zeros((n, n, size)), np.zeros((2, n, size))
+    weights, gains = np.zeros((n, size)), np.zeros((n, size))
+    for particle in range(q):
+        for variant in range(v):
+            one = particle * v + variant
+            for k in range(n):
+                weights[k, one], gains[k, one] = measured[particle, variant, k], gain[particle, variant, k]
+                for row in range(2):
+                    of_inputs[row, k, one] = by_input[particle, variant, row, k]
+                for j in range(n):
+                    of_states[k, j, one] = transition[particle, variant, k, j]
+    state, corrected = np.zeros((n, size)), np.zeros((n, size))
+    now, then, innovation = np.zeros(size), np.zeros(size), np.zeros(size)
+    signals = np.zeros(v + 1)
+    for i in range(below.shape[1] - 1):
+        for particle in range(q):
+            for variant in range(v):
+                one, row = particle * v + variant, source[variant]
+                now[one], then[one], innovation[one] = below[row, i], below[row, i + 1], above[row, i]
+        step(of_states, of_inputs, weights, gains, now, then, innovation, state, corrected)
+        if counted[i]:
+            add_outer(innovation.reshape(q, v), signals, products)
+
+
+@compiled(nogil=True)
+def step(
+    of_states: FloatArray,
+    of_inputs: FloatArray,
+    weights: FloatArray,
+    gains: FloatArray,
+    now: FloatArray,
+    then: FloatArray,
+    innovation: FloatArray,
+    state: FloatArray,
+    corrected: FloatArray,
+) -> None:
+    """Take f filters on by a sample.
+
+    Args:
+        of_states, of_inputs, weights, gains: (n, n, f), (2, n, f), (n, f) and (n, f): transition, inputs, measurement
+            and gain of the filters.
+        now, then: (f,) accelerations of the wheelsets at this sample and at the next, m/s2.
+        innovation: (f,) accelerations of what is above at this one, m/s2; changed to the innovations.
+        state: (n, f) changed.
+        corrected: (n, f) work space.
+    """
+    n, f = state.shape
+    for k in range(n):
+        for one in range(f):
+            innovation[one] -= weights[k, one] * state[k, one]
+    for k in range(n):
+        for one in range(f):
+            corrected[k, one] = state[k, one] + gains[k, one] * innovation[one]
+    for k in range(n):
+        for one in range(f):
+            state[k, one] = of_inputs[0, k, one] * now[one] + of_inputs[1, k, one] * then[one]
+        for j in range(n):
+            for one in range(f):
+                state[k, one] += of_states[k, j, one] * corrected[j, one]
+
+
+@compiled(nogil=True)
+def add_outer(innovations: FloatArray, signals: FloatArray, products: FloatArray) -> None:
+    """Add the products of the innovations of a sample to the lower half of every particle's.
+
+    Args:
+        innovations: (q, v) of the variants of every particle, m/s2.
+        signals: (v + 1,) work space.
+        products: (q - 1, v + 1, v + 1) added to.
+    """
+    q, v = innovations.shape
+    for particle in range(q - 1):
+        for variant in range(v):
+            signals[variant] = innovations[particle, variant]
+        signals[v] = innovations[particle + 1, 0]
+        for a in range(v + 1):
+            for b in range(a + 1):
+                products[particle, a, b] += signals[a] * signals[b]
+
 
 OFFSET_CORNER_HZ = 0.3  # below it the offset of the sensors explains what they measure
 LEAST_DENSITY = 1e-5  # m/s2 per root hertz, of sensors that have no noise on file
@@ -33,40 +140,26 @@ LATE_STD_S = 1e-3  # half the difference of two nodes' times
 
 
 @dataclass(frozen=True, slots=True)
-class DamperFilters:
+class DamperFilters(FrozenArrays):
     """Filters of q particles and 1 + v variants of each: as on file, then with one thing off by one std.
 
     Masses and springs are off to both sides, so that their effect is known to the second order.
     """
 
-    transition: FloatArray  # (q, 1 + v, n, n) over a sample
-    by_input: FloatArray  # (q, 1 + v, 2, n) by the input at its begin and its end
-    measured: FloatArray  # (q, 1 + v, n)
-    gain: FloatArray  # (q, 1 + v, n)
-    source: IntArray  # (1 + v,) which of ``SOURCES`` each takes
+    transition: Annotated[FloatArray, "q", "v", "n", "n"]  # over a sample
+    by_input: Annotated[FloatArray, "q", "v", 2, "n"]  # by the input at its begin and its end
+    measured: Annotated[FloatArray, "q", "v", "n"]
+    gain: Annotated[FloatArray, "q", "v", "n"]
+    source: Annotated[IntArray, "v"]  # which of ``SOURCES`` each takes
     apart: tuple[float, float]  # std of half the difference of two sensors' scales, below and above
     step_s: float  # between the samples that they take
-    signals: FloatArray  # (m, v + 2) of the innovations of a particle's variants, and of the next particle's first
+    signals: Annotated[FloatArray, "m", "v + 1"]  # innovations of a particle's variants, and the next particle's first
     curved: int  # parameters whose effect has a second order, p
-    noise: FloatArray  # (q - 1, m, m) what the sensors' noise adds to the products of the signals in a sample
-
-    def __post_init__(self) -> None:
-        q, v, n = self.measured.shape
-        object.__setattr__(self, "transition", frozen_array(self.transition, (q, v, n, n), name="transition"))
-        object.__setattr__(self, "by_input", frozen_array(self.by_input, (q, v, 2, n), name="by_input"))
-        object.__setattr__(self, "measured", frozen_array(self.measured, (q, v, n), name="measured"))
-        object.__setattr__(self, "gain", frozen_array(self.gain, (q, v, n), name="gain"))
-        m = len(self.signals)
-        object.__setattr__(self, "signals", frozen_array(self.signals, (m, v + 1), name="signals"))
-        object.__setattr__(self, "noise", frozen_array(self.noise, (q - 1, m, m), name="noise"))
-        object.__setattr__(self, "source", frozen_array(self.source, (v,), np.int64, name="source"))
+    noise: Annotated[FloatArray, "q - 1", "m", "m"]  # what the sensors' noise adds to the products in a sample
 
 
 def damper_filters(vehicle_class: VehicleClass, sample_interval_s: float) -> DamperFilters:
     """Return the filters of a class.
-
-    Args:
-        sample_interval_s: Between samples as measured, s.
 
     Raises:
         numpy.linalg.LinAlgError: The class has no stationary filter.
@@ -170,7 +263,7 @@ def add_products(
         counted: (s,) samples whose innovations are summed.
         products: (q - 1, v + 2, v + 2) the lower half of each is added to.
     """
-    kernels.add_products(
+    add_innovation_products(
         filters.transition,
         filters.by_input,
         filters.measured,

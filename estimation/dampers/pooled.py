@@ -15,8 +15,7 @@ from scipy.special import chdtri, ndtr
 
 from estimation.values.arrays import FloatArray
 from estimation.values.dampers import SHARES, GearDamper, WindowDamper
-from estimation.values.intervals import NORMAL_95, jackknife_std, with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import NORMAL_95, Estimate, Status, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 BETWEEN = 16  # shares at which the posterior is, from one particle to the next
@@ -34,24 +33,14 @@ LEAST_CURVATURE = 0.2  # of the other parameters' information with their priors:
 
 @dataclass(frozen=True, slots=True)
 class DamperParameters:
-    """How far back windows count, and what is published.
+    """How far back windows count, and what is published."""
 
-    Attributes:
-        span_km: Of the odometer, back from the newest window.
-        weak_share: A damper with less of its damping is weak.
-        likely: Probability of that from which on it is a finding.
-        widest_std: Of a share that is published.
-        most_diverged: Share of the windows.
-        surest: Probability at which the errors of the other parameters are larger than those of any vehicle of the
-            class.
-    """
-
-    span_km: float = 5_000.0
-    weak_share: float = 0.5
-    likely: float = 0.9
-    widest_std: float = 0.2
-    most_diverged: float = 0.2
-    surest: float = 0.99
+    span_km: float = 5_000.0  # of the odometer, back from the newest window
+    weak_share: float = 0.5  # a damper with less of its damping is weak
+    likely: float = 0.9  # probability of that from which on it is a finding
+    widest_std: float = 0.2  # of a share that is published
+    most_diverged: float = 0.2  # share of the windows
+    surest: float = 0.99  # probability at which errors of the other parameters exceed those of any vehicle
 
 
 def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -> GearDamper:

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
 
@@ -32,18 +33,12 @@ BOGIE_UNCERTAIN = {
 
 
 @dataclass(frozen=True, slots=True)
-class SuspensionEquations:
+class SuspensionEquations(FrozenArrays):
     """Rates of n deflections and their rates by themselves and by u; the acceleration above; SI."""
 
-    rates: FloatArray  # (n, n)
-    by_input: FloatArray  # (n,)
-    measured: FloatArray  # (n,) acceleration above by the states
-
-    def __post_init__(self) -> None:
-        n = len(self.rates)
-        object.__setattr__(self, "rates", frozen_array(self.rates, (n, n), name="rates"))
-        object.__setattr__(self, "by_input", frozen_array(self.by_input, (n,), name="by_input"))
-        object.__setattr__(self, "measured", frozen_array(self.measured, (n,), name="measured"))
+    rates: Annotated[FloatArray, "n", "n"]
+    by_input: Annotated[FloatArray, "n"]
+    measured: Annotated[FloatArray, "n"]  # acceleration above by the states
 
 
 def uncertain_parameters(vehicle_class: VehicleClass) -> Mapping[str, float]:

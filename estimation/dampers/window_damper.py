@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -16,12 +17,11 @@ from estimation.dampers.damper_filters import LATE_STD_S, DamperFilters, add_pro
 from estimation.dampers.suspension_equations import mass_std, nominal_damping, uncertain_parameters
 from estimation.dampers.thinning import PASSED_HZ, between_samples, low_pass, stride_of, thinned
 from estimation.motion.integration import bridged
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.dampers import DamperSums, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
-from estimation.vehicle.class_on_file import ClassOnFile
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass
 
 UNKNOWN_S = 6.0  # at the begin of a segment, whose deflections are not known
 MODEL_ERROR = 0.02  # of the acceleration above, that stiff bodies do not explain whatever their parameters
@@ -45,9 +45,6 @@ def looked_at(first: Window) -> bool:
 
     Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of a
     vehicle are looked at in the same windows.
-
-    Args:
-        first: The window of the first wheelset of a running gear.
     """
     return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % EVERY == 0
 
@@ -112,17 +109,12 @@ def not_judged(vehicle_class: VehicleClass) -> Reason | None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Taken:
+class _Taken(FrozenArrays):
     """Accelerations as ``SOURCES`` names them, (k, s) m/s2, and which samples count, (s,)."""
 
-    below: FloatArray
-    above: FloatArray
-    counted: BoolArray
-
-    def __post_init__(self) -> None:
-        for name in ("below", "above"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (None, None), name=name))
-        object.__setattr__(self, "counted", frozen_array(self.counted, (None,), np.bool_, name="counted"))
+    below: Annotated[FloatArray, None, None]
+    above: Annotated[FloatArray, None, None]
+    counted: Annotated[BoolArray, None]
 
 
 def _taken(segment: GearSegment, gear: GearSegments, apart: tuple[float, float]) -> _Taken | None:

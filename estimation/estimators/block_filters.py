@@ -15,20 +15,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.estimators.coverage import covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters, covered_range, usable
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
-from estimation.values.motion import Motion
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 
 STEP_S = 0.012  # between the samples that a filter takes
@@ -68,19 +67,14 @@ class Prior:
 
 
 @dataclass(frozen=True, slots=True)
-class FilterState:
+class FilterState(FrozenArrays):
     """What the blocks tell, by group; states add up in any order."""
 
     series: SeriesState  # counts, and the derivatives by the parameters
-    precision: FloatArray  # (g, m, m)
-    information: FloatArray  # (g, m) precision times mean
+    precision: Annotated[FloatArray, "g", "m", "m"]
+    information: Annotated[FloatArray, "g", "m"]  # precision times mean
     blocks: int
     diverged: int
-
-    def __post_init__(self) -> None:
-        g, m = self.information.shape
-        object.__setattr__(self, "precision", frozen_array(self.precision, (g, m, m), name="precision"))
-        object.__setattr__(self, "information", frozen_array(self.information, (g, m), name="information"))
 
 
 def start(parameters: EstimatorParameters, coefficients: int) -> FilterState:
@@ -93,10 +87,6 @@ def filtered(
     state: FilterState, motion: Motion, basis: Basis, prior: Prior, block_filter: BlockFilter, weight: float
 ) -> FilterState:
     """Return the state with the blocks of ``motion`` added.
-
-    Args:
-        motion: Motion of the wheelset relative to the track over one window.
-        basis: Functions of y - d in m whose coefficients are estimated.
 
     Raises:
         ParameterError: The interval between samples is not known.
@@ -171,12 +161,7 @@ def _slip(motion: Motion, parameters: EstimatorParameters) -> FloatArray:
 
 
 def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
-    """Return the curve that all blocks tell; nothing where too many have diverged.
-
-    Args:
-        state: After all windows.
-        basis: Functions of y - d in m.
-    """
+    """Return the curve that all blocks tell; nothing where too many have diverged."""
     series = state.series
     span = covered_range(series.counts)
     if span is None:

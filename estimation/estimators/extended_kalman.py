@@ -13,18 +13,10 @@ from functools import partial
 import numpy as np
 
 from estimation.estimators import filter_kernels as kernels
-from estimation.estimators.block_filters import (
-    FilterState,
-    Inputs,
-    Posterior,
-    Prior,
-    filtered,
-    solved,
-    start,
-)
+from estimation.estimators.block_filters import FilterState, Inputs, Posterior, Prior, filtered, solved, start
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.values.arrays import FloatArray
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 PRIOR = Prior(np.array([0.0, 0.3e-3, 0.0, 0.0]), np.array([1e-3, 0.3e-3, 0.05e-3, 0.03e-3]))  # m, of powers of mm

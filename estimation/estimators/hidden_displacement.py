@@ -7,29 +7,154 @@ samples tell it, though: a contact jump shows in R at the moment at which it is 
 The hidden displacement is a Markov chain on a grid. Forward-backward smoothing gives its probabilities with a curve; R,
 averaged over what y - d then is expected to be, gives the next curve (expectation maximisation; Baum, Petrie, Soules
 and Weiss 1970). The curve is free in cells of ``CELL``; at the end contact jumps are set in one place each.
+
+Compiled steps of the estimator with a hidden slow displacement: forward-backward smoothing on a grid.
+
+Each run of samples is cut into chunks over which the hidden displacement is constant. From chunk to chunk it stays or
+moves to a neighbouring value, so that it is distributed as its prior in the long run.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
+from estimation.compiled import compiled
 from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
-from estimation.estimators import hidden_kernels as kernels
 from estimation.estimators.contact_jumps import stepped
-from estimation.estimators.coverage import CELLS, REACH, counted, covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    REACH,
+    CurveEstimate,
+    EstimatorParameters,
+    counted,
+    covered_range,
+    usable,
+)
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
-from estimation.values.motion import Motion
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
+
+FREEDOM = 6.0  # of Student's t, of the difference between R and the curve
+LIKELY = 1e-3  # probability below which a value of the grid is left out of the sums
+
+
+@compiled(nogil=True, error_model="numpy")
+def weigh(
+    displacement: FloatArray, difference: FloatArray, chunk: int, curve: FloatArray, first: float, width: float,
+    grid: FloatArray, noise: float, share: float, likelihood: FloatArray,
+) -> float:  # fmt: skip
+    """Write the likelihood (k, s) of each value of the grid in each chunk, at most 1; return the logarithm left out.
+
+    Args:
+        displacement, difference: (n,) m, of a run; k chunks of it count.
+        curve, first, width: (b,) m, R at the middles of cells, the lower edge of the first one and the width of all, m.
+        grid: (s,) m, values of the hidden displacement.
+        noise, share: Std of R, m, and how much one sample counts: neighbours have errors in common.
+    """
+    left_out = 0.0
+    for k in range(len(likelihood)):
+        most = -math.inf
+        for s in range(len(grid)):
+            total = 1.0  # product over the chunk: one logarithm for all
+            for i in range(k * chunk, (k + 1) * chunk):
+                place = (displacement[i] + grid[s] - first) / width - 0.5
+                low = min(max(math.floor(place), 0), len(curve) - 2)
+                part = min(max(place - low, 0.0), 1.0)
+                apart = (difference[i] - curve[low] - part * (curve[low + 1] - curve[low])) / noise
+                total *= 1.0 + apart * apart / FREEDOM
+            likelihood[k, s] = -0.5 * share * (FREEDOM + 1.0) * math.log(total)
+            most = max(most, likelihood[k, s])
+        left_out += most
+        for s in range(len(grid)):
+            likelihood[k, s] = math.exp(likelihood[k, s] - most)
+    return left_out
+
+
+@compiled(nogil=True, error_model="numpy")
+def smooth(likelihood: FloatArray, prior: FloatArray, move: float, posterior: FloatArray) -> float:
+    """Write the probability (k, s) of each value in each chunk, given all chunks; return the logarithm of the evidence.
+
+    Args:
+        likelihood: (k, s) from :func:`weigh`.
+        prior: (s,) probability of each value before any sample.
+        move: Probability of a step to either neighbour that is as probable.
+    """
+    up, down = steps(prior, move)
+    size = len(prior)
+    evidence = 0.0
+    state, following = prior.copy(), np.empty(size)
+    for k in range(len(likelihood)):
+        if k > 0:
+            for s in range(size):
+                following[s] = state[s] * (1.0 - up[s] - down[s])
+                if s > 0:
+                    following[s] += state[s - 1] * up[s - 1]
+                if s + 1 < size:
+                    following[s] += state[s + 1] * down[s + 1]
+            state[:] = following
+        state *= likelihood[k]
+        total = state.sum()
+        state /= total
+        evidence += math.log(total)
+        posterior[k] = state
+    behind, ahead = np.ones(size), np.empty(size)
+    for k in range(len(likelihood) - 2, -1, -1):
+        behind *= likelihood[k + 1]
+        for s in range(size):
+            ahead[s] = behind[s] * (1.0 - up[s] - down[s])
+            if s + 1 < size:
+                ahead[s] += behind[s + 1] * up[s]
+            if s > 0:
+                ahead[s] += behind[s - 1] * down[s]
+        behind[:] = ahead / ahead.sum()
+        posterior[k] *= behind
+        posterior[k] /= posterior[k].sum()
+    return evidence
+
+
+@compiled(nogil=True, error_model="numpy")
+def steps(prior: FloatArray, move: float) -> tuple[FloatArray, FloatArray]:
+    """Return the probabilities (s,) of a step up and of one down that keep the prior as it is."""
+    up, down = np.zeros(len(prior)), np.zeros(len(prior))
+    for s in range(len(prior) - 1):
+        up[s] = move * min(1.0, prior[s + 1] / prior[s])
+        down[s + 1] = move * min(1.0, prior[s] / prior[s + 1])
+    return up, down
+
+
+@compiled(nogil=True, error_model="numpy")
+def add_expected(
+    displacement: FloatArray, difference: FloatArray, chunk: int, posterior: FloatArray, grid: FloatArray,
+    first: float, width: float, weight: float, sums: FloatArray, counts: FloatArray,
+) -> None:  # fmt: skip
+    """Add R and the number of samples to the cells in which they are expected.
+
+    Args:
+        posterior: (k, s) from :func:`smooth`.
+        weight: Of every sample.
+        sums, counts: (b,) m and number, added to.
+    """
+    for k in range(len(posterior)):
+        for s in range(len(grid)):
+            probability = posterior[k, s]
+            if probability > LIKELY:
+                for i in range(k * chunk, (k + 1) * chunk):
+                    cell = math.floor((displacement[i] + grid[s] - first) / width)
+                    if 0 <= cell < len(sums):
+                        sums[cell] += weight * probability * difference[i]
+                        counts[cell] += weight * probability
+
 
 CELL = 0.04e-3  # m of y - d
 FINE = round(2 * REACH / CELL)
@@ -45,38 +170,26 @@ JUMP_SHARE = 0.3  # of the std that the gauge moves contact jumps by
 
 
 @dataclass(frozen=True, slots=True)
-class HiddenPiece:
+class HiddenPiece(FrozenArrays):
     """The samples of one window, in runs within one block each."""
 
-    displacement: FloatArray  # (n,) m
-    difference: FloatArray  # (n,) m, R
-    start: IntArray  # (r + 1,) first sample of each run, and n
-    group: IntArray  # (r,)
+    displacement: Annotated[FloatArray, "n"]  # m
+    difference: Annotated[FloatArray, "n"]  # m, R
+    start: Annotated[IntArray, "r + 1"]  # first sample of each run, and n
+    group: Annotated[IntArray, "r"]
     chunk: int  # samples
     weight: float
 
-    def __post_init__(self) -> None:
-        n, r = len(self.displacement), len(self.group)
-        object.__setattr__(self, "displacement", frozen_array(self.displacement, (n,), name="displacement"))
-        object.__setattr__(self, "difference", frozen_array(self.difference, (n,), name="difference"))
-        object.__setattr__(self, "start", frozen_array(self.start, (r + 1,), np.int64, name="start"))
-        object.__setattr__(self, "group", frozen_array(self.group, (r,), np.int64, name="group"))
-
 
 @dataclass(frozen=True, slots=True)
-class HiddenState:
+class HiddenState(FrozenArrays):
     """All samples, window by window: states share those of earlier ones, so that a window costs its own samples."""
 
     parameters: EstimatorParameters
     pieces: tuple[HiddenPiece, ...]
-    derivatives: FloatArray  # (CELLS, 6) m, sums of the derivatives of R by the logarithms of the parameters
-    counts: FloatArray  # (CELLS,) effective samples by displacement
+    derivatives: Annotated[FloatArray, CELLS, len(YAW_TARGETS) - 1]  # m, sums, of R by the logarithms of the parameters
+    counts: Annotated[FloatArray, CELLS]  # effective samples by displacement
     stretches: int
-
-    def __post_init__(self) -> None:
-        shape = (CELLS, len(YAW_TARGETS) - 1)
-        object.__setattr__(self, "derivatives", frozen_array(self.derivatives, shape, name="derivatives"))
-        object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
 
     @property
     def samples(self) -> int:
@@ -184,9 +297,9 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
             posterior = np.ones((len(x) // chunk, len(grid)))
             if curve is not None:
                 likelihood = np.empty_like(posterior)
-                kernels.weigh(x, R, chunk, curve, -REACH, CELL, grid, NOISE, SHARE, likelihood)
-                kernels.smooth(likelihood, prior, MOVE, posterior)
-            kernels.add_expected(x, R, chunk, posterior, grid, -REACH, CELL, piece.weight, sums[group], counts[group])
+                weigh(x, R, chunk, curve, -REACH, CELL, grid, NOISE, SHARE, likelihood)
+                smooth(likelihood, prior, MOVE, posterior)
+            add_expected(x, R, chunk, posterior, grid, -REACH, CELL, piece.weight, sums[group], counts[group])
     return sums, counts
 
 

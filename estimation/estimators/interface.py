@@ -8,14 +8,16 @@ gets there (sums, mean and covariance of a filter, particles) is its own, in its
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import Annotated, Protocol, TypeVar
+
+import numpy as np
 
 from estimation.geometry.conicity import CurveParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.motion import Motion
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
@@ -31,29 +33,23 @@ class EstimatorParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class CurveEstimate:
+class CurveEstimate(FrozenArrays):
     """The result of an estimator: R = rL - rR over y - d, and what follows from it; NaN where it is not estimated."""
 
-    displacement: FloatArray  # (n,) m, y - d, increasing
-    difference: FloatArray  # (n,) m, R
-    difference_std: FloatArray  # (n,) m
-    amplitude: FloatArray  # (k,) m
-    conicity: tuple[Estimate, ...]  # (k,) equivalent conicity
+    displacement: Annotated[FloatArray, "n"]  # m, y - d, increasing
+    difference: Annotated[FloatArray, "n"]  # m, R
+    difference_std: Annotated[FloatArray, "n"]  # m
+    amplitude: Annotated[FloatArray, "k"]  # m
+    conicity: Annotated[tuple[Estimate, ...], "k"]  # equivalent conicity
     nonlinearity: Estimate  # NP, 1/mm
     zero_crossing: Estimate  # m
     samples: int
     stretches: int  # windows of motion added
     status: Status
     reason: Reason | None = None
-    own_std: FloatArray | None = None  # (k,) of the conicity, by the covariance that the estimator itself states
-
-    def __post_init__(self) -> None:
-        n, k = len(self.displacement), len(self.conicity)
-        for name in ("displacement", "difference", "difference_std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (k,), name="amplitude"))
-        if self.own_std is not None:
-            object.__setattr__(self, "own_std", frozen_array(self.own_std, (k,), name="own_std"))
+    own_std: Annotated[FloatArray, "k"] | None = (
+        None  # of the conicity, by the covariance that the estimator itself states
+    )
 
 
 State = TypeVar("State")
@@ -77,7 +73,6 @@ class Estimator(Protocol[State]):
         """Return the state with ``motion`` added; ``state`` is not touched.
 
         Args:
-            motion: Motion of the wheelset relative to the track over one window, band-limited where it was measured.
             weight: Above 0, at most 1: how much the samples of ``motion`` count beside those of weight 1. The current
                 geometry forgets by mileage so: half the weight after each half-life. An estimator that cannot weight
                 ignores it, and its current geometry forgets nothing; its docstring states that.
@@ -85,3 +80,53 @@ class Estimator(Protocol[State]):
 
     def result(self, state: State) -> CurveEstimate:
         """Return the curve and what follows from it."""
+
+
+WIDTH = 0.25e-3  # m
+REACH = 7.0e-3  # m
+CELLS = round(2 * REACH / WIDTH)
+LEAST_SAMPLES = 100
+
+
+def usable(motion: Motion) -> BoolArray:
+    """Return the samples (n,) that an estimator may use."""
+    return np.asarray(
+        motion.valid & (motion.block >= 0) & np.isfinite(motion.displacement) & (np.abs(motion.displacement) < REACH)
+    )
+
+
+def counted(displacement: FloatArray, values: FloatArray | None = None) -> FloatArray:
+    """Return the number of samples, or the sum of values, (CELLS,) in each cell of ``WIDTH`` over +-``REACH``.
+
+    Args:
+        displacement: (n,) m, within the reach.
+        values: (n,) of any unit; None to count.
+    """
+    cell = np.floor((displacement + REACH) / WIDTH).astype(np.int64)
+    return np.bincount(cell, values, minlength=CELLS).astype(np.float64)
+
+
+def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
+    """Return by how much the mean of each cell is above a curve, straight between cells: (n,).
+
+    Args:
+        x, value: (n,) m, the curve.
+        sums, counts: (CELLS,) by cell.
+    """
+    middles = (np.arange(CELLS) + 0.5) * WIDTH - REACH
+    known = (counts >= LEAST_SAMPLES) & (middles > x[0]) & (middles < x[-1])
+    if not known.any():
+        return np.zeros(len(x))
+    apart = sums[known] / counts[known] - np.interp(middles[known], x, value)
+    return np.asarray(np.interp(x, middles[known], apart))
+
+
+def covered_range(counts: FloatArray) -> tuple[float, float] | None:
+    """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; None where there is no such run."""
+    enough = counts >= LEAST_SAMPLES
+    middle = CELLS // 2
+    right = middle + int(np.argmin(np.append(enough[middle:], False)))
+    left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
+    if middle in {left, right}:
+        return None
+    return left * WIDTH - REACH, right * WIDTH - REACH

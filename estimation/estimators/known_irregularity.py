@@ -13,18 +13,26 @@ squares without forgetting is kept as its sums (docs/estimation.md), which equal
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
-from estimation.estimators.coverage import CELLS, beside, counted, covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    CurveEstimate,
+    EstimatorParameters,
+    beside,
+    counted,
+    covered_range,
+    usable,
+)
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS, SPACING
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.motion import Motion
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
@@ -36,24 +44,17 @@ TARGETS = ("yaw_stiffness", "yaw_inertia", "spin_creep", "saturation")  # what i
 
 
 @dataclass(frozen=True, slots=True)
-class RecursionState:
+class RecursionState(FrozenArrays):
     """Sums over samples; states add up in any order."""
 
     parameters: EstimatorParameters
-    gram: FloatArray  # (g, 3, 3)
-    cross: FloatArray  # (g, 3, 5) with the moments and their derivatives, N m
+    gram: Annotated[FloatArray, "g", UNKNOWNS, UNKNOWNS]
+    cross: Annotated[FloatArray, "g", UNKNOWNS, 1 + len(TARGETS)]  # with the moments and their derivatives, N m
     squares: float  # N2 m2, weighted
-    sums: FloatArray  # (2, CELLS) N m and m, weighted sums of the moments and of 2 l^2 psi'/V, by displacement
-    counts: FloatArray  # (CELLS,)
+    sums: Annotated[FloatArray, 2, CELLS]  # N m and m, weighted: the moments and 2 l^2 psi'/V, by displacement
+    counts: Annotated[FloatArray, CELLS]
     samples: int
     stretches: int
-
-    def __post_init__(self) -> None:
-        g = len(self.gram)
-        object.__setattr__(self, "gram", frozen_array(self.gram, (g, UNKNOWNS, UNKNOWNS), name="gram"))
-        object.__setattr__(self, "cross", frozen_array(self.cross, (g, UNKNOWNS, 1 + len(TARGETS)), name="cross"))
-        object.__setattr__(self, "sums", frozen_array(self.sums, (2, CELLS), name="sums"))
-        object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,11 +131,7 @@ class KnownIrregularity:
 
 
 def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, FloatArray]:
-    """Return regressors (n, 3) of f11, f11 R0 and f11 2 lambda, and the moments (n, 5) with their derivatives, N m.
-
-    Args:
-        motion: (n,) samples relative to the track.
-    """
+    """Return regressors (n, 3) of f11, f11 R0 and f11 2 lambda, and the moments (n, 5) with their derivatives, N m."""
     half, r0 = vehicle.half_contact_distance, vehicle.nominal_radius
     rate = 2 * half**2 * motion.yaw_rate / motion.speed
     ones = np.full(len(motion), half / r0 * MILLIMETRE)

@@ -11,24 +11,32 @@ stays 1.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
 from estimation.compiled import compiled
 from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
-from estimation.estimators.coverage import CELLS, REACH, WIDTH, beside, counted, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    REACH,
+    WIDTH,
+    CurveEstimate,
+    EstimatorParameters,
+    beside,
+    counted,
+    usable,
+)
 from estimation.estimators.paper_equations import REGRESSORS, yaw_output
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
-from estimation.values.motion import Motion
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
@@ -37,18 +45,12 @@ MIDDLES = frozen_array((np.arange(CELLS) + 0.5) * WIDTH - REACH, (CELLS,), name=
 
 
 @dataclass(frozen=True, slots=True)
-class CellMeans:
+class CellMeans(FrozenArrays):
     """Weighted sums over samples; they add up in any order."""
 
-    sums: FloatArray  # (g, CELLS) m, of R
-    counts: FloatArray  # (g, CELLS)
-    derivatives: FloatArray  # (6, CELLS) m, of the derivatives of R by the logarithms of the parameters
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "sums", frozen_array(self.sums, (GROUPS, CELLS), name="sums"))
-        object.__setattr__(self, "counts", frozen_array(self.counts, (GROUPS, CELLS), name="counts"))
-        shape = (len(YAW_TARGETS) - 1, CELLS)
-        object.__setattr__(self, "derivatives", frozen_array(self.derivatives, shape, name="derivatives"))
+    sums: Annotated[FloatArray, GROUPS, CELLS]  # m, of R
+    counts: Annotated[FloatArray, GROUPS, CELLS]
+    derivatives: Annotated[FloatArray, len(YAW_TARGETS) - 1, CELLS]  # m, of R by the logarithms of the parameters
 
     @classmethod
     def empty(cls) -> Self:
@@ -57,12 +59,7 @@ class CellMeans:
         return cls(nothing, nothing, np.zeros((len(YAW_TARGETS) - 1, CELLS)))
 
     def added(self, motion: Motion, vehicle: VehicleParameters, weight: float) -> Self:
-        """Return the sums with ``motion`` added.
-
-        Args:
-            motion: Motion of the wheelset relative to the track over one window.
-            weight: Of every sample.
-        """
+        """Return the sums with ``motion`` added."""
         keep = usable(motion)
         equations = regression(motion, vehicle)
         R, x = equations.yaw_targets[keep] / equations.yaw[keep, -1:], motion.displacement[keep]
@@ -110,26 +107,17 @@ LEAST_RANK = 1e-9  # smallest to largest, of a triangle that still is solved
 
 
 @dataclass(frozen=True, slots=True)
-class PaperState:
+class PaperState(FrozenArrays):
     """The recursion of every bin, and the samples of the bins that have not started."""
 
     parameters: EstimatorParameters
-    theta: FloatArray  # (b, 3) of the scaled regressors; NaN before the start
-    covariance: FloatArray  # (b, 3, 3) P of Eq. 10
-    squares: FloatArray  # (b,) sum of squared residuals
-    count: IntArray  # (b,)
-    waiting: FloatArray  # (b, threshold, 4) scaled regressors and output
+    theta: Annotated[FloatArray, "b", REGRESSORS]  # of the scaled regressors; NaN before the start
+    covariance: Annotated[FloatArray, "b", REGRESSORS, REGRESSORS]  # P of Eq. 10
+    squares: Annotated[FloatArray, "b"]  # sum of squared residuals
+    count: Annotated[IntArray, "b"]
+    waiting: Annotated[FloatArray, "b", "threshold", REGRESSORS + 1]  # scaled regressors and output
     cells: CellMeans  # what the published intervals rest on
     stretches: int
-
-    def __post_init__(self) -> None:
-        b, threshold = self.waiting.shape[:2]
-        object.__setattr__(self, "theta", frozen_array(self.theta, (b, REGRESSORS), name="theta"))
-        shape = (b, REGRESSORS, REGRESSORS)
-        object.__setattr__(self, "covariance", frozen_array(self.covariance, shape, name="covariance"))
-        object.__setattr__(self, "squares", frozen_array(self.squares, (b,), name="squares"))
-        object.__setattr__(self, "count", frozen_array(self.count, (b,), np.int64, name="count"))
-        object.__setattr__(self, "waiting", frozen_array(self.waiting, (b, threshold, REGRESSORS + 1), name="waiting"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,18 +14,10 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.estimators import filter_kernels as kernels
-from estimation.estimators.block_filters import (
-    FilterState,
-    Inputs,
-    Posterior,
-    Prior,
-    filtered,
-    solved,
-    start,
-)
+from estimation.estimators.block_filters import FilterState, Inputs, Posterior, Prior, filtered, solved, start
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.values.arrays import FloatArray
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 STEEPEST = 1.6  # of R per y - d that particles begin with: a conicity of 0.8

@@ -11,8 +11,7 @@ from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.geometry.conicity import NO_AMPLITUDE, NO_OFFSET, NO_ZERO, not_covered, too_few_blocks
 from estimation.geometry.uncertainty import SCALE_UNCERTAINTY
 from estimation.values.arrays import FloatArray
-from estimation.values.intervals import jackknife_std, with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Estimate, Status, jackknife_std, with_interval
 from estimation.values.reasons import Reason
 
 FEWEST_GROUPS = 4

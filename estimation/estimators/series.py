@@ -8,17 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
-from estimation.estimators.coverage import CELLS, beside, counted, covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    CurveEstimate,
+    EstimatorParameters,
+    beside,
+    counted,
+    covered_range,
+    usable,
+)
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.motion import Motion
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
 GROUPS = 16
@@ -28,24 +36,17 @@ Basis = Callable[[FloatArray], FloatArray]  # y - d (n,) to functions (n, m)
 
 
 @dataclass(frozen=True, slots=True)
-class SeriesState:
+class SeriesState(FrozenArrays):
     """Sums over samples; states add up in any order."""
 
     parameters: EstimatorParameters
-    gram: FloatArray  # (g, m, m)
-    cross: FloatArray  # (g, m, 8) with R and its derivatives by the logarithms of the parameters, m
+    gram: Annotated[FloatArray, "g", "m", "m"]
+    cross: Annotated[FloatArray, "g", "m", len(YAW_TARGETS)]  # m, with R and its derivatives by the log parameters
     squares: float  # m2, weighted sum of R^2
-    sums: FloatArray  # (CELLS,) m, weighted sum of R by displacement
-    counts: FloatArray  # (CELLS,) effective samples by displacement
+    sums: Annotated[FloatArray, CELLS]  # m, weighted sum of R by displacement
+    counts: Annotated[FloatArray, CELLS]  # effective samples by displacement
     samples: int
     stretches: int
-
-    def __post_init__(self) -> None:
-        g, m = self.gram.shape[:2]
-        object.__setattr__(self, "gram", frozen_array(self.gram, (g, m, m), name="gram"))
-        object.__setattr__(self, "cross", frozen_array(self.cross, (g, m, len(YAW_TARGETS)), name="cross"))
-        object.__setattr__(self, "sums", frozen_array(self.sums, (CELLS,), name="sums"))
-        object.__setattr__(self, "counts", frozen_array(self.counts, (CELLS,), name="counts"))
 
 
 def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
@@ -63,13 +64,7 @@ def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
 
 
 def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> SeriesState:
-    """Return the state with ``motion`` added.
-
-    Args:
-        motion: Motion of the wheelset relative to the track over one window.
-        basis: The basis functions, of y - d in m.
-        weight: Of every sample.
-    """
+    """Return the state with ``motion`` added."""
     keep = usable(motion)
     equations = regression(motion, state.parameters.vehicle)
     targets = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
@@ -97,8 +92,6 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     """Return the curve of the series, its intervals from groups left out and parameters shifted.
 
     Args:
-        state: Sums over all windows.
-        basis: The basis functions, of y - d in m.
         ridge: Weight that holds functions without data at zero, as a share of the mean diagonal of the normal
             equations.
     """
@@ -136,7 +129,6 @@ def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArra
     """Return what one std of each uncertain parameter changes of the curve (6, n), m.
 
     Args:
-        state: Sums over all windows.
         functions: (n, m) the basis functions where the curve is given.
     """
     gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
@@ -148,7 +140,6 @@ def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
     """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell.
 
     Args:
-        state: Sums over all windows.
         x, value: (n,) m, the curve.
     """
     return beside(x, value, state.sums, state.counts)

@@ -8,20 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel, zero_crossing
-from estimation.geometry.contact_roll import ContactRoll, standard_curve
-from estimation.geometry.rolling_line import FREE, held_difference_std, moved_off
-from estimation.geometry.sharpening import (
-    Sharpening,
-    edges_and_centres,
-    jumps_displaced,
-    nodes_of,
-    sharpen,
-)
+from estimation.geometry.rolling_line import FREE, ContactRoll, held_difference_std, moved_off, standard_curve
+from estimation.geometry.sharpening import Sharpening, edges_and_centres, jumps_displaced, nodes_of, sharpen
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import Centre, CentreOrigin
-from estimation.values.intervals import NORMAL_95, jackknife_std, with_interval
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import NORMAL_95, Estimate, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 FEWEST_NODES = 5

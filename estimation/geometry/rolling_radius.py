@@ -16,9 +16,9 @@ import numpy as np
 from estimation.motion.rolling_sums import BANDS, UNKNOWNS
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import Contradiction
-from estimation.values.intervals import jackknife_std, normal_equivalent
+from estimation.values.quantities import jackknife_std, normal_equivalent
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.rolling_sums import RollingSums
+from estimation.values.roll_up import RollingSums
 
 EXPECTED = np.array([1.0, 0.0, 1.0, 1.0, 1.0, 0.0])  # of the unknowns; nothing is expected of the radius
 EXPECTED_STD = np.array([0.01, 10.0, 0.1, 0.1, 300.0, 300.0])  # gravity and curve stand for dL - dR, 100 times as large

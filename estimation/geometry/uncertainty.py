@@ -13,8 +13,7 @@ from typing import Self
 
 import numpy as np
 
-from estimation.geometry.contact_roll import ContactRoll
-from estimation.geometry.rolling_line import FREE, held_shares
+from estimation.geometry.rolling_line import FREE, ContactRoll, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 from estimation.vehicle.vehicle_class import VehicleClass
@@ -81,11 +80,7 @@ class ParameterUncertainty:
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
-        """Return what is not known of the vehicles of a class.
-
-        Args:
-            vehicle_class: The class, with the relative standard deviations of its parameters.
-        """
+        """Return what is not known of the vehicles of a class."""
         roll = ContactRoll.HIDDEN if vehicle_class.sensors.measures_gravity else ContactRoll.SEEN
         return cls(
             creep=vehicle_class.std_of("longitudinal_creep_coefficient"),

@@ -9,7 +9,7 @@ from dataclasses import replace
 from estimation.errors import LeaseLostError, StorageError, WorkersEndedError
 from estimation.jobs.job import JobContext, Work
 from estimation.storage import LeasedStorage
-from estimation.values.claims import MOST_ENDED
+from estimation.values.runs import MOST_ENDED
 
 ELSEWHERE, LOST, SET_ASIDE = "worked_on_elsewhere", "leases_lost", "set_aside"
 

@@ -41,9 +41,9 @@ from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
 from estimation.values.quantities import Status
-from estimation.values.quarantine import TRIED_AGAIN
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.rolling_sums import RollingSums, WindowRollingSums
+from estimation.values.roll_up import RollingSums, WindowRollingSums
+from estimation.values.runs import TRIED_AGAIN
 from estimation.values.track import AlignmentRecord, AlignmentSource, Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import (
     Window,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from estimation.errors import DamagedError, StoppedError, StorageError, TreadwatchError
 from estimation.failures import after_failure
 from estimation.jobs.job import JobContext
-from estimation.values.quarantine import Quarantined, SubjectKind, resolved
+from estimation.values.runs import Quarantined, SubjectKind, resolved
 
 Inputs = Callable[[], str]
 """Returns what stands for that of which a thing is made; called only where it has failed."""

@@ -27,8 +27,7 @@ from estimation.jobs.steps.window_creep import CreepOfWindows, creep_of_windows
 from estimation.storage import UnitOfWork
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import CloseReason
-from estimation.values.look import SectionLook
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SectionLook, SubjectKind
 from estimation.values.windows import WindowKey, WindowMark, WindowState
 
 Stretches = Sequence[tuple[float, float]]

@@ -33,13 +33,12 @@ from estimation.jobs.steps.store_alignment import (
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_positions import Solved
 from estimation.storage import UnitOfWork
-from estimation.track.journeys import NANOSECONDS, Journey
 from estimation.track.partition import Entry, Group, first_epoch, newest_within
+from estimation.track.passes import NANOSECONDS, Journey
 from estimation.track.placing import place_alone
 from estimation.track.update import UpdateOutcome, update_alignment
-from estimation.values.quarantine import SubjectKind
-from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
-from estimation.values.track_epochs import OPEN_NS, TrackEpoch
+from estimation.values.runs import SubjectKind
+from estimation.values.track import OPEN_NS, Correction, TrackAlignment, TrackEpoch, TrackSectionRecord
 
 _COUNTED = {
     UpdateOutcome.UNESTIMATED: "unestimated",

@@ -19,13 +19,13 @@ from estimation.jobs.steps.rolled_geometries import SUMS_IN_MEMORY, RolledGeomet
 from estimation.jobs.steps.rolling import Part, rolled
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.values.exact_table import RolledPart
 from estimation.values.geometry import GeometryRecord
-from estimation.values.quarantine import SubjectKind
-from estimation.values.roll_up import RollUpState
+from estimation.values.roll_up import RolledPart, RollUpState
+from estimation.values.runs import SubjectKind
+from estimation.values.windows import DueStage
 
 _STALE_AT_ONCE = 10_000
-_BEING_MADE = RollUpState("", {}, {})  # of roll-ups that are made again, until all of them are
+_BEING_MADE = RollUpState("", {})  # of roll-ups that are made again, until all of them are
 
 
 def run(context: JobContext) -> Mapping[str, int]:
@@ -96,7 +96,7 @@ def _put(context: JobContext, found: Mapping[str, _Made]) -> int:
         with context.storage.write() as unit:
             for serial, made in found.items():
                 changed += sum(unit.geometries.put(record) for record in made.records)
-                _store(unit, serial, made)
+                _store(unit, serial, made, context.clock.now_ns())
                 unit.geometries.mark_current(serial, made.change)
     return changed
 
@@ -108,7 +108,7 @@ def _set_aside(context: JobContext, serial: str, error: TreadwatchError) -> None
 
 JOB = Job("refresh_geometry", "Merge bin tables into wheelset geometries", every_s=900.0, run=run)
 STAGE = Work(JOB.name, _work, _set_aside)
-STORED_TOGETHER = 4  # wheelsets in a transaction, of each some sums of 3 MB
+STORED_TOGETHER = 4  # wheelsets in a transaction, of each some sums of 1.5 MB
 _MOST_TOGETHER = 16  # wheelsets that are claimed together
 
 
@@ -146,7 +146,7 @@ def _made(context: JobContext, serial: str) -> _Made:
     """Return what is to be stored of a wheelset; nothing but the roll-ups where many of these are to be made again."""
     with context.storage.read() as unit:
         change, seen = unit.geometries.change(serial), geometries_of(unit, serial, context)
-        changed = [part for part in seen.rolled.parts if _changed(part)] if seen.rolled.due else []
+        changed = [part for part in seen.rolled.parts if part.changed] if seen.rolled.due else []
         if seen.rolled.again and len(changed) > SUMS_IN_MEMORY:
             return _Made(change, seen, [], [], apart=True)
         records = seen.records()
@@ -162,15 +162,13 @@ def _roll_again(context: JobContext, serial: str, seen: RolledGeometries) -> Non
     with context.storage.write() as unit:
         unit.roll_ups.put_state(serial, _BEING_MADE)
     for part in seen.rolled.parts:
-        if _changed(part):
+        if part.changed:
             with context.storage.read() as unit:
                 whole = _with_sums(_seen_again(unit, seen), part)
             with context.storage.write() as unit:
-                unit.roll_ups.put(serial, [whole])
+                unit.roll_ups.put(serial, [whole], context.clock.now_ns())
     with context.storage.write() as unit:
-        unit.roll_ups.put(serial, [], seen.rolled.outside)
-        unit.roll_ups.drop(serial, seen.rolled.dropped, seen.rolled.taken)
-        unit.roll_ups.put_state(serial, seen.rolled.state)
+        _store_state(unit, serial, seen)
 
 
 def _seen_again(unit: UnitOfWork, seen: RolledGeometries) -> RolledGeometries:
@@ -179,21 +177,24 @@ def _seen_again(unit: UnitOfWork, seen: RolledGeometries) -> RolledGeometries:
     return RolledGeometries(unit, rules, seen.rolled, seen.context)
 
 
-def _changed(part: Part) -> bool:
-    return bool(part.added or part.taken or part.afresh or part.moved)
-
-
 def _with_sums(seen: RolledGeometries, part: Part) -> RolledPart:
     plain, forgetting = seen.sums(part)
     return RolledPart(part.roll_up, part.before, plain, forgetting, part.added)
 
 
-def _store(unit: UnitOfWork, serial: str, found: _Made) -> None:
+def _store_state(unit: UnitOfWork, serial: str, seen: RolledGeometries) -> None:
+    """Store what holds once all roll-ups of a wheelset are stored that have changed."""
+    unit.tables.note_running(serial, seen.rolled.mileages)
+    unit.due.settle(DueStage.SUMS, serial, seen.rolled.looked_at)
+    unit.roll_ups.drop(serial, seen.rolled.dropped)
+    unit.roll_ups.put_state(serial, seen.rolled.state)
+
+
+def _store(unit: UnitOfWork, serial: str, found: _Made, now_ns: int) -> None:
     seen = found.seen
     if seen.rolled.due:
-        unit.roll_ups.put(serial, found.parts, seen.rolled.outside)
-        unit.roll_ups.drop(serial, seen.rolled.dropped, seen.rolled.taken)
-        unit.roll_ups.put_state(serial, seen.rolled.state)
+        unit.roll_ups.put(serial, found.parts, now_ns)
+        _store_state(unit, serial, seen)
         unit.roll_ups.forget(serial, seen.forgotten())
     if seen.earlier is not None:
         unit.roll_ups.put_earlier(serial, *seen.earlier)

@@ -1,7 +1,7 @@
 """Job: the signatures of new windows, and what the library of all says of every wheelset, the others' data alone.
 
 Where nothing has happened to any wheelset, counters say so. Otherwise a wheelset is judged again when its signatures or
-anything in the library have changed; libraries are shared (``estimation.signatures.admission``), so that a run costs
+anything in the library have changed; libraries are shared (``estimation.signatures.retirement``), so that a run costs
 seven of them at most for each class, axle position and pair of profiles, however many wheelsets there are.
 """
 
@@ -20,16 +20,14 @@ from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import VERSION, refresh_windows, usable
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
-from estimation.signatures.admission import Libraries, Subject
 from estimation.signatures.answer import compared, judged
 from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.retirement import Change, current
+from estimation.signatures.retirement import Change, Libraries, Subject, current
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values.look import Look
 from estimation.values.quantities import Estimate
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.runs import Look, SubjectKind
 from estimation.values.signatures import (
     NO_PAIR,
     AxlePosition,

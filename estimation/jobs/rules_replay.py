@@ -30,11 +30,9 @@ from estimation.storage import UnitOfWork
 from estimation.trend.steps import behind_step
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Condition
-from estimation.values.geometry import GeometryRecord
-from estimation.values.identity import IDENTITY, IdentityChange, since_change
-from estimation.values.interval_conicities import IntervalConicities, interval_conicities
+from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.trend import IDENTITY, IdentityChange, TrendRecord, WearTrend, since_change
 from estimation.values.windows import WindowRecord, WindowState
 
 DAY_NS = 86_400_000_000_000

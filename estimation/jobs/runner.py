@@ -22,8 +22,8 @@ from estimation.jobs.made_from import made_from
 from estimation.jobs.stage import AnyStage, Outcome, Part
 from estimation.storage import UnitOfWork
 from estimation.values.quantities import Estimate, Status
-from estimation.values.quarantine import SubjectKind
 from estimation.values.results import AnyResult, Result
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Due, Mark, StageInputs
 
 CLAIMED_TOGETHER = 4

@@ -16,9 +16,9 @@ from estimation.jobs.settings import JobSettings
 from estimation.storage import UnitOfWork
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason
 from estimation.values.results import ResultKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import StageInputs
 
 I = TypeVar("I")  # noqa: E741 - inputs
@@ -101,8 +101,11 @@ class Stage(Generic[I, V]):
         results: How what it computes is stored; None where ``store`` does all.
         store: Stores what is more than results, in the same transaction; returns what it counted.
         at_once: Subjects that are loaded and stored in one transaction.
-        together: Whether it looks at all subjects of its kind together; its one subject is ``EVERYTHING``.
+        together: Whether it looks at all subjects together, of whatever kind a facet is; its one subject is
+            ``EVERYTHING``.
         frozen: Stages whose results it reads and that do not make it due.
+        inline: Whether the transaction that raises a facet makes what the stage is for, at its end; a run makes all of
+            it again where the settings are others.
     """
 
     name: str
@@ -118,11 +121,13 @@ class Stage(Generic[I, V]):
     at_once: int = 16
     together: bool = False
     frozen: tuple[str, ...] = ()
+    inline: bool = False
 
     def inputs(self, context: JobContext) -> StageInputs:
         """Return what the stage is made from, with these settings and this version of the numerics."""
-        common = made_from(self.facets, self.settings(context.settings), context.code_version)
-        return StageInputs(self.name, self.kind, self.facets, common, self.together)
+        settings = self.settings(context.settings)
+        common = str(settings) if self.inline else made_from(self.facets, settings, context.code_version)
+        return StageInputs(self.name, self.kind, self.facets, common, self.together, self.inline)
 
 
 AnyStage = Stage[Any, Any]

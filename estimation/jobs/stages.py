@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from estimation.jobs.compare_identities import IDENTITIES, JUMPS
+from estimation.jobs.compare_suspensions import SUSPENSIONS
+from estimation.jobs.evaluate_alerts import ALERTS
+from estimation.jobs.refresh_rails import OF_ALL as RAILS
+from estimation.jobs.refresh_rails import OF_WHEELSETS as CELLS
 from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.stage import AnyStage
+from estimation.jobs.worklist_rows import WORKLIST
 
-ALL_STAGES: tuple[AnyStage, ...] = (TREND,)
+ALL_STAGES: tuple[AnyStage, ...] = (TREND, JUMPS, IDENTITIES, SUSPENSIONS, ALERTS, WORKLIST, CELLS, RAILS)

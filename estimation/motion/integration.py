@@ -9,12 +9,68 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.motion import integration_kernels as kernels
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.equations_of_motion import GRAVITY
+
+
+@compiled(nogil=True)
+def take_out_mean(rows: FloatArray) -> None:
+    """Take its mean from each of the rows (m, n)."""
+    n = rows.shape[1]
+    for r in range(len(rows)):
+        total = 0.0
+        for i in range(n):
+            total += rows[r, i]
+        mean = total / n
+        for i in range(n):
+            rows[r, i] -= mean
+
+
+@compiled(nogil=True)
+def integrate_once(values: FloatArray, dt: float, integral: FloatArray) -> None:
+    """Write the running integral (n,) of values (n,).
+
+    Args:
+        values: (n,) in any unit.
+        integral: (n,), written.
+    """
+    total, half = 0.0, 0.5 * dt
+    integral[0] = 0.0
+    for i in range(1, len(values)):
+        total += half * (values[i] + values[i - 1])
+        integral[i] = total
+
+
+@compiled(nogil=True)
+def integrate_twice(accelerations: FloatArray, dt: float, rates: FloatArray, displacements: FloatArray) -> None:
+    """Write running integrals (m, n) of the rows, less their mean and straight line, and the integrals of those.
+
+    Args:
+        accelerations: (m, n) in any unit.
+        rates, displacements: (m, n), written.
+    """
+    n, half = accelerations.shape[1], 0.5 * dt
+    middle = 0.5 * (n - 1)
+    squares = n * (n * n - 1.0) / 12.0  # of the places around the middle
+    for r in range(len(accelerations)):
+        rate, total, moment = 0.0, 0.0, 0.0
+        rates[r, 0] = 0.0
+        for i in range(1, n):
+            rate += half * (accelerations[r, i] + accelerations[r, i - 1])
+            rates[r, i] = rate
+            total += rate
+            moment += rate * (i - middle)
+        mean, slope = total / n, moment / squares
+        displacement, before = 0.0, 0.0
+        for i in range(n):
+            rate = rates[r, i] - mean - slope * (i - middle)
+            if i > 0:
+                displacement += half * (rate + before)
+            rates[r, i], displacements[r, i], before = rate, displacement, rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +110,6 @@ def integrate(
     """Return the segments of usable samples, integrated.
 
     Args:
-        window: Measured accelerations and speed, (n,) each.
         usable: (n,) samples that can be used.
         longest_gap: Samples that may be missing in a row within a segment; by default as many as may be bridged.
         earlier: The same accelerations and speeds, integrated before; segments of the same samples are taken from it.
@@ -133,17 +188,17 @@ def _integrated(window: Window, known: BoolArray, part: slice) -> IntegratedSegm
     if window.frame_yaw_acceleration is not None:
         measured.append(window.frame_yaw_acceleration)
     accelerations = np.stack([bridged(values[part], known) for values in measured])
-    kernels.take_out_mean(accelerations)
+    take_out_mean(accelerations)
     rates, displacements = np.empty_like(accelerations), np.empty_like(accelerations)
-    kernels.integrate_twice(accelerations, dt, rates, displacements)
+    integrate_twice(accelerations, dt, rates, displacements)
     speed = np.array(bridged(window.speed[part], known))
     run = np.empty_like(speed)
-    kernels.integrate_once(speed, dt, run)
+    integrate_once(speed, dt, run)
     if window.measures_gravity:
         (roll,) = remove_wander(displacements[[_ROLL]], run, known, ROLL_CUTOFF)
         lateral = accelerations[_LATERAL] - GRAVITY * roll
         lateral_rates, lateral_displacements = np.empty_like(lateral), np.empty_like(lateral)
-        kernels.integrate_twice(lateral, dt, lateral_rates, lateral_displacements)
+        integrate_twice(lateral, dt, lateral_rates, lateral_displacements)
         accelerations[_LATERAL], rates[_LATERAL] = lateral, lateral_rates
         displacements[_LATERAL] = lateral_displacements
     own = slice(0, len(ACCELERATIONS))

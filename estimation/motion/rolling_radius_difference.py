@@ -19,8 +19,8 @@ import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.cross_level import observed_displacement
-from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedSegment
+from estimation.motion.parameters import FusionParameters
 from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -47,8 +47,6 @@ def long_waves_in_bogie(
         R: (m,) m, by the yaw sensor, on a grid of distance.
         yaws: (m,) rad, on the same grid.
         V: (m,) m/s.
-        vehicle: Parameters of Eq. 1 and Eq. 2; its yaw stiffness is that of the primary suspension.
-        parameters: Grid, and the wavelengths at which both are compared.
     """
     p, step = vehicle, parameters.step
     per_moment = -p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
@@ -119,8 +117,6 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
 
     Args:
         signals: (n,) signals of one segment, over an increasing distance.
-        vehicle: Parameters of Eq. 1 and Eq. 2.
-        parameters: Grid, crossover wavelength and what is known of g beforehand.
     """
     step = parameters.step
     run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
@@ -224,7 +220,6 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
 
     Args:
         segment: Accelerations, rates and displacements of m samples.
-        p: Parameters of Eq. 1 and Eq. 2.
         run: (m,) m, increasing: by default the distance run since the start of the segment.
     """
     accelerations, V = segment.accelerations, segment.speed

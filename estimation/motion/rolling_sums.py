@@ -17,19 +17,212 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from estimation.motion import rolling_kernels as kernels
+from estimation.compiled import compiled
+from estimation.motion.axle_distance import runs_backwards, turned_over
 from estimation.motion.integration import bridged, segments
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.travel import runs_backwards, turned_over
 from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
-from estimation.values.rolling_sums import RollingSums
+from estimation.values.roll_up import RollingSums
 from estimation.values.windows import ACCELERATIONS, Window
 from estimation.vehicle.equations_of_motion import GRAVITY
+from estimation.vehicle.linear_wheelset import ComplexArray
 from estimation.vehicle.vehicle_class import SensorLayout, VehicleClass
+
+ROWS = 5  # spectra: y'', V psi', phi'', ym'' and psi_f'' of the bogie frame
+TERMS = 7  # the lateral acceleration, then the unknowns
+
+
+class Equation(NamedTuple):
+    """What the terms of the equation and their noise follow from."""
+
+    lateral_creep: float  # f22, N
+    spin_creep: float  # f23, N m
+    mass: float  # kg
+    lateral_stiffness: float  # N/m
+    lateral_damping: float  # N s/m
+    load: float  # N
+    radius: float  # m
+    half: float  # l, m
+    per_moment: float  # r0/(l f11), m/(N m): of rL - rR
+    yaw_inertia: float  # kg m2
+    yaw_creep: float  # 2 l^2 f11, N m2: times psi'/V
+    yaw_stiffness: float  # N m
+    yaw_damping: float  # N m s
+    pitch: float  # Iwy/r0, kg m: times V phi'
+    wheelbase: float  # m; infinite without a bogie
+    gravity: float  # m/s2 in the lateral sensors; 0 where it is not
+    yaw_is_gyroscope: bool
+    roll_is_gyroscope: bool
+
+
+@compiled(nogil=True)
+def level(row: FloatArray) -> None:
+    """Take mean and straight line from a row (n,)."""
+    n = len(row)
+    middle = 0.5 * (n - 1)
+    total, moment = 0.0, 0.0
+    for i in range(n):
+        total += row[i]
+        moment += row[i] * (i - middle)
+    mean, slope = total / n, moment / (n * (n * n - 1.0) / 12.0)
+    for i in range(n):
+        row[i] -= mean + slope * (i - middle)
+
+
+@compiled(nogil=True)
+def write_pieces(
+    samples: FloatArray, starts: IntArray, dt: float, taper: FloatArray, pieces: FloatArray, speeds: FloatArray
+) -> None:
+    """Write the rows of each piece (k, 5, n), level and tapered, and its mean speed, from accelerations and speed.
+
+    Args:
+        samples: (6, m) accelerations, that of the frame's yaw, and speed.
+        starts: (k,) first sample of each piece.
+        taper: (n,) of a piece.
+        pieces, speeds: Written: (k, 5, n) and (k,) m/s.
+    """
+    n = len(taper)
+    yaw_rate = np.empty(n)
+    for k in range(len(starts)):
+        first = starts[k]
+        rate, speed = 0.0, 0.0
+        for i in range(n):
+            yaw = samples[1, first + i]
+            rate += yaw
+            yaw_rate[i] = rate - 0.5 * yaw
+            speed += samples[5, first + i]
+        speeds[k] = speed / n
+        level(yaw_rate)
+        for i in range(n):
+            pieces[k, 0, i] = samples[0, first + i]
+            pieces[k, 1, i] = samples[5, first + i] * dt * yaw_rate[i]
+            pieces[k, 2, i] = samples[2, first + i]
+            pieces[k, 3, i] = samples[3, first + i]
+            pieces[k, 4, i] = samples[4, first + i]
+        for r in range(ROWS):
+            level(pieces[k, r])
+            for i in range(n):
+                pieces[k, r, i] *= taper[i]
+
+
+@compiled(nogil=True)
+def write_terms(omega: float, speed: float, e: Equation, terms: ComplexArray) -> None:
+    """Write the terms (7, 5) of the equation per spectrum at an angular frequency; the others stay zero.
+
+    Args:
+        terms: (7, 5), written.
+    """
+    compliance = speed / (2.0 * e.lateral_creep)
+    terms[0, 0], terms[0, 2] = 1.0, e.gravity / omega**2
+    terms[0, 1] = e.spin_creep / e.lateral_creep * 1j * omega / speed
+    terms[1, 1], terms[2, 2] = 1.0, -1.0
+    inertia = -compliance * e.mass * 1j * omega
+    terms[3, 0], terms[3, 2] = inertia * terms[0, 0], inertia * terms[0, 2]
+    suspension = -compliance * (e.lateral_stiffness / (1j * omega) + e.lateral_damping)
+    terms[4, 0], terms[4, 3] = suspension, -suspension
+    terms[5, 2] = -compliance * e.load / (1j * omega)
+    curve = compliance * e.load * e.per_moment / (2.0 * e.half)
+    of_yaw = e.yaw_stiffness - e.yaw_inertia * omega**2 + 1j * omega * (e.yaw_creep / speed + e.yaw_damping)
+    terms[6, 1], terms[6, 2] = curve * of_yaw / speed, curve * e.pitch * speed
+    terms[6, 4] = -curve * (e.yaw_stiffness / (1j * omega) + e.yaw_damping)
+
+
+@compiled(nogil=True)
+def write_noise(
+    omega: float, speed: float, e: Equation, density: FloatArray, counting: FloatArray, noise: FloatArray
+) -> None:
+    """Write the squared noise densities (5,) of the spectra, of sensors and counting.
+
+    Args:
+        e: Which sensors are gyroscopes, and how far those on the frame are from each other.
+        density, counting: (4,) squared noise densities, of the sensors and of what counting makes of them.
+        noise: (5,), written.
+    """
+    for j in range(ROWS - 1):
+        rate = (j == 1 and e.yaw_is_gyroscope) or (j == 2 and e.roll_is_gyroscope)  # noqa: PLR2004 - the rows
+        noise[j] = density[j] * (omega**2 if rate else 1.0) + counting[j]
+    noise[1] *= (speed / omega) ** 2
+    noise[4] = 2.0 * noise[3] / e.wheelbase**2
+
+
+@compiled(nogil=True)
+def left_noise(terms: ComplexArray, noise: FloatArray, radius: float) -> float:
+    """Return the squared noise density of the equation at the parameters on file.
+
+    Args:
+        terms: (7, 5) of the equation.
+        noise: (5,) squared noise densities of the spectra.
+        radius: On file, m.
+    """
+    total = 0.0
+    for j in range(ROWS):
+        left = terms[0, j] - terms[1, j] - radius * terms[2, j] - terms[3, j] - terms[4, j] - terms[5, j]
+        total += (left.real**2 + left.imag**2) * noise[j]
+    return total
+
+
+@compiled(nogil=True)
+def add_spectra(
+    spectra: ComplexArray, speeds: FloatArray, part: IntArray, dt: float, samples: int, unit: float, e: Equation,
+    density: FloatArray, counting: FloatArray, wavelengths: tuple[float, float],
+    products: FloatArray, of_noise: FloatArray,
+) -> None:  # fmt: skip
+    """Add the products of the terms of every piece to those of its part (parts, bands, 7, 7), and what noise makes.
+
+    Args:
+        spectra, speeds: (k, 5, f) of the pieces, and (k,) their mean speeds, m/s.
+        part: (k,) to which a piece is added.
+        dt, samples: Sampling interval, s, and samples of a piece.
+        wavelengths: The shortest and the longest that are looked at, m.
+        products, of_noise: (parts, bands, 7, 7), added to above their diagonals.
+    """
+    terms, noise = np.zeros((TERMS, ROWS), np.complex128), np.empty(ROWS)
+    values, moved = np.empty(TERMS, np.complex128), np.empty(ROWS, np.complex128)
+    bands = products.shape[1]
+    ratio = math.log(wavelengths[1] / wavelengths[0])
+    for k in range(len(spectra)):
+        longest, shortest = speeds[k] / wavelengths[1], speeds[k] / wavelengths[0]
+        for f in range(1, spectra.shape[2]):
+            frequency = f / (samples * dt)
+            if not longest <= frequency <= shortest:
+                continue
+            omega = 2.0 * math.pi * frequency
+            write_terms(omega, speeds[k], e, terms)
+            write_noise(omega, speeds[k], e, density, counting, noise)
+            for j in range(ROWS):
+                moved[j] = spectra[k, j, f]
+            moved[1] *= math.tan(0.5 * omega * dt) / (0.5 * omega * dt)  # the trapezoidal rule's shortfall
+            weight = 2.0 / left_noise(terms, noise, e.radius)
+            band = min(int(bands * math.log(frequency / longest) / ratio), bands - 1)
+            for a in range(TERMS):
+                values[a] = 0.0
+                for j in range(ROWS):
+                    values[a] += terms[a, j] * moved[j]
+            for a in range(TERMS):
+                for b in range(a, TERMS):
+                    product = values[a].real * values[b].real + values[a].imag * values[b].imag
+                    products[part[k], band, a, b] += weight / unit * product
+                    expected = 0.0
+                    for j in range(ROWS):
+                        one, other = terms[a, j], terms[b, j]
+                        expected += noise[j] * (one.real * other.real + one.imag * other.imag)
+                    of_noise[part[k], band, a, b] += weight * expected
+
+
+@compiled(nogil=True)
+def mirror(sums: FloatArray) -> None:
+    """Write below the diagonals of (parts, bands, 7, 7) what stands above them."""
+    for p in range(sums.shape[0]):
+        for band in range(sums.shape[1]):
+            for a in range(TERMS):
+                for b in range(a):
+                    sums[p, band, a, b] = sums[p, band, b, a]
+
 
 WAVELENGTHS = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones noise
 BANDS = 6  # of equal ratio, longest wavelengths first
@@ -39,7 +232,6 @@ PART_S = 15.0  # of a window: what is left out as one by the jackknife
 USUAL_LATERAL, USUAL_ANGULAR = 1e-3, 2e-3  # m/s2 and rad/s2 per root hertz: MEMS sensors, where nothing is on file
 USUAL_RATE = 1e-4  # rad/s per root hertz, of a gyroscope
 UNKNOWNS = ("scale", "radius", "inertia", "suspension", "gravity", "curve")
-TERMS = 1 + len(UNKNOWNS)  # the lateral acceleration first
 
 
 def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalParameters) -> tuple[RollingSums, ...]:
@@ -48,7 +240,6 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     Args:
         window: Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, else it says nothing.
         vehicle_class: Of its vehicle, with the nominal radius on file of its wheelset.
-        signals: Least speed, and how long gaps may be that straight lines bridge.
     """
     if vehicle_class.bogie is not None and window.frame_yaw_acceleration is None:
         return ()
@@ -67,8 +258,8 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     for (first, rows), at in zip(samples, starts, strict=True):
         part = np.searchsorted(numbers, (first + at) // each)
         _add(rows, at, part, window, vehicle_class, size, products, noise)
-    kernels.mirror(products)
-    kernels.mirror(noise)
+    mirror(products)
+    mirror(noise)
     return tuple(RollingSums(*both) for both in zip(products, noise, strict=True))
 
 
@@ -90,9 +281,9 @@ def _add(
     for first in range(0, len(starts), TOGETHER):
         some = slice(first, first + TOGETHER)
         speeds = np.empty(len(starts[some]))
-        pieces = np.empty((len(speeds), kernels.ROWS, size))
-        kernels.write_pieces(rows, starts[some], dt, taper, pieces, speeds)
-        kernels.add_spectra(np.fft.rfft(pieces), speeds, part[some], *place, products, noise)
+        pieces = np.empty((len(speeds), ROWS, size))
+        write_pieces(rows, starts[some], dt, taper, pieces, speeds)
+        add_spectra(np.fft.rfft(pieces), speeds, part[some], *place, products, noise)
 
 
 @lru_cache(maxsize=4)
@@ -100,10 +291,10 @@ def _taper(size: int) -> FloatArray:
     return frozen_array(np.hanning(size), (size,), name="taper")
 
 
-def _equation(vehicle_class: VehicleClass) -> kernels.Equation:
+def _equation(vehicle_class: VehicleClass) -> Equation:
     p, sensors = vehicle_class.parameters, vehicle_class.sensors
     half, longitudinal = p.half_contact_distance, p.longitudinal_creep_coefficient
-    return kernels.Equation(
+    return Equation(
         lateral_creep=p.lateral_creep_coefficient,
         spin_creep=p.lateral_spin_creep_coefficient,
         mass=p.wheelset_mass,

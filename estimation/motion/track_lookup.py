@@ -10,22 +10,116 @@ So F is undone as far as G can bear it: G falls faster than F towards long wavel
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from scipy import fft
+from scipy.interpolate import CubicSpline
 
+from estimation.compiled import compiled
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedWindow, integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.parameters import FusionParameters, SignalParameters
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
-from estimation.motion.spline_lookup import SampledCurve, at_places
+from estimation.motion.usable_samples import fast_enough
 from estimation.values.arrays import FloatArray, frozen_array, runs
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
+
+FEWEST_POINTS = 4  # of a spline
+POINTS = 512  # of the alignment in a piece
+SPLINE_MARGIN = 20  # points beyond a piece, so that the ends of its spline do not matter
+PIECES = 256  # that are kept, 16 kB each
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampledCurve:
+    """A curve on a uniform grid; two of them are equal if they are the same object, which makes them keys of caches."""
+
+    s: FloatArray  # (n,) m, increasing
+    values: FloatArray  # (n,) NaN where not known
+
+
+def at_places(curve: SampledCurve, places: FloatArray) -> FloatArray:
+    """Return the values (n,) at places (n,); NaN off the curve, and beside a point of it that is not known.
+
+    Args:
+        places: (n,) m; NaN where not known.
+    """
+    found = np.full(len(places), np.nan)
+    low, high = extent(places, float(curve.s[0]), float(curve.s[-1]))
+    if low > high:
+        return found
+    last_point = len(curve.s) - 1
+    first = min(max(int(np.searchsorted(curve.s, low)) - 1, 0), last_point - 1) // POINTS
+    last = max(min(int(np.searchsorted(curve.s, high)), last_point) - 1, 0) // POINTS
+    pieces = [_piece(curve, number) for number in range(first, last + 1)]
+    coefficients = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+    s = curve.s[first * POINTS : first * POINTS + len(coefficients) + 1]
+    if len(coefficients):
+        places, coefficients = (frozen_array(one, one.shape, name="places") for one in (places, coefficients))
+        evaluate(places, s, coefficients, found)
+    return found
+
+
+@lru_cache(maxsize=PIECES)
+def _piece(curve: SampledCurve, number: int) -> FloatArray:
+    """Return the coefficients (m, 4) of the spline between the points of a piece, highest power first.
+
+    NaN where one of both points is not known.
+    """
+    begin, end = number * POINTS, min((number + 1) * POINTS, len(curve.s) - 1)
+    first = max(begin - SPLINE_MARGIN, 0)
+    values = curve.values[first : end + 1 + SPLINE_MARGIN]
+    known = first + np.flatnonzero(np.isfinite(values))
+    coefficients = np.full((max(end - begin, 0), 4), np.nan)
+    if len(known) >= FEWEST_POINTS:
+        spline = CubicSpline(curve.s[known], curve.values[known])
+        beside = np.flatnonzero((np.diff(known) == 1) & (known[:-1] >= begin) & (known[:-1] < end))
+        coefficients[known[beside] - begin] = spline.c[:, beside].T
+    return frozen_array(coefficients, (None, 4), name="coefficients")
+
+
+@compiled(nogil=True)
+def extent(places: FloatArray, first: float, last: float) -> tuple[float, float]:
+    """Return the lowest and the highest of the places in ``[first, last]``; the first is larger where there is none.
+
+    Args:
+        places: (n,) m; NaN where not known.
+        first, last: Ends, m.
+    """
+    low, high = np.inf, -np.inf
+    for place in places:
+        if first <= place <= last:
+            low, high = min(low, place), max(high, place)
+    return low, high
+
+
+@compiled(nogil=True)
+def evaluate(places: FloatArray, s: FloatArray, coefficients: FloatArray, found: FloatArray) -> None:
+    """Write the spline at places on the grid (m,); a place on a point of it belongs to the interval before.
+
+    Args:
+        places: (n,) m; NaN where not known.
+        s, coefficients: (m,) m, uniform, and (m - 1, 4) between its points.
+        found: (n,); what is off the grid stays as it is.
+    """
+    last, per_step = len(coefficients) - 1, (len(s) - 1) / (s[-1] - s[0])
+    for i in range(len(places)):
+        at = places[i]
+        if s[0] <= at <= s[-1]:
+            j = min(int((at - s[0]) * per_step), last)
+            while j > 0 and at <= s[j]:
+                j -= 1
+            while j < last and at > s[j + 1]:
+                j += 1
+            t = at - s[j]
+            a, b, c, d = coefficients[j]
+            found[i] = ((a * t + b) * t + c) * t + d
+
 
 FULL_BAND_FACTOR = 2.0  # times the wavelength that is looked at: an alignment that reaches further holds it unchanged
 
@@ -60,8 +154,7 @@ def _certain(track: TrackAlignment) -> FloatArray:
     if not (track.passes > 0).any():
         return track.alignment
     most = max(UNCERTAIN_STD, UNCERTAIN_TIMES * float(np.nanmedian(track.alignment_std)))
-    with np.errstate(invalid="ignore"):
-        certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
+    certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
     return frozen_array(certain, (len(certain),), name="alignment")
 
 
@@ -114,7 +207,6 @@ def gauge_shift(
     Args:
         window: In the axes of the wheelset, at true positions.
         track: Alignment with the gauge deviation and what was found of wheelsets.
-        vehicle: Parameters of Eq. 1 and Eq. 2, which turn motion into rL - rR.
         earlier: The same accelerations and speeds, integrated before.
     """
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
@@ -125,8 +217,7 @@ def gauge_shift(
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
-    with np.errstate(invalid="ignore"):
-        usable = np.asarray(window.valid & np.isfinite(e) & (window.speed >= parameters.least_speed_m_s))
+    usable = window.valid & np.isfinite(e) & fast_enough(window, parameters)
     for segment in integrate(window, usable, parameters, earlier=earlier).segments:
         part, run = segment.part, segment.run
         grid = fuse(motion_signals(segment, vehicle), vehicle, fusion)

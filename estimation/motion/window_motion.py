@@ -33,11 +33,10 @@ from estimation.motion.usable_samples import (
     usable_samples,
 )
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.motion import OF_FRAME, Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import Window
-from estimation.vehicle.sensor_noise import displacement_noise
+from estimation.values.windows import OF_FRAME, Motion, Window
+from estimation.vehicle.vehicle_class import displacement_noise
 
 NANOSECONDS = 1_000_000_000
 
@@ -54,7 +53,6 @@ def motion(
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
     Args:
-        window: Measured accelerations, speed and distance, (n,) each.
         track: Alignment of the window's section; samples outside it are left out. Wavelengths that it does not hold are
             taken out of the motion too.
         layout: Curves of the section, which are left out; None where none is on file.
@@ -67,8 +65,7 @@ def motion(
     d = alignment_at(window.distance, track, cutoff_wavelength)
     if gauge_shift is not None:
         d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
-    limits = parameters.curve_limits
-    usable = usable_samples(window, np.isfinite(d), layout, parameters.least_speed_m_s, limits)
+    usable = usable_samples(window, np.isfinite(d), layout, parameters)
     refusal = _unusable(window, usable, layout, parameters)
     if refusal is not None:
         return refusal

@@ -7,15 +7,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.rails.cell_table import CellTable
-from estimation.rails.component import Component, component
-from estimation.rails.connections import Runs, connected, islands
+from estimation.rails.cell import CellTable
+from estimation.rails.component import Component, Runs, component, connected, islands
 from estimation.rails.parameters import Anchors, RailsParameters, ReferenceWheel
 from estimation.rails.published import RailAt, WheelAt, parted, refusal
 from estimation.rails.trend_line import TrendAt
 from estimation.rails.two_way import Parted, part, with_known
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.intervals import with_interval
+from estimation.values.quantities import with_interval
 from estimation.values.rails import RailKey, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 

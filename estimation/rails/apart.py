@@ -14,11 +14,10 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.rails.amplitude import NOT_COVERED, AtAmplitude, at_amplitude, wheel_checks
-from estimation.rails.cell_table import CellTable, cell_table
-from estimation.rails.connections import Runs, islands
-from estimation.rails.contact_jumps import on_rise
+from estimation.rails.cell import CellTable, cell_table
+from estimation.rails.component import Runs, islands
 from estimation.rails.parameters import Anchors, RailsParameters
-from estimation.rails.published import NEXT_TO_JUMP
+from estimation.rails.published import NEXT_TO_JUMP, on_rise
 from estimation.rails.trend_line import TrendAt
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate

@@ -1,16 +1,25 @@
-"""Cells that wheelsets connect, at one amplitude, as the mixed model takes them."""
+"""Cells that wheelsets connect, at one amplitude, as the mixed model takes them.
+
+Which rails are connected with each other, and with what is known, by more than one wheelset.
+
+Rails are nodes, and what is known is one; a wheel connects all rails that it ran on, and a wheel that is known itself
+connects them with what is known. Rails that one wheelset alone connects have no more than its word: where it was
+measured wrongly, or turned and nobody said so, all of them are off by that.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
-from estimation.rails.cell_table import CellTable
+from estimation.rails.cell import CellTable
 from estimation.rails.two_way import TwoWay
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.rails import RailKey, WheelKey
-from estimation.values.reasons import Reason
+from estimation.values.reasons import Reason, ReasonCode
 
 LEAST_CONICITY = 1e-3  # to which an error may be in proportion
 
@@ -78,3 +87,160 @@ def component(
         known_variance=std[wheel] ** 2,
     )
     return Component(table, cells, k, wheel, rail, two_way, level_open)
+
+
+NOT_CONNECTED = Reason(
+    ReasonCode.RAILS_NOT_CONNECTED, "no wheelset that runs there runs on another section at this amplitude"
+)
+ON_ONE_WHEELSET = Reason(
+    ReasonCode.TOO_FEW_WHEELSETS, "one wheelset alone connects the section, and those next to it, to the reference"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """Which wheel ran on which rails, at one amplitude."""
+
+    wheel: IntArray  # (n,) number of the wheel
+    rail: IntArray  # (n,) number of the rails
+    serial: IntArray  # (w,) number of the wheelset of each wheel
+    known_rail: BoolArray  # (s,)
+    known_wheel: BoolArray  # (w,)
+
+    def nodes(self) -> IntArray:
+        """Return the node (n,) of the rails; that of all that are known is s."""
+        s = len(self.known_rail)
+        return np.where(self.known_rail[self.rail], s, self.rail)
+
+    def pairs(self) -> tuple[IntArray, IntArray]:
+        """Return which wheel (m,) is on which node (m,), each pair once; wheels that are known are on that as well."""
+        s = len(self.known_rail)
+        ran = np.unique(self.wheel)
+        known = ran[self.known_wheel[ran]]
+        wheel, node = np.concatenate([self.wheel, known]), np.concatenate([self.nodes(), np.full(len(known), s)])
+        return np.divmod(np.unique(wheel * (s + 1) + node), s + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Connected:
+    """Groups of rails that are solved together, and why the others are refused."""
+
+    group: IntArray  # (s,) number of the group; -1 where rails are refused or have no cell
+    refused: dict[int, Reason]  # by number of the rails
+
+
+def islands(runs: Runs) -> IntArray:
+    """Return by rails (s,) the number of the group that any wheel connects, all that is known counting as connected."""
+    s = len(runs.known_rail)
+    labels = _labels(*runs.pairs(), s + 1)
+    return np.where(runs.known_rail, labels[s], labels[:s])
+
+
+def connected(runs: Runs, least: int) -> Connected:
+    """Return the groups of rails that enough wheelsets connect; what is refused connects nothing any more.
+
+    Rails that hang on one wheelset are refused where the others are connected with what is known. Where nothing is
+    known, both sides are groups of their own, for differences within each are known.
+
+    Args:
+        least: Different wheelsets that must connect each section.
+    """
+    refused: dict[int, Reason] = {}
+    while True:
+        weak = _weak(runs, least)
+        if not weak:
+            groups, hanging = _groups(runs)
+            weak = dict.fromkeys(hanging, ON_ONE_WHEELSET)
+            if not weak:
+                present = np.isin(np.arange(len(groups)), runs.rail)
+                return Connected(np.where(present, groups, -1), refused)
+        refused |= weak
+        kept = ~np.isin(runs.rail, list(weak))
+        runs = replace(runs, wheel=runs.wheel[kept], rail=runs.rail[kept])
+
+
+def _weak(runs: Runs, least: int) -> dict[int, Reason]:
+    """Return the rails that fewer wheelsets connect to others: that are on other rails too, or known themselves."""
+    wheel, _ = runs.pairs()
+    links = np.bincount(wheel, minlength=len(runs.serial)) > 1
+    linking = links[runs.wheel]
+    serials = len(runs.serial) + 1
+    rail, _ = np.divmod(np.unique(runs.rail[linking] * serials + runs.serial[runs.wheel[linking]]), serials)
+    count = np.bincount(rail, minlength=len(runs.known_rail)).tolist()
+    found = {}
+    for place in np.unique(runs.rail[~runs.known_rail[runs.rail]]).tolist():
+        if count[place] == 0:
+            found[place] = NOT_CONNECTED
+        elif count[place] < least:
+            text = f"{count[place]} wheelset{'s' * (count[place] != 1)} connect the section to others"
+            found[place] = Reason(ReasonCode.TOO_FEW_WHEELSETS, f"{text}, {least} are needed")
+    return found
+
+
+def _groups(runs: Runs) -> tuple[IntArray, list[int]]:
+    """Return the group (s,) of all rails, and the rails that hang on one wheelset."""
+    s = len(runs.known_rail)
+    wheel, node = runs.pairs()
+    whole = _labels(wheel, node, s + 1)
+    of_rail = np.where(runs.known_rail, s, np.arange(s))
+    columns = [whole]
+    for serial in _needed(wheel, node, runs.serial, s + 1):
+        others = runs.serial[wheel] != serial
+        columns.append(_labels(wheel[others], node[others], s + 1))
+    labels = np.array(columns)[:, of_rail]  # (1 + c, s)
+    at_known = np.array(columns)[:, s]
+    with_known = whole[of_rail] == whole[s]
+    held = (labels == at_known[:, None]).all(axis=0)
+    _, blocks, sizes = np.unique(labels, axis=1, return_inverse=True, return_counts=True)
+    blocks = blocks.reshape(-1)
+    apart = np.where(with_known, ~held, (sizes[blocks] == 1) & ~runs.known_rail)
+    present = np.unique(runs.rail)
+    return np.where(with_known, -1, blocks) + 1, present[apart[present]].tolist()
+
+
+def _needed(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> list[int]:
+    """Return the wheelsets without which some nodes are not connected any more.
+
+    A spanning forest shows few that may be; what the others connect is one node, and the same again with what is left.
+    """
+    while len(wheel):
+        may_be = _of_forest(wheel, node, serial, nodes)
+        others = ~np.isin(serial[wheel], may_be)
+        merged = _labels(wheel[others], node[others], nodes)
+        wheel, node = wheel[~others], merged[node[~others]]
+        pairs = np.unique(wheel * nodes + node)
+        wheel, node = np.divmod(pairs, nodes)
+        links = np.bincount(wheel, minlength=len(serial)) > 1
+        wheel, node = wheel[links[wheel]], node[links[wheel]]
+        if not others.any():
+            break
+    count = _parts(_labels(wheel, node, nodes), node)
+    found = []
+    for one in np.unique(serial[wheel]).tolist():
+        left = serial[wheel] != one
+        if _parts(_labels(wheel[left], node[left], nodes), node) > count:
+            found.append(one)
+    return found
+
+
+def _of_forest(wheel: IntArray, node: IntArray, serial: IntArray, nodes: int) -> IntArray:
+    """Return the wheelsets of a spanning forest, in which those that connect most come first."""
+    most = np.bincount(serial[wheel], minlength=int(serial.max()) + 1)
+    cost = np.empty(len(most))
+    cost[np.argsort(-most, kind="stable")] = np.arange(1, len(most) + 1)
+    size = nodes + len(serial)
+    graph = coo_array((cost[serial[wheel]], (nodes + wheel, node)), shape=(size, size))
+    tree = minimum_spanning_tree(graph).tocoo()
+    ends = np.bincount(np.concatenate([tree.row, tree.col]), minlength=size)[nodes:]
+    return np.unique(serial[ends > 1])
+
+
+def _labels(wheel: IntArray, node: IntArray, nodes: int) -> IntArray:
+    """Return by node (nodes,) the number of what is connected with it."""
+    size = nodes + (int(wheel.max()) + 1 if len(wheel) else 0)
+    graph = coo_array((np.ones(len(wheel)), (nodes + wheel, node)), shape=(size, size))
+    return connected_components(graph, directed=False)[1][:nodes].astype(np.int64)
+
+
+def _parts(labels: IntArray, node: IntArray) -> int:
+    return len(np.unique(labels[node]))

@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.accuracy.wheel_contact import REACH, STEP, RailShare, WheelPair, conicity_of
+from estimation.contact.geometry import WheelsetOnTrack
+from estimation.contact.profiles import is_design, rail_profile, wheel_profile
+from estimation.contact.radius_difference import radius_difference_curve
+from estimation.errors import ContactError, ParameterError, ProfileError
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.rails import KnownWheel, RailKey
 from estimation.values.reasons import Reason, ReasonCode
 
@@ -21,8 +27,6 @@ class RailsParameters:
     Attributes:
         slope_std: Standard deviation, known beforehand, of how much more the rails of a section change the conicity of
             a wheel whose conicity is higher by 1.
-        interaction: What neither wheel nor rail explains of a conicity, known beforehand as a standard deviation.
-        interaction_weight: How many degrees of freedom that knowledge counts.
         farthest: By how much the conicity of the wheel as designed may be outside the range of the wheels that run on a
             section: next to contact jumps a conicity does not go on as it does between those that are known.
         steepest: Most that the conicity of the wheel as designed may change within 0.25 mm of amplitude, where it is
@@ -37,17 +41,11 @@ class RailsParameters:
             are spread.
         most_interaction: Most that neither wheel nor rail may explain, as a standard deviation, at an amplitude that is
             published.
-        least_wheelsets: Different wheelsets that must connect a section to its reference.
-        period_days: Length of a period, in which rails hardly wear.
-        known_days: How long rails that are as on file on a day are taken to be so.
-        least_periods: Fewest periods of a trend.
-        limit: On the excess of the reference wheel's conicity.
-        limit_amplitude: m, at which the limit is looked at, or the largest amplitude below that is known.
     """
 
     slope_std: float = 0.3
-    interaction: float = 0.005
-    interaction_weight: float = 4.0
+    interaction: float = 0.005  # std of what neither wheel nor rail explains of a conicity, known beforehand
+    interaction_weight: float = 4.0  # how many degrees of freedom that knowledge counts
     farthest: float = 0.03
     steepest: float = 0.03
     known_apart: float = 1.7
@@ -55,25 +53,21 @@ class RailsParameters:
     uneven_slope: float = 0.6
     spread_open: float = 0.1
     most_interaction: float = 0.01
-    least_wheelsets: int = 2
-    period_days: float = 180.0
-    known_days: float = 365.0
-    least_periods: int = 3
-    limit: float = 0.05
-    limit_amplitude: float = 3.0e-3
+    least_wheelsets: int = 2  # different wheelsets that must connect a section to its reference
+    period_days: float = 180.0  # length of a period, in which rails hardly wear
+    known_days: float = 365.0  # how long rails that are as on file on a day are taken to be so
+    least_periods: int = 3  # fewest periods of a trend
+    limit: float = 0.05  # on the excess of the reference wheel's conicity
+    limit_amplitude: float = 3.0e-3  # m, at which the limit is looked at, or the largest amplitude below that is known
 
 
 @dataclass(frozen=True, slots=True)
-class ReferenceWheel:
+class ReferenceWheel(FrozenArrays):
     """The wheel as designed: what its conicity is, from its drawing and those of rails."""
 
     profile: str  # name
-    on_reference: FloatArray  # (k,) on the rails that all are compared with
+    on_reference: Annotated[FloatArray, "n"]  # on the rails that all are compared with
     on_file: Mapping[str, FloatArray] = field(default_factory=dict)  # (k,) by section, on its rails as on file
-
-    def __post_init__(self) -> None:
-        on_reference = frozen_array(self.on_reference, (len(self.on_reference),), name="on_reference")
-        object.__setattr__(self, "on_reference", on_reference)
 
     def of(self, section: str) -> FloatArray:
         """Return its conicity (k,) on the rails of a section as on file; NaN where it has none."""
@@ -116,3 +110,41 @@ class Anchors:
             refused={**self.refused, **sections},
             refused_wheels={**self.refused_wheels, **wheelsets},
         )
+
+
+def conicity_on_rails(wheels: WheelPair, rails: RailShare, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the conicity (k,) of wheels on rails and its standard deviation; NaN where they have none.
+
+    Args:
+        wheels: Profiles, radius and their standard deviation.
+        amplitude: (k,) m.
+    """
+    nothing = np.full(len(amplitude), np.nan)
+    try:
+        rail = rail_profile(rails.rail)
+        radius = wheels.nominal_radius
+        wheelset = WheelsetOnTrack(
+            wheels.left, wheels.right, rail, rail, rails.inclination, rails.gauge, radius, radius
+        )
+        x = STEP * np.arange(-round(REACH / STEP), round(REACH / STEP) + 1)
+        curve = radius_difference_curve(wheelset, x)
+    except (ContactError, ProfileError, ParameterError):
+        return nothing, nothing
+    found = conicity_of(curve.displacement, curve.difference, amplitude, wheels.std)
+    value = np.array([np.nan if one.value is None else one.value for one in found])
+    return value, np.array([np.nan if one.std is None else one.std for one in found])
+
+
+def designed_wheel(profile: str, nominal_radius: float) -> WheelPair | None:
+    """Return the wheels of a profile as designed; None where no such profile is built in.
+
+    Args:
+        nominal_radius: At the tread datum, m.
+    """
+    if not is_design(profile):
+        return None
+    try:
+        wheel = wheel_profile(profile)
+    except ProfileError:  # it is a rail
+        return None
+    return WheelPair(wheel, wheel, nominal_radius)

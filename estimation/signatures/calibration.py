@@ -9,6 +9,13 @@ about sections rougher or smoother than its tracks.
 
 Errors of geometries have a part in common, such as that of a class's creep coefficients. It does not show in the
 differences, and all answers have it. How large it is ``on_file`` says, and the mixture is over that as well.
+
+What the conicities on file may be off by: each wheelset's own errors, and errors in common.
+
+Errors of measured profiles are each wheelset's own as far as the differences of the library hold them. Those of
+geometries rest on one class, one survey and one set of filters; some of their variance is the wheelset's own. How much
+has a posterior: differences from the answers are the errors of these, whose standard deviation is not known either,
+and the own errors.
 """
 
 from __future__ import annotations
@@ -16,19 +23,100 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from estimation.signatures.families import FOLDS, families
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
-from estimation.signatures.on_file import SHARES, Differences, OnFile
-from estimation.signatures.parameters import SignatureParameters
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.signatures.parameters import FOLDS, SignatureParameters, families
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import Basis
+from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
+
+SHARES: FloatArray = np.asarray(np.linspace(0.0, 1.0, 21))  # of the variances of geometries, that are tried
+ANSWER_STD = 0.006  # of an answer about one wheelset on one section, before any is seen
+ANSWER_SPREAD = 0.3  # std of its logarithm
+RELUCTANCE = 3  # power of what is in common, by which shares are less likely beforehand
+NEAR = 0.03  # of conicity, within which what is on file counts for an answer
+_NONE = np.eye(len(SHARES))[0]  # no share of anything
+
+
+@dataclass(frozen=True, slots=True)
+class OnFile(FrozenArrays):
+    """Standard deviations of the conicities of some entries."""
+
+    conicity: Annotated[FloatArray, "n"]
+    own: Annotated[FloatArray, "n"]  # of errors that are each wheelset's own
+    shared: Annotated[FloatArray, "n"]  # of errors in common
+    claimed: Annotated[FloatArray, "n"]  # of errors of which a share of the variance is each wheelset's own
+    shares: Annotated[FloatArray, len(SHARES)]  # probabilities of ``SHARES``
+
+    @property
+    def alone(self) -> FloatArray:
+        """Std (n,) of all errors that are each wheelset's own, with the share that is expected."""
+        return np.asarray(np.hypot(self.own, np.sqrt(float(self.shares @ SHARES)) * self.claimed))
+
+    def shared_std(self, conicity: float) -> FloatArray:
+        """Return the std (k,) of what is off in common about a conicity, by share.
+
+        Errors in common add up as they are, not as squares: it is a mean of standard deviations, of all entries or of
+        those near by, whichever is larger.
+        """
+        each = self.shared[:, None] + np.sqrt(1.0 - SHARES) * self.claimed[:, None]
+        near = np.exp(-0.5 * ((self.conicity - conicity) / NEAR) ** 2) + np.finfo(np.float64).tiny
+        return np.asarray(np.maximum(each.mean(axis=0), near @ each / near.sum()))
+
+
+def unjudged(entries: Sequence[LibraryEntry]) -> OnFile:
+    """Return what entries may be off by before anything of them is judged: of measured profiles all is their own."""
+    conicity, std = np.array([entry.conicity for entry in entries]), np.array([entry.std for entry in entries])
+    measured = np.array([entry.source is ConicitySource.MEASURED_PROFILES for entry in entries])
+    return OnFile(conicity, measured * std, 0.0 * std, ~measured * std, _NONE)
+
+
+@dataclass(frozen=True, slots=True)
+class Differences:
+    """How far wheelsets are judged from what is on file of them."""
+
+    difference: FloatArray  # (w,) conicities, means over answers
+    answers: FloatArray  # (w,) how many
+    own: FloatArray  # (w,) variances of what is on file, as in ``OnFile``
+    claimed: FloatArray  # (w,)
+
+
+def judged_by(before: OnFile, seen: Differences) -> OnFile:
+    """Return what entries may be off by, given how far each wheelset is judged from what is on file."""
+    share = 1.0
+    if before.own.any():
+        measured = seen.own > 0.0
+        ratio = np.mean(seen.difference[measured] ** 2) / np.mean(seen.own[measured]) if measured.any() else 0.0
+        share = min(1.0, float(ratio))
+    return OnFile(
+        conicity=before.conicity,
+        own=np.sqrt(share) * before.own,
+        shared=np.sqrt(1.0 - share) * before.own,
+        claimed=before.claimed,
+        shares=_posterior(seen) if before.claimed.any() else _NONE,
+    )
+
+
+def _posterior(seen: Differences) -> FloatArray:
+    """Return the probabilities (k,) of the shares; large ones are not likely beforehand.
+
+    A wheelset's answers on several sections have errors of their own, so that their mean is as much better.
+    """
+    of = seen.claimed > 0.0
+    squared, claimed, answers = seen.difference[of] ** 2, seen.claimed[of], seen.answers[of]
+    about = np.linspace(-3.0, 3.0, 31)
+    scale = (ANSWER_STD * np.exp(ANSWER_SPREAD * about)) ** 2
+    variance = scale[:, None, None] / answers + SHARES[:, None] * claimed
+    weighed = -0.5 * np.sum(squared / variance + np.log(variance), axis=-1) - 0.5 * about[:, None] ** 2
+    posterior = (1.0 - SHARES) ** RELUCTANCE * np.exp(weighed - weighed.max()).sum(axis=0)
+    return np.asarray(posterior / posterior.sum())
+
 
 COVERAGE = 0.95
 NORMAL = float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
@@ -56,17 +144,14 @@ class Reach:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
+class Calibration(FrozenArrays):
     """What the answers of a library need to cover, and how far from it those were."""
 
-    weights: FloatArray  # (k, m) probabilities of shares and factors
+    weights: Annotated[FloatArray, None, len(FACTORS)]  # probabilities of shares and factors
     whole: Reach  # of all features
     roll: Reach  # of roll at short wavelengths
     wheelsets: int
     answers: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "weights", frozen_array(self.weights, (None, len(FACTORS)), name="weights"))
 
     def std(self, posterior: float, shared: FloatArray) -> float:
         """Return half a 95 % interval over that of a normal error.
@@ -108,9 +193,7 @@ def calibrated(
     """Return the calibration of a library by basis of its answers, or why it has none.
 
     Args:
-        known: What the conicities on file may be off by.
         groups: Of every entry the wheelsets whose data are in it: what shares one is left out together.
-        parameters: What a library must hold.
     """
     apart = _folds(rows, groups)
     judged = partial(_judged, rows, known, apart, margin=parameters.margin)
@@ -129,11 +212,7 @@ def calibrated(
 
 
 def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], margin: float) -> Differences:
-    """Return how far wheelsets are judged by the others from what is on file of them, on places that these have.
-
-    Args:
-        known: What these may be off by.
-    """
+    """Return how far wheelsets are judged by the others from what is on file of them, on places that these have."""
     found = list(_judged(rows, known, _folds(rows, groups), Basis.SAME_PLACES, margin))
     answers = np.unique([one.wheelset for one in found], return_counts=True)[1].astype(np.float64)
     return Differences(

@@ -16,10 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.signatures import SIGNALS
 
 CONICITY, SPEED = 0.2, 20.0  # that the polynomial is about
@@ -32,31 +33,20 @@ LEVEL_MARGIN = 0.2  # of the logarithm of a power, by which a track may always b
 
 
 @dataclass(frozen=True, slots=True)
-class MixedModel:
+class MixedModel(FrozenArrays):
     """What the library has taught, over f features; covariances (f, f)."""
 
-    response: FloatArray  # (6, f); the last row is of the product of conicity and level
-    mean: FloatArray  # (f,) of all places
-    of_level: FloatArray  # (f,) by how much the effects of places change with their level
-    places: FloatArray  # (p, f) effects of the known places
-    passes: FloatArray  # (p,) entries behind each
-    rest: FloatArray
-    of_wheelset: FloatArray
-    of_fit: FloatArray  # of wheelsets with what the errors of their conicities add: what the response is fitted to
-    leverage: FloatArray  # (3, 3) of 1, and logarithm of the conicity and its square, by wheelset
-    of_place: FloatArray  # of places of one section
-    of_section: FloatArray
-
-    def __post_init__(self) -> None:
-        f = len(self.mean)
-        object.__setattr__(self, "response", frozen_array(self.response, (TERMS + 1, f), name="response"))
-        object.__setattr__(self, "mean", frozen_array(self.mean, (f,), name="mean"))
-        object.__setattr__(self, "of_level", frozen_array(self.of_level, (f,), name="of_level"))
-        object.__setattr__(self, "places", frozen_array(self.places, (None, f), name="places"))
-        object.__setattr__(self, "passes", frozen_array(self.passes, (len(self.places),), name="passes"))
-        object.__setattr__(self, "leverage", frozen_array(self.leverage, (3, 3), name="leverage"))
-        for name in ("rest", "of_wheelset", "of_fit", "of_place", "of_section"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (f, f), name=name))
+    response: Annotated[FloatArray, TERMS + 1, "f"]  # ; the last row is of the product of conicity and level
+    mean: Annotated[FloatArray, "f"]  # of all places
+    of_level: Annotated[FloatArray, "f"]  # by how much the effects of places change with their level
+    places: Annotated[FloatArray, "p", "f"]  # effects of the known places
+    passes: Annotated[FloatArray, "p"]  # entries behind each
+    rest: Annotated[FloatArray, "f", "f"]
+    of_wheelset: Annotated[FloatArray, "f", "f"]
+    of_fit: Annotated[FloatArray, "f", "f"]  # of wheelsets and the errors of their conicities, for the fit
+    leverage: Annotated[FloatArray, 3, 3]  # of 1, and logarithm of the conicity and its square, by wheelset
+    of_place: Annotated[FloatArray, "f", "f"]  # of places of one section
+    of_section: Annotated[FloatArray, "f", "f"]
 
     @property
     def levels(self) -> FloatArray:

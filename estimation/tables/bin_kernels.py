@@ -6,7 +6,7 @@ import numpy as np
 
 from estimation.compiled import compiled
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.vehicle.regression_kernels import (
+from estimation.vehicle.regressors import (
     YAW_TARGET_COLUMNS,
     Coefficients,
     Signals,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -23,15 +23,19 @@ from estimation.tables import bin_kernels as kernels
 from estimation.tables import least_squares
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.geometry import BinTable, FilledCells
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.regression_kernels import signals_of
-from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, SHARED_IN_BOGIE, YAW_TARGETS, coefficients
-from estimation.vehicle.sensor_noise import difference_noise
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.regressors import (
+    LATERAL_TARGETS,
+    REGRESSORS,
+    SHARED_IN_BOGIE,
+    YAW_TARGETS,
+    coefficients,
+    signals_of,
+)
+from estimation.vehicle.vehicle_class import VehicleClass, difference_noise
 
 
 @dataclass(slots=True)
@@ -41,20 +45,21 @@ class TableSum:
     Adding and forgetting in turn gives the same bits as ``estimation.tables.bin_table.merge`` table by table.
 
     Attributes:
-        empty: The table of the same parameters without samples.
+        start: The table to which others are added: without samples, or a sum that goes on.
     """
 
-    empty: BinTable
+    start: BinTable
     _weight: FloatArray = field(init=False)
     _lateral: FloatArray = field(init=False)
     _yaw: FloatArray = field(init=False)
-    _samples: int = 0
-    _windows: int = 0
+    _samples: int = field(init=False)
+    _windows: int = field(init=False)
 
     def __post_init__(self) -> None:
         self._weight, self._lateral, self._yaw = (
-            array.copy() for array in (self.empty.weight, self.empty.lateral, self.empty.yaw)
+            array.copy() for array in (self.start.weight, self.start.lateral, self.start.yaw)
         )
+        self._samples, self._windows = self.start.samples, self.start.windows
 
     def forget(self, weight: float) -> None:
         """Give what was added so far another weight.
@@ -66,32 +71,30 @@ class TableSum:
             for array in (self._weight, self._lateral, self._yaw):
                 np.multiply(array, weight, out=array)
 
-    def add(self, table: BinTable | FilledCells) -> None:
-        """Add a table with weight 1.
+    def add(self, table: BinTable | FilledCells, weight: float = 1.0) -> None:
+        """Add a table times a weight; samples and windows are counted without weights.
 
         Args:
             table: Whole, or its filled cells.
-
-        Raises:
-            ValueError: It was made with other parameters.
         """
-        if table.parameter_key != self.empty.parameter_key:
-            both = f"{self.empty.parameter_key} and {table.parameter_key}"
+        if table.parameter_key != self.start.parameter_key:
+            both = f"{self.start.parameter_key} and {table.parameter_key}"
             raise ValueError(f"bin tables of parameters {both} do not merge")
         sums = (self._weight, self._lateral, self._yaw)
         for whole, added in zip(sums, (table.weight, table.lateral, table.yaw), strict=True):
+            share = added if weight == 1.0 else weight * added
             if isinstance(table, FilledCells):
-                whole.reshape(-1, *whole.shape[2:])[table.cells] += added
+                whole.reshape(-1, *whole.shape[2:])[table.cells] += share
             else:
-                np.add(whole, added, out=whole)
+                np.add(whole, share, out=whole)
         self._samples += table.samples
         self._windows += table.windows
 
     def table(self) -> BinTable:
         """Return the sum."""
         return BinTable(
-            parameter_key=self.empty.parameter_key,
-            edges=self.empty.edges,
+            parameter_key=self.start.parameter_key,
+            edges=self.start.edges,
             weight=np.array(self._weight),
             lateral=np.array(self._lateral),
             yaw=np.array(self._yaw),
@@ -176,12 +179,7 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
-    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`.
-
-    Args:
-        motion: Motion of one wheelset relative to the track, (n,) samples.
-        parameters: Bins, groups, and the vehicle of Eq. 1 and Eq. 2.
-    """
+    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`."""
     return fill_cells(motion, parameters).table()
 
 
@@ -249,11 +247,7 @@ def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTabl
     """Return ``forgetting * first + second``; associative, and commutative without forgetting.
 
     Args:
-        first, second: Tables of the same parameters.
         forgetting: Weight of the first table, 0 to 1; that of the second is 1.
-
-    Raises:
-        ValueError: The tables were made with different parameters.
     """
     if first.parameter_key != second.parameter_key:
         raise ValueError(f"bin tables of parameters {first.parameter_key} and {second.parameter_key} do not merge")
@@ -273,10 +267,6 @@ def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameter
 
     Args:
         tables: Of the same parameters; one is in memory at a time where they come one by one.
-        parameters: Those of the tables; of the empty table where there are none.
-
-    Raises:
-        ValueError: A table was made with other parameters.
     """
     merged = TableSum(init(parameters))
     for table in tables:
@@ -292,10 +282,6 @@ def merge_with_mileage(
     Args:
         tables: (mileage in km, table), ascending; one is in memory at a time where they come one by one.
         half_life_km: Distance after which an observation counts half.
-        parameters: Those of the tables; of the empty table where there are none.
-
-    Raises:
-        ValueError: A table was made with other parameters.
     """
     merged, before = TableSum(init(parameters)), None
     for mileage, table in tables:
@@ -344,11 +330,7 @@ def cells_of_window(
 
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:
-    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion.
-
-    Args:
-        parameters: Class of the vehicle and filters, which go into the key of the tables.
-    """
+    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion."""
     bogie = parameters.vehicle_class.bogie
     return BinParameters(
         source=parameters.signals.source,
@@ -363,3 +345,29 @@ def bin_parameters(parameters: WindowParameters) -> BinParameters:
 def _arrangement(vehicle_class: VehicleClass) -> str:
     """Return what shapes the motion besides the parameters of the wheelset."""
     return f"{vehicle_class.arrangement} {vehicle_class.bogie} {vehicle_class.sensors}"
+
+
+def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
+    """Return the sum of tables times their weights; samples and windows are counted without weights.
+
+    Args:
+        tables: Weight and table, at least one; all of the same parameters.
+    """
+    total: BinTable | None = None
+    for weight, table in tables:
+        if total is None:
+            total = replace(table, weight=weight * table.weight, lateral=weight * table.lateral, yaw=weight * table.yaw)
+            continue
+        if table.parameter_key != total.parameter_key:
+            raise ValueError(f"bin tables of parameters {total.parameter_key} and {table.parameter_key} do not merge")
+        total = replace(
+            total,
+            weight=total.weight + weight * table.weight,
+            lateral=total.lateral + weight * table.lateral,
+            yaw=total.yaw + weight * table.yaw,
+            samples=total.samples + table.samples,
+            windows=total.windows + table.windows,
+        )
+    if total is None:
+        raise ValueError("no table to sum")
+    return total

@@ -12,21 +12,18 @@ triangle of ``X'X`` row by row (p (p + 1) / 2), ``X'Z`` row by row (p t), and ``
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_array
 
 SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction is not in the data
 
 
 def packed_size(regressors: int, targets: int) -> int:
-    """Return the length of the packed moments of one cell.
-
-    Args:
-        targets: Number t of targets.
-    """
+    """Return the length of the packed moments of one cell."""
     return regressors * (regressors + 1) // 2 + regressors * targets + 1
 
 
@@ -47,13 +44,7 @@ class Moments:
 
 
 @compiled(nogil=True)
-def _collect(
-    features: FloatArray,
-    targets: FloatArray,
-    cell: IntArray,
-    packed: FloatArray,
-    weight: FloatArray,
-) -> None:
+def _collect(features: FloatArray, targets: FloatArray, cell: IntArray, packed: FloatArray, weight: FloatArray) -> None:
     n, p = features.shape
     t = targets.shape[1]
     for i in range(n):
@@ -83,9 +74,6 @@ def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: in
         features: (n, p) regressors.
         targets: (n, t) targets; column 0 is the measurement.
         cell: (n,) cell of each sample, 0..cells-1; negative: the sample belongs nowhere.
-
-    Raises:
-        ValueError: Lengths differ, or a cell is out of range.
     """
     if not len(features) == len(targets) == len(cell):
         raise ValueError(f"lengths differ: {len(features)}, {len(targets)}, {len(cell)}")
@@ -105,17 +93,12 @@ def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: in
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
+class Solution(FrozenArrays):
     """Least-squares solution of each cell; NaN where the normal matrix is singular."""
 
-    theta: FloatArray  # (c, p, t) one column a target
+    theta: Annotated[FloatArray, "c", "p", "t"]  # one column a target
     residual_variance: FloatArray  # (c,) of the first target
-    inverse: FloatArray  # (c, p, p) inverse of X'X (through the scaled eigenvectors)
-
-    def __post_init__(self) -> None:
-        c, p, t = self.theta.shape
-        object.__setattr__(self, "theta", frozen_array(self.theta, (c, p, t), name="theta"))
-        object.__setattr__(self, "inverse", frozen_array(self.inverse, (c, p, p), name="inverse"))
+    inverse: Annotated[FloatArray, "c", "p", "p"]  # inverse of X'X (through the scaled eigenvectors)
 
 
 def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int) -> Solution:
@@ -124,7 +107,6 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
     Args:
         packed: (c, packed_size) moments.
         weight: (c,) sums of weights.
-        targets: Number t of targets.
     """
     p, t = regressors, targets
     c = len(packed)
@@ -153,7 +135,6 @@ def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArra
 
     Args:
         packed: (c, packed_size) moments.
-        targets: Number t of targets.
     """
     p, t = regressors, targets
     c = len(packed)

@@ -16,7 +16,7 @@ from estimation.track.panel.solution import PanelSolution, between_pass_std_rati
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.results import SectionResults, findings
 from estimation.track.section_grid import SectionGrid
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, TrackAlignment
@@ -76,7 +76,6 @@ def merged_alignment(
 
     Args:
         prior: What was known before; None where nothing was.
-        p: Cut-off of the alignment, and the standard deviations that blocks of data cannot show.
     """
     grid = iterated.panel.grid
     found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
@@ -164,10 +163,5 @@ def _profile_uncertainty(iterated: IterationResult) -> _ProfileUncertainty:
 def _nothing_known(grid: SectionGrid) -> PriorAlignment:
     zero = np.zeros(grid.points)
     return PriorAlignment(
-        alignment=zero,
-        std=np.full_like(zero, np.inf),
-        passes=zero,
-        gauge=zero,
-        gauge_std=zero,
-        gauge_known=False,
+        alignment=zero, std=np.full_like(zero, np.inf), passes=zero, gauge=zero, gauge_std=zero, gauge_known=False
     )

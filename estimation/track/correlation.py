@@ -9,11 +9,23 @@ import numpy as np
 from scipy import fft
 
 from estimation.filters.local_cubic import high_pass
-from estimation.filters.peak import peak_position
-from estimation.track.journeys import PositionParameters
-from estimation.track.passes import Pass, gridded
+from estimation.track.passes import Pass, PositionParameters, gridded
 from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray, IntArray
+
+
+def peak_position(score: FloatArray, k: int) -> float:
+    """Return the position, in samples, of the vertex of the parabola through a peak and its neighbours.
+
+    Args:
+        score: (n,) at equal distances.
+        k: Of the largest one; itself is returned at an end, and where the three do not bend downwards.
+    """
+    if not 0 < k < len(score) - 1:
+        return float(k)
+    before, at, after = score[k - 1 : k + 2]
+    bend = before - 2.0 * at + after
+    return float(k + (0.5 * (before - after) / bend if bend < 0.0 else 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +79,6 @@ def clear_peaks(
     Args:
         points, y: (m,) grid points, increasing by one, and the signal there.
         reference: (n,) on the grid.
-        parameters: Length of a piece, reach and least correlation.
     """
     pieces = max(round(len(points) * grid.step / parameters.piece), 1)
     parts = [part for part in np.array_split(np.arange(len(points)), pieces) if len(part)]

@@ -11,9 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, valid_support
-from estimation.track.journeys import Journey, apply_correction
-from estimation.track.passes import Pass, gridded
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Journey, Pass, ProfileLife, apply_correction, gridded
 from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.track import Correction
@@ -121,12 +119,7 @@ def place(
     grid: SectionGrid,
     before: Placed | None = None,
 ) -> dict[Journey, PlacedJourney]:
-    """Return the passes at corrected positions on the grid; a journey that has not moved is taken as it was.
-
-    Args:
-        grouped: Passes as measured, by journey.
-        ratios: Stiffness ratios by vehicle; 1 where there is none.
-    """
+    """Return the passes at corrected positions on the grid; a journey that has not moved is taken as it was."""
     placed = {}
     for journey, members in grouped.items():
         last = None if before is None else before.get(journey)
@@ -142,7 +135,6 @@ def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) 
     """Return the passes for other stiffness ratios, by vehicle; 1 where there is none.
 
     Args:
-        placed: Passes by journey.
         ratios: Yaw stiffness over creep coefficient by vehicle, relative to the assumed one.
     """
     return {
@@ -154,9 +146,19 @@ def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) 
 
 
 def all_passes(placed: Placed) -> list[GriddedPass]:
-    """Return the passes of all journeys in order.
-
-    Args:
-        placed: Passes by journey.
-    """
+    """Return the passes of all journeys in order."""
     return [item for one in placed.values() for item in one.passes]
+
+
+def resampled(item: Pass, life: ProfileLife, step: float) -> Pass:
+    """Return a pass on a grid, under the life of its wheelset's profile."""
+    first, displacement, difference = gridded(item, step)
+    at = (first + np.arange(len(displacement))) * step
+    return replace(
+        item,
+        life=life,
+        at=np.asarray(at, dtype=np.float64),
+        displacement=displacement,
+        difference=difference,
+        stiffness_term=None if item.stiffness_term is None else np.interp(at, item.at, item.stiffness_term),
+    )

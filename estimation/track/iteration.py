@@ -9,8 +9,14 @@ import numpy as np
 
 from estimation.track.convergence import Convergence, Iterated
 from estimation.track.gauge.initial_shape import initial_gauge_effect
-from estimation.track.gauge.least_squares_step import FEWEST_PASSES, GaugePrior, gauge_step, with_gauge_effect
-from estimation.track.gauge.search import SearchParameters, search_gauge
+from estimation.track.gauge.search import (
+    FEWEST_PASSES,
+    GaugePrior,
+    SearchParameters,
+    gauge_step,
+    search_gauge,
+    with_gauge_effect,
+)
 from estimation.track.gauge.wheel_functions import (
     contact_samples,
     fit_wheels,
@@ -20,16 +26,20 @@ from estimation.track.gauge.wheel_functions import (
     total_gauge_shifts,
 )
 from estimation.track.gridded_pass import GriddedPass, Placed, all_passes, place, with_ratios
-from estimation.track.journeys import Journey, PositionParameters
 from estimation.track.panel.basis import Panel
-from estimation.track.panel.errors_in_variables import SlopeCorrection, common_slope, corrected, slope_correction
-from estimation.track.panel.instrumental_slope import with_instrument
+from estimation.track.panel.instrumental_slope import (
+    SlopeCorrection,
+    common_slope,
+    corrected,
+    slope_correction,
+    with_instrument,
+)
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.prior_alignment import PriorAlignment, add_prior, fleet_step
 from estimation.track.panel.solution import PanelSolution, residual_of_passes, result
 from estimation.track.panel.stiffness_ratio import Ratio, ratio_values, refine_ratios, with_ratio_std
-from estimation.track.passes import Pass
+from estimation.track.passes import Journey, Pass, PositionParameters
 from estimation.track.positions import compose, correlate_positions, refine, register
 from estimation.track.survey_positions import positions_on_survey
 from estimation.values.arrays import BoolArray, FloatArray
@@ -141,10 +151,7 @@ def iterate(
     """Return where alignment, curves, positions and ratios agree; with the gauge where it is known or shows.
 
     Args:
-        grouped: Passes as measured, by journey.
         prior: What was known of the section; None where nothing was.
-        positions: How far positions may be off.
-        parameters: When the rounds end.
     """
     anchored = prior is not None and prior.has_alignment
     setting = Setting(grouped, prior, anchored, parameters)
@@ -178,9 +185,6 @@ def first_rounds(
     That search begins where the panel ends, which is within a metre or two; stiffness ratios that go with the panel's
     positions are another error of R, so both are found in turn. A gauge that varies is noise in that
     regression, and not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
-
-    Args:
-        std: Whether to compute standard deviations.
     """
     prior = setting.prior
     if prior is None or not setting.anchored or not prior.surveyed:

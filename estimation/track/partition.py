@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from estimation.track.journeys import NANOSECONDS
-from estimation.track.profile_life import ProfileLife
-from estimation.values.track_epochs import OPEN_NS
+from estimation.track.passes import NANOSECONDS, ProfileLife
+from estimation.values.track import OPEN_NS
 from estimation.values.windows import WindowRecord
 
 Entry = tuple[WindowRecord, ProfileLife]
@@ -102,11 +101,7 @@ def _place(entry: Entry) -> tuple[int, str]:
 
 
 def newest_within(entries: Sequence[Entry], most_windows: int, most_wheelsets: int) -> tuple[list[Entry], list[Entry]]:
-    """Return the newest windows that one solution holds, newest first, and the rest in the same order.
-
-    Args:
-        entries: Windows with the life of their profiles, in any order.
-    """
+    """Return the newest windows that one solution holds, newest first, and the rest in the same order."""
     ordered = sorted(entries, key=lambda entry: (-entry[0].start_ns, entry[0].wheelset))
     chosen: list[Entry] = []
     lives: set[ProfileLife] = set()

@@ -2,23 +2,41 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
-from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import IntegratedWindow, bridged, integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.parameters import FusionParameters, SignalParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, fuse, motion_signals
 from estimation.motion.usable_samples import moving_samples
-from estimation.track.profile_life import ProfileLife
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.windows import Window
+from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.registry import WheelsetRecord
+from estimation.values.track import Correction
+from estimation.values.windows import Window, WindowRecord
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
 
+@dataclass(frozen=True, slots=True, order=True)
+class ProfileLife:
+    """A wheelset whose passes share one curve h(R); later lives of a wheelset are greater."""
+
+    wheelset: str  # serial
+    profile: int = 0  # number of reprofilings before
+    interval: int = 0  # of mileage since the last reprofiling
+
+
+def profile_life(wheelset: WheelsetRecord, record: WindowRecord, interval_km: float) -> ProfileLife:
+    """Return the profile life that a window belongs to."""
+    turned = [item for item in wheelset.reprofilings if item.at_ns <= record.start_ns]
+    begin_km = max((item.mileage_km for item in turned), default=0.0)
+    return ProfileLife(record.wheelset, len(turned), int((record.mileage_km - begin_km) // interval_km))
+
+
 @dataclass(frozen=True, slots=True)
-class Pass:
+class Pass(FrozenArrays):
     """Lateral displacement and rolling radius difference of a wheelset against distance, slow parts meaningless.
 
     The displacement is the section's, positive to the left of increasing distance; the difference is the wheelset's,
@@ -29,31 +47,22 @@ class Pass:
     life: ProfileLife  # of the wheelset
     vehicle: str
     start_ns: int  # of its window
-    at: FloatArray  # (n,) m along the section, strictly increasing
-    displacement: FloatArray  # (n,) y, m
-    difference: FloatArray  # (n,) R, m, measured without knowledge of the track
+    at: Annotated[FloatArray, "n"]  # m along the section, strictly increasing
+    displacement: Annotated[FloatArray, "n"]  # y, m
+    difference: Annotated[FloatArray, "n"]  # R, m, measured without knowledge of the track
     side: int = 1  # or -1
-    stiffness_term: FloatArray | None = None  # (n,) m, part of R that scales with yaw stiffness over creep coefficient
+    stiffness_term: Annotated[FloatArray, "n"] | None = (
+        None  # m, part of R that scales with yaw stiffness over creep coefficient
+    )
 
     @property
     def wheelset(self) -> str:
         """Serial of the wheelset."""
         return self.life.wheelset
 
-    def __post_init__(self) -> None:
-        n = len(self.at)
-        for name in ("at", "displacement", "difference"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if self.stiffness_term is not None:
-            object.__setattr__(self, "stiffness_term", frozen_array(self.stiffness_term, (n,), name="stiffness_term"))
-
 
 def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
-    """Return the first grid point, and y and R (m,) at the grid points ``k * step`` that the pass covers.
-
-    Args:
-        step: Grid spacing, m.
-    """
+    """Return the first grid point, and y and R (m,) at the grid points ``k * step`` that the pass covers."""
     first, last = int(np.ceil(item.at[0] / step)), int(np.floor(item.at[-1] / step))
     grid = np.arange(first, last + 1) * step
     return first, np.interp(grid, item.at, item.displacement), np.interp(grid, item.at, item.difference)
@@ -115,3 +124,41 @@ def _placed(
             mounted * grid.stiffness_term[along],
         )
     ]
+
+
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class PositionParameters:
+    """How far positions may be off."""
+
+    largest_offset: float = 45.0  # m, searched both ways
+    pause_s: float = 300.0  # a longer pause between windows of a vehicle begins a new journey
+    piece: float = 800.0  # m of a pass that is compared at a time
+    least_correlation: float = 0.4
+
+
+Journey = tuple[str, int]  # vehicle, start of its first window, ns
+
+
+def journeys(passes: Sequence[Pass], parameters: PositionParameters) -> dict[Journey, list[Pass]]:
+    """Group passes by vehicle and run."""
+    found: dict[Journey, list[Pass]] = {}
+    last: dict[str, tuple[Journey, int]] = {}
+    for item in sorted(passes, key=lambda p: (p.vehicle, p.start_ns, p.life)):
+        end = item.start_ns
+        known = last.get(item.vehicle)
+        if known is None or end - known[1] > parameters.pause_s * NANOSECONDS:
+            journey = (item.vehicle, item.start_ns)
+            found[journey] = []
+        else:
+            journey = known[0]
+        found[journey].append(item)
+        last[item.vehicle] = (journey, end)
+    return found
+
+
+def apply_correction(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
+    """Return the passes at their corrected positions."""
+    return [replace(item, at=correction.at(item.at)) for item in passes]

@@ -9,17 +9,41 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from estimation.track.iteration import Grouped, Setting, first_rounds
-from estimation.track.journeys import Journey
+import numpy as np
+
+from estimation.track.iteration import Grouped, IterationResult, Setting, first_rounds
 from estimation.track.panel.basis import KnownBeforehand, Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
-from estimation.track.passes import Pass
-from estimation.track.position_std import shrunk
+from estimation.track.passes import Journey, Pass, ProfileLife
 from estimation.track.positions import correlate_positions
-from estimation.track.profile_life import ProfileLife
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
+
+CORRELATED = 20.0  # m along the track over which the error of y - d - h(R) of a pass is one
+REPORTED_STD = 1.0  # m, of a position as it was reported
+
+
+def position_std(iterated: IterationResult) -> dict[Journey, float]:
+    """Return the std of each journey's offset, m, by the slope of the alignment and the residuals; inf for none."""
+    panel, solution = iterated.panel, iterated.solution
+    slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
+    weight = panel.grid.step / CORRELATED / max(iterated.noise, 1e-9) ** 2
+    information = {
+        journey: weight * sum(float(np.sum(slope[item.used_points] ** 2)) for item in one.passes if not item.empty)
+        for journey, one in iterated.placed.items()
+    }
+    return {journey: one**-0.5 if one > 0.0 else float("inf") for journey, one in information.items()}
+
+
+def shrunk(iterated: IterationResult) -> Mapping[Journey, Correction]:
+    """Return the corrections of journeys, each as far as it is better known than the reported position."""
+    found = {}
+    for journey, std in position_std(iterated).items():
+        share = REPORTED_STD**2 / (REPORTED_STD**2 + std**2)
+        one = iterated.corrections[journey]
+        found[journey] = replace(one, offset=share * one.offset, scale=share * one.scale)
+    return found
 
 
 def place_alone(
@@ -32,10 +56,6 @@ def place_alone(
     """Return where each journey was on an alignment, whatever others show; those whose place is not found are left out.
 
     Nothing is placed on an alignment whose gauge is known to vary: that takes the wheels of all.
-
-    Args:
-        grouped: Passes as measured, by journey.
-        measured: Curves of measured profiles, by profile life.
     """
     panel = Panel.of(replace(parameters.panel, length=section.length_m), KnownBeforehand(measured=measured or {}))
     prior = prior_on_grid(alignment, panel.grid, parameters.panel.cutoff_wavelength)

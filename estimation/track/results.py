@@ -124,7 +124,6 @@ def nothing(reason: Reason, evidence: tuple[str, ...] = ()) -> AlignmentReport:
 
     Args:
         reason: Why nothing is estimated.
-        evidence: What was known besides the passes.
     """
     return AlignmentReport(
         status=Status.UNESTIMATED,

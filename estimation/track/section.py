@@ -15,7 +15,6 @@ import numpy as np
 from estimation.track.alignment_std import merged_alignment
 from estimation.track.convergence import Iterated
 from estimation.track.iteration import Grouped, IterationResult, iterate, with_slope
-from estimation.track.journeys import Journey, journeys
 from estimation.track.panel.basis import KnownBeforehand, Panel, pass_residual
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
@@ -27,15 +26,13 @@ from estimation.track.panel.solution import (
     too_few_passes,
 )
 from estimation.track.panel.stiffness_ratio import error_of_difference
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Journey, Pass, ProfileLife, journeys
 from estimation.track.results import AlignmentReport, JourneyReport, nothing
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
-from estimation.values.evidence import evidence_of_measurement, evidence_of_version
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
-from estimation.values.track import Correction, TrackAlignment
+from estimation.values.track import Correction, TrackAlignment, evidence_of_measurement, evidence_of_version
 
 USUAL_FACTOR = 1.5  # times the median of the wheelsets
 LEAST_USUAL = 0.12e-3  # m
@@ -151,7 +148,6 @@ def estimate_section(
     Args:
         passes: Of this epoch; passes of one profile life share a curve.
         prior: The last version, or a survey; None where nothing is known.
-        measured: Curves of measured profiles, by profile life.
     """
     named = () if prior is None else (evidence_of_version(prior.source, prior.version),)
     grouped: Grouped = journeys(passes, parameters.positions)

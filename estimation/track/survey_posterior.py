@@ -2,22 +2,281 @@
 
 It holds all waves of the survey, and what the passes know better. It is published as the survey with what has been
 found on it; the next epoch takes it as its survey.
+
+What a survey and the passes say of the alignment, band by band of wavelengths, and how far each is to be believed.
+
+Passes know short waves best, for they integrate accelerations; a survey knows long ones. In each band the passes give
+the mean of y - h(R) with a variance from the scatter between journeys, which also holds what their positions leave.
+
+What both differ by has two parts. One follows the motion of the wheelsets: it is an error of the passes' curves and
+equations, of R in a stiff bogie above all, for a survey knows nothing of how anything ran over it. The survey being an
+instrument that holds none of their noise, that part is taken off the passes. The rest is the survey's own error, less
+the passes' noise; so its standard deviation is learnt, whatever is on file. Where both differ by more than they do
+elsewhere, at switches, where a stretch has been tamped, which of them is wrong is open, and neither is believed there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.track.gridded_pass import Placed
 from estimation.track.iteration import IterationResult
+from estimation.track.panel.basis import Panel, unfiltered_residual
+from estimation.track.panel.solution import PanelSolution
 from estimation.track.panel.stiffness_ratio import error_of_difference
-from estimation.track.position_std import position_std
+from estimation.track.placing import position_std
 from estimation.track.results import findings
-from estimation.track.section_parameters import SectionParameters
-from estimation.track.survey_bands import EDGES, SurveyBands, survey_bands, survey_on_grid
-from estimation.values.arrays import FloatArray
+from estimation.track.section_grid import SectionGrid
+from estimation.track.settings import SectionParameters
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
+
+EDGES = (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)  # m, longest wavelength of each band
+SHORTEST = 2.5  # m, of the last one
+FILED_SAMPLES = 6.0  # independent ones that the std on file counts as, against those of the passes
+LOCAL = 100.0  # m over which both are compared for local differences
+LOCAL_STDS = 4.0  # of a local mean square, beyond which it is more than chance
+MODEL_SHARE = 2.0  # of the rms of h(R) times the share that curves leave of y, by which they are flattened for all
+NEIGHBOUR, NEXT = 0.48, 0.06  # correlation of one error in two bands next to each other, with one band between
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Survey and passes in one band; (n,) each on the grid of the section."""
+
+    survey: FloatArray  # m
+    passes: FloatArray  # m, zero where none
+    survey_variance: FloatArray  # m2, learnt
+    passes_variance: FloatArray  # m2, inf where there is none
+    coherent: float  # m, rms of what followed the motion, before it was taken off
+
+    @property
+    def share(self) -> FloatArray:
+        """Share of the passes (n,) in the mean of both, each by its variance."""
+        known = np.isfinite(self.passes_variance)
+        whole = self.survey_variance + np.where(known, self.passes_variance, 1.0)
+        return np.where(known, self.survey_variance / np.maximum(whole, 1e-30), 0.0)
+
+    @property
+    def posterior(self) -> FloatArray:
+        """Mean of both (n,), m."""
+        return np.asarray(self.survey + self.share * (self.passes - self.survey))
+
+    @property
+    def variance(self) -> FloatArray:
+        """Variance of that mean (n,), m2."""
+        return np.asarray((1.0 - self.share) * self.survey_variance)
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyBands:
+    """Survey and passes in all bands, and what of the survey is longer."""
+
+    bands: tuple[Band, ...]
+    long_waves: FloatArray  # (n,) m, of the survey, longer than the longest band
+    known: BoolArray  # (n,) where the survey is known
+    compared: BoolArray  # (n,) where both are, in the shortest waves
+    passes: FloatArray  # (n,) sum of their weights, in the shortest waves
+    curves: float  # m, rms of the displacement y - d by the curves, which a scale error of them multiplies
+
+    def survey_std(self, longest: float = EDGES[0]) -> float:
+        """Return the std that the passes show of the survey, m, at wavelengths up to ``longest`` m."""
+        return float(np.sqrt(np.median(total_variance([one.survey_variance for one in self.up_to(longest)]))))
+
+    def coherent_std(self, longest: float = EDGES[0]) -> float:
+        """Return the rms, m, of what followed the motion at wavelengths up to ``longest`` m."""
+        return float(np.sqrt(total_variance([np.array([one.coherent**2]) for one in self.up_to(longest)])[0]))
+
+    def posterior_std(self, longest: float = EDGES[0]) -> FloatArray:
+        """Return the std (n,), m, of the mean of survey and passes at wavelengths up to ``longest`` m."""
+        return np.sqrt(total_variance([one.variance for one in self.up_to(longest)]))
+
+    def up_to(self, longest: float) -> tuple[Band, ...]:
+        """Return the bands of wavelengths up to ``longest`` m."""
+        return tuple(band for band, edge in zip(self.bands, EDGES, strict=True) if edge <= longest)
+
+
+def survey_bands(iterated: IterationResult, survey: TrackAlignment, systematic: float) -> SurveyBands | None:
+    """Return what a survey and the passes that were placed on it say, band by band; None where they do not meet.
+
+    Args:
+        systematic: m, std of the passes' alignment that their scatter does not show.
+    """
+    grid = iterated.panel.grid
+    on_grid, std, known = survey_on_grid(survey, grid)
+    kernels = [local_cubic_kernel(edge, grid.step) for edge in EDGES]
+    passes = _passes(iterated.placed, iterated.solution, iterated.panel, kernels)
+    inside = np.stack([valid_support(known, kernel) for kernel in kernels])
+    compared = inside & (passes.journeys > 0)
+    if np.count_nonzero(compared[0]) * grid.step < 2.0 * LOCAL:
+        return None
+    filtered = _bands_of(on_grid, kernels)
+    filed = float(np.sqrt(np.mean(std[known] ** 2)))
+    unexplained = 1.0 if iterated.slope is None else 1.0 - iterated.slope.explained
+    size = np.array([np.sqrt(np.mean(h[where] ** 2)) for h, where in zip(passes.curves, compared, strict=True)])
+    common = np.hypot(systematic / np.sqrt(len(EDGES)), MODEL_SHARE * unexplained * size)
+    bands = [
+        _band(number, d, passes, compared[number], filed, float(common[number]), grid.step)
+        for number, d in enumerate(filtered)
+    ]
+    whole = passes.curves.sum(axis=0)[compared[0]]
+    return SurveyBands(
+        bands=tuple(bands),
+        long_waves=on_grid - filtered.sum(axis=0),
+        known=known,
+        compared=compared[-1],
+        passes=passes.count[-1],
+        curves=float(np.sqrt(np.mean(whole**2))),
+    )
+
+
+def survey_on_grid(survey: TrackAlignment, grid: SectionGrid) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return a survey on the grid of the section, averaged over its step: alignment, std (n,), m, and where known."""
+    certain = np.isfinite(survey.alignment) & np.isfinite(survey.alignment_std)
+    step = float(survey.s[1] - survey.s[0])
+    width = 2 * (round(grid.step / step) // 2) + 1  # odd: nothing is moved
+    d = uniform_filter1d(np.where(certain, survey.alignment, 0.0), width, mode="nearest")
+    known = np.interp(grid.s, survey.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9
+    std = np.interp(grid.s, survey.s, np.where(certain, survey.alignment_std, 0.0))
+    return np.where(known, np.interp(grid.s, survey.s, d), 0.0), std, np.asarray(known)
+
+
+@dataclass(frozen=True, slots=True)
+class _Passes:
+    """What the passes show by band (b, n)."""
+
+    mean: FloatArray  # y - h(R), m
+    displacement: FloatArray  # y, m
+    curves: FloatArray  # h(R), m
+    count: FloatArray  # sum of their weights
+    journeys: FloatArray
+    variance: FloatArray  # (b,) m2, of one journey
+
+
+def _bands_of(signals: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
+    """Return the bands (b, ..., n) of signals (..., n)."""
+    passed = [high_pass(signals, kernel) for kernel in kernels]
+    return np.stack([*(longer - shorter for longer, shorter in pairwise(passed)), passed[-1]])
+
+
+def _passes(placed: Placed, solution: PanelSolution, panel: Panel, kernels: Sequence[FloatArray]) -> _Passes:
+    shape = (len(kernels), panel.grid.points)
+    total, (count, journeys, squares, crossed, counted) = np.zeros((2, *shape)), np.zeros((5, *shape))
+    for one in placed.values():
+        summed, passed = np.zeros((2, *shape)), np.zeros(shape)
+        for item in one.passes:
+            curve = solution.curve_of(item.life)
+            if item.empty or curve is None:
+                continue
+            signals = np.stack([unfiltered_residual(item, curve, panel), item.displacement])
+            weight, on = panel.known.weight_of(item.life), panel.grid.contains(item.points)
+            for number, (band, kernel) in enumerate(zip(_bands_of(signals, kernels), kernels, strict=True)):
+                inside = valid_support(item.certain, kernel) & on
+                at = item.points[inside]
+                summed[:, number, at] += weight * band[:, inside]
+                passed[number, at] += weight
+        total, count, journeys = total + summed, count + passed, journeys + (passed > 0)
+        squares += summed[0] ** 2
+        crossed += passed * summed[0]
+        counted += passed**2
+    mean, displacement = total / np.where(count > 0.0, count, 1.0)
+    several = journeys > 1
+    scatter = np.where(several, squares - 2.0 * mean * crossed + mean**2 * counted, 0.0)
+    of_journey = scatter / np.maximum(count, 1e-9) ** 2 * journeys**2 / np.maximum(journeys - 1.0, 1.0)
+    places = several.sum(axis=1)  # one journey shows nothing of its own errors
+    variance = np.where(places > 0, of_journey.sum(axis=1) / np.maximum(places, 1), np.inf)
+    return _Passes(mean, displacement, displacement - mean, count, journeys, variance)
+
+
+def _band(
+    number: int, survey: FloatArray, passes: _Passes, compared: BoolArray, filed: float, systematic: float, step: float
+) -> Band:
+    shortest = (*EDGES, SHORTEST)[number + 1]
+    length = 0.5 * np.sqrt(EDGES[number] * shortest)  # m, of an independent sample
+    independent = max(np.count_nonzero(compared) * step / length, 1.0)
+    rest = np.where(compared, survey - passes.mean[number], 0.0)
+    fit, coherent, left = _coherent(rest, passes, number, compared, independent)
+    rest = np.where(compared, rest - fit, 0.0)
+    square = float(np.mean(rest[compared] ** 2))
+    noise = np.full(len(survey), np.inf)
+    noise[compared] = passes.variance[number] / passes.journeys[number, compared]
+    of_file = filed**2 * _white_share(number)
+    if not np.isfinite(passes.variance[number]):
+        noise[compared] = square + of_file
+    noise += systematic**2
+    learnt = _learnt(square, float(np.mean(noise[compared])), systematic, of_file, independent)
+    excess = _local_excess(rest, compared, square, length, step)
+    return Band(
+        survey=survey,
+        passes=np.where(compared, passes.mean[number] + fit, 0.0),
+        survey_variance=learnt + excess,
+        passes_variance=noise + left + excess,
+        coherent=coherent,
+    )
+
+
+def _learnt(square: float, of_passes: float, systematic: float, of_file: float, independent: float) -> float:
+    """Return the variance, m2, of a survey in a band: what passes leave of their difference, and what is on file.
+
+    Where errors that all passes may have in common explain the difference, the passes say nothing but that it is all.
+    """
+    known = square - of_passes
+    trust = (known / (known + systematic**2)) ** 2 if known > 0.0 else 0.0
+    samples = trust * independent
+    filed = min(of_file, square)
+    return (samples * max(known, 0.0) + FILED_SAMPLES * filed) / (samples + FILED_SAMPLES)
+
+
+def _white_share(number: int) -> float:
+    """Return the share of a band in the variance of errors that are white down to the shortest wavelength."""
+    edges = (*EDGES, SHORTEST)
+    return (1.0 / edges[number + 1] - 1.0 / edges[number]) / (1.0 / SHORTEST - 1.0 / EDGES[0])
+
+
+def _coherent(
+    rest: FloatArray, passes: _Passes, number: int, compared: BoolArray, independent: float
+) -> tuple[FloatArray, float, float]:
+    """Return what of a difference (n,), m, follows the motion, its rms, m, and the variance, m2, that is left of it.
+
+    It is regressed on displacement and curves and on what both are a quarter of a wave later; as far as that explains
+    more than chance, it is the passes' error.
+    """
+    signals = [passes.displacement[number], passes.curves[number]]
+    design = np.stack([part for one in signals for part in (one, np.gradient(one))])
+    inside = design[:, compared]
+    size = np.maximum(np.sqrt(np.mean(inside**2, axis=1)), 1e-30)
+    normal = (inside / size[:, None]) @ (inside / size[:, None]).T
+    normal += 1e-6 * np.trace(normal) / len(normal) * np.eye(len(normal))
+    fit = (np.linalg.solve(normal, (inside / size[:, None]) @ rest[compared]) / size) @ design
+    explained = float(np.mean(fit[compared] ** 2))
+    by_chance = len(design) * float(np.mean((rest - fit)[compared] ** 2)) / independent
+    share = max(explained - by_chance, 0.0) / explained if explained > 0.0 else 0.0
+    return np.where(compared, share * fit, 0.0), float(np.sqrt(share * explained)), share * by_chance
+
+
+def _local_excess(rest: FloatArray, compared: BoolArray, square: float, length: float, step: float) -> FloatArray:
+    """Return by how much (n,), m2, both differ more than elsewhere, where that is more than chance."""
+    width = max(round(LOCAL / step), 1)
+    weight = uniform_filter1d(compared.astype(np.float64), width, mode="constant")
+    local = uniform_filter1d(rest**2, width, mode="constant") / np.maximum(weight, 1e-9)
+    chance = LOCAL_STDS * np.sqrt(2.0 * length / LOCAL)
+    return np.where(compared & (local > (1.0 + chance) * square), local - square, 0.0)
+
+
+def total_variance(variances: Sequence[FloatArray]) -> FloatArray:
+    """Return the variance (n,) of the sum of neighbouring bands, whose filters overlap, from those of each (n,)."""
+    stds = np.sqrt(np.stack(variances))
+    count = len(stds)
+    apart = np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    correlation = np.select([apart == 0, apart == 1, apart == 2], [1.0, NEIGHBOUR, NEXT], 0.0)  # noqa: PLR2004
+    return np.asarray(np.einsum("in,ij,jn->n", stds, correlation, stds))
+
 
 STATED = EDGES[1]  # m, longest wavelength of the published std: longer ones are not in the motion
 INDEPENDENT = 5.0  # m along the track, of errors of a survey

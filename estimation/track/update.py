@@ -15,31 +15,24 @@ from estimation.track.gauge.initial_shape import LEAST_GAUGE
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import prior_on_grid
-from estimation.track.passes import Pass
-from estimation.track.position_std import shrunk
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
+from estimation.track.placing import shrunk
 from estimation.track.screening.screen import PassOutcome, PassStatus, Screened, screen
 from estimation.track.section import SectionEstimate, estimate_section
-from estimation.track.section_parameters import SectionParameters
-from estimation.track.settings import AlignmentSettings
-from estimation.track.survey_check import check_survey, worth_more
-from estimation.track.survey_fit import SurveyFit, fit_survey
-from estimation.track.survey_gauge import judge_gauge
+from estimation.track.settings import AlignmentSettings, SectionParameters
+from estimation.track.survey_check import check_survey, judge_gauge, worth_more
 from estimation.track.survey_posterior import SurveyPosterior, survey_posterior
 from estimation.track.survey_verdict import (
     MIRRORED,
+    SurveyFit,
     SurveyVerdict,
     Witnesses,
+    fit_survey,
     is_mirrored,
     place_of,
     survey_verdict,
 )
-from estimation.track.versions import (
-    carry_over_findings,
-    changed_vehicles,
-    gauge_shift_changed,
-    requires_reestimation,
-)
+from estimation.track.versions import carry_over_findings, changed_vehicles, gauge_shift_changed, requires_reestimation
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, combined, prefixed
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
@@ -105,7 +98,6 @@ def update_alignment(
     Args:
         in_force: Its alignment so far; None where there is none.
         survey_checked: Whether the survey in force has been confirmed: then it is not refused any more.
-        measured: Curves of measured profiles, by profile life.
     """
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))

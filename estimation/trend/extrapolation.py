@@ -23,8 +23,7 @@ import numpy as np
 from estimation.contact.worn_family import WornFamily, worn_family
 from estimation.trend.wear_curve import NormalMixture
 from estimation.values.arrays import FloatArray
-from estimation.values.geometry import WheelsetGeometry
-from estimation.values.interval_conicities import KnownConicity, known_conicities
+from estimation.values.geometry import KnownConicity, WheelsetGeometry, known_conicities
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 

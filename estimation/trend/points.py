@@ -13,7 +13,7 @@ from estimation.trend.extrapolation import (
     not_comparable,
 )
 from estimation.trend.trend import TrendPoint
-from estimation.values.interval_conicities import IntervalConicities, KnownConicity
+from estimation.values.geometry import IntervalConicities, KnownConicity
 from estimation.values.reasons import Reason, ReasonCode, combined
 
 QUANTITY = "equivalent_conicity"  # at the limit's amplitude; at another one its name has the amplitude

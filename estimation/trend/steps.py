@@ -11,9 +11,8 @@ from estimation.trend.change_point import ChangePoint, Series, StepModel, newest
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE
 from estimation.trend.trend import NO_FORECAST
 from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS
-from estimation.values.interval_conicities import IntervalConicities, KnownConicity
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.geometry import IntervalConicities, KnownConicity
+from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.trend import TrendStep, WearTrend
 

@@ -18,7 +18,7 @@ from annotated_types import Interval
 
 from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.values.suspension import SuspensionChange, SuspensionFinding
+from estimation.values.trend import SuspensionChange, SuspensionFinding
 
 MEDIAN_VARIANCE = np.pi / 2.0  # of that of a mean, of normal values
 MAD_STD = 1.4826  # standard deviations in a median absolute deviation
@@ -73,12 +73,7 @@ class _Series:
 def suspension_changes(
     findings: Sequence[SuspensionFinding], parameters: SuspensionParameters | None = None
 ) -> dict[str, SuspensionChange]:
-    """Return by vehicle how its ratio has changed; of those with enough findings.
-
-    Args:
-        findings: Of all vehicles that share sections, in any order.
-        parameters: What counts as now, and what friction may do.
-    """
+    """Return by vehicle how its ratio has changed; of those with enough findings."""
     newest = ((code, next(changes, None)) for code, changes in suspension_histories(findings, parameters).items())
     return {code: change for code, change in newest if change is not None}
 
@@ -89,10 +84,6 @@ def suspension_histories(
     """Return by vehicle how its ratio had changed after each of its findings, newest first.
 
     Computed as far as read. The other vehicles are as they are known now: late data of theirs count, too.
-
-    Args:
-        findings: Of all vehicles that share sections, in any order.
-        parameters: What counts as now, and what friction may do.
     """
     p = parameters or SuspensionParameters()
     by_vehicle = _by_vehicle(findings, p)

@@ -10,8 +10,7 @@ from scipy.special import ndtr
 
 from estimation.trend.wear_curve import WearCurve, fit_wear_curve
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.trend import WearTrend
 
@@ -25,11 +24,7 @@ NORMAL_MAD = 1.4826
 
 
 def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
-    """Fit the curve to the newest points that it agrees with.
-
-    Raises:
-        ValueError: As there.
-    """
+    """Fit the curve to the newest points that it agrees with."""
     scatter = _scatter(value, std)
     first = 0
     while True:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
+from estimation.values.served import Served
 from estimation.values.windows import WindowKey
 
 CELL_LENGTH = 50.0  # m, of the places whose friction is separated
@@ -20,52 +22,40 @@ INVERSE = frozen_array(1.0 / np.array(FRICTIONS), (len(FRICTIONS),), name="INVER
 
 
 @dataclass(frozen=True, slots=True)
-class FrictionSums:
+class FrictionSums(FrozenArrays):
     """Sums over the samples of c places of a section, mergeable: the regression of e = h(y - d) - R on saturation.
 
     e is by how much the rolling radius difference of linear creep falls short of the wheelset's curve, q the part of
     R that its creep moment makes, x the displacement, g_k = q (1/share - 1) what e would be at 1/``INVERSE``[k].
     """
 
-    cells: IntArray  # (c,) place: distance along the section over ``CELL_LENGTH``, rounded down
-    samples: FloatArray  # (c,)
-    squares: FloatArray  # (c, 6) sums of e e, e q, q q, e x, q x and x x, m2
-    saturated: FloatArray  # (c, 4, k) sums of g_k e, g_k g_k, g_k q and g_k x, m2
-
-    def __post_init__(self) -> None:
-        c, k = len(self.cells), len(INVERSE)
-        object.__setattr__(self, "cells", frozen_array(self.cells, (c,), np.int64, name="cells"))
-        object.__setattr__(self, "samples", frozen_array(self.samples, (c,), name="samples"))
-        object.__setattr__(self, "squares", frozen_array(self.squares, (c, 6), name="squares"))
-        object.__setattr__(self, "saturated", frozen_array(self.saturated, (c, 4, k), name="saturated"))
+    cells: Annotated[IntArray, "c"]  # place: distance along the section over ``CELL_LENGTH``, rounded down
+    samples: Annotated[FloatArray, "c"]
+    squares: Annotated[FloatArray, "c", 6]  # sums of e e, e q, q q, e x, q x and x x, m2
+    saturated: Annotated[FloatArray, "c", 4, len(INVERSE)]  # sums of g_k e, g_k g_k, g_k q and g_k x, m2
 
 
 @dataclass(frozen=True, slots=True)
 class WindowAdhesion:
-    """Creep forces of one wheelset over one window, and what they say of the friction along its way.
+    """Creep forces of one wheelset over one window, and what they say of the friction along its way."""
 
-    Attributes:
-        wheelset, start_ns, vehicle, track_section: Of the window.
-        content_digest: Of the samples it was made from.
-        contact_force, lateral_creep, yaw_creep: Rms over the window, N and N m, in the band of wavelengths up to the
-            cut-off; the std of each is that of the filter and of the load.
-        used_adhesion: Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at
-            least that.
-        sums: None where nothing can be said of friction.
-        reason: Why there are no forces, or no sums.
-        smoothed: The forces are without vibration of the axle boxes, and without what is as fast.
-    """
-
-    wheelset: str
-    start_ns: int
+    wheelset: Annotated[str, Served(example="WS-0001")]
+    start_ns: Annotated[int, Served("Start of the window.", "measured_from")]
     vehicle: str
     track_section: str | None
-    content_digest: str
+    content_digest: Annotated[str, Served("Of the samples.")]
     status: Status
-    contact_force: Estimate
-    lateral_creep: Estimate
-    yaw_creep: Estimate
-    used_adhesion: Estimate
+    contact_force: Annotated[
+        Estimate, Served("Lateral force at the contacts: creep and gravitational stiffness.", "contact_force_n")
+    ]
+    lateral_creep: Annotated[Estimate, Served("Lateral creep force of both wheels.", "lateral_creep_force_n")]
+    yaw_creep: Annotated[Estimate, Served("Moment of the creep forces about the vertical.", "yaw_creep_moment_n_m")]
+    used_adhesion: Annotated[
+        Estimate,
+        Served(
+            "Creep force of a wheel over its normal force, which a hundredth of the samples exceed.", "used_adhesion_1"
+        ),
+    ]
     sums: FrictionSums | None = None
     reason: Reason | None = None
     smoothed: bool = False
@@ -81,19 +71,27 @@ class CellFriction:
     """The friction of a place, pooled over passes."""
 
     cell: int
-    friction: Estimate  # unestimated where creep was too small; then ``at_least`` is what there is
+    friction: Annotated[  # unestimated where creep was too small; then ``at_least`` is what there is
+        Estimate, Served("Coefficient of friction; null where creep shows a lower bound alone.", "friction_1")
+    ]
     at_least: float  # lower end of the 95 % interval, 0 where nothing is known
-    low_probability: float  # of a friction below the limit, 0 to 1
-    passes: int  # of wheelsets
+    low_probability: Annotated[
+        float,
+        Served(
+            "Probability of a friction below the limit of `low_adhesion`, load and sensors being as on file.",
+            "low_probability_1",
+        ),
+    ]
+    passes: Annotated[int, Served("Passes of wheelsets behind it.")]
     vehicles: int = 0  # whose wheelsets they are
 
     @property
-    def from_m(self) -> float:
+    def from_m(self) -> Annotated[float, Served("Where it begins, along the section.")]:
         """Where the place begins along the section, m."""
         return self.cell * CELL_LENGTH
 
     @property
-    def to_m(self) -> float:
+    def to_m(self) -> Annotated[float, Served("Where it ends, along the section.")]:
         """Where it ends, m."""
         return (self.cell + 1) * CELL_LENGTH
 
@@ -103,7 +101,7 @@ class LeftOut:
     """A vehicle, or one wheelset of it, whose passes contradict those of the others."""
 
     vehicle: str
-    wheelset: str | None  # None: all of the vehicle
+    wheelset: Annotated[str | None, Served("Null where all passes of the vehicle are left out.")]
     reason: Reason
 
 
@@ -111,13 +109,15 @@ class LeftOut:
 class SectionAdhesion:
     """The friction along a section over some hours, pooled over the fleet."""
 
-    track_section: str
-    from_ns: int  # vehicle time, start of the first window
-    to_ns: int  # start of the last
-    windows: int  # behind it
-    cells: tuple[CellFriction, ...]  # places that were passed, in order of distance
+    track_section: Annotated[str, Served("", "section", example="main-1")]
+    from_ns: Annotated[int, Served("Start of the first window.", "measured_from")]  # vehicle time
+    to_ns: Annotated[int, Served("Start of the last window.", "measured_to")]
+    windows: Annotated[int, Served("Windows that are pooled along the section.")]
+    cells: Annotated[tuple[CellFriction, ...], Served("Places that were passed, in order of distance.", "places")]
     low_stretches: tuple[tuple[float, float], ...]  # m, begin and end of where friction is low
-    left_out: tuple[LeftOut, ...] = ()  # whose passes contradict those of the others: nothing here rests on them
+    left_out: Annotated[  # nothing here rests on their passes
+        tuple[LeftOut, ...], Served("Vehicles and wheelsets that contradict the others.")
+    ] = ()
     certain_stretches: tuple[
         tuple[float, float], ...
     ] = ()  # m, where friction is so surely low that no geometry has it

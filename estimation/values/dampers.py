@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
-import numpy as np
-
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason
+from estimation.values.served import Served
 
 SHARES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2, 1.5, 2.0)
 """Particles: shares of the damping on file at which sums are kept; between them innovations are interpolated."""
@@ -18,7 +18,7 @@ GEAR = tuple[str, int]
 
 
 @dataclass(frozen=True, slots=True)
-class DamperSums:
+class DamperSums(FrozenArrays):
     """Products of the innovations of q particles, summed over the samples of a window; they add up in any order.
 
     Of a particle there are m signals: its innovations, by how much each of k uncertain parameters changes them (one
@@ -27,39 +27,25 @@ class DamperSums:
     by what is known in them.
     """
 
-    products: FloatArray  # (q - 1, m, m)
+    products: Annotated[FloatArray, len(SHARES) - 1, "m", "m"]
     samples: float  # independent ones
     curved: int  # p
-
-    def __post_init__(self) -> None:
-        q, m = len(SHARES) - 1, self.products.shape[-1]
-        object.__setattr__(self, "products", frozen_array(self.products, (q, m, m), np.float64, name="products"))
 
 
 @dataclass(frozen=True, slots=True)
 class WindowDamper:
-    """What one window says of the damper of a running gear.
-
-    Attributes:
-        vehicle, first_axle, wheelset, start_ns: Which running gear, the wheelset of its first axle, and when.
-        odometer_km: Of the vehicle.
-        content_digest: Of the samples of that wheelset.
-        class_digest: Of the class that it was judged by: sums of another one do not add up with these.
-        mass_std: Relative, of the mass above the wheelsets on file. Accelerations show damping over mass.
-        innovation: Mean square of the innovations over the largest that is believed; None without a filter.
-        sums: None with ``reason``.
-    """
+    """What one window says of the damper of a running gear."""
 
     vehicle: str
     first_axle: int
-    wheelset: str
+    wheelset: str  # of the first axle
     start_ns: int
-    odometer_km: float
-    content_digest: str
-    class_digest: str
-    mass_std: float
-    innovation: float | None = None
-    sums: DamperSums | None = None
+    odometer_km: float  # of the vehicle
+    content_digest: str  # of the samples of that wheelset
+    class_digest: str  # of the class that it was judged by: sums of another one do not add up with these
+    mass_std: float  # relative, of the mass above the wheelsets on file. Accelerations show damping over mass
+    innovation: float | None = None  # mean square over the largest that is believed; None without a filter
+    sums: DamperSums | None = None  # None with ``reason``
     reason: Reason | None = None
 
     @property
@@ -70,27 +56,24 @@ class WindowDamper:
 
 @dataclass(frozen=True, slots=True)
 class GearDamper:
-    """The damper of a running gear, from its newest windows.
-
-    Attributes:
-        vehicle, first_axle: Which running gear.
-        share: Damping over that of the class on file.
-        weak_probability: Of a share below the limit; None where the share is not estimated.
-        weak: Whether that is likely; None where nothing is known.
-        windows, diverged, refused: How many say something, were not followed, were of no use.
-        from_ns, to_ns: Starts of the first and of the last window that counts.
-        from_km, to_km: The odometer there.
-    """
+    """The damper of a running gear, from its newest windows; ``windows`` say something of it."""
 
     vehicle: str
-    first_axle: int
-    share: Estimate
-    weak_probability: float | None
-    weak: bool | None
+    first_axle: Annotated[int, Served("First axle of the running gear, from 1.")]
+    share: Annotated[
+        Estimate,
+        Served(
+            "Damping over that of the vehicle class on file; `n_windows` counts those that show it.", "damping_share_1"
+        ),
+    ]
+    weak_probability: Annotated[
+        float | None, Served("That less than half of it is left; null where unknown.", "weak_probability_1")
+    ]
+    weak: Annotated[bool | None, Served("Whether less than half of the damping is likely left; null where unknown.")]
     windows: int
-    diverged: int
-    refused: int
-    from_ns: int
-    to_ns: int
-    from_km: float
-    to_km: float
+    diverged: Annotated[int, Served("Windows that the filter did not follow.", "diverged_windows")]
+    refused: Annotated[int, Served("Windows that say nothing of the damper.", "refused_windows")]
+    from_ns: Annotated[int, Served("Start of the first window that counts.")]
+    to_ns: Annotated[int, Served("Start of the last window that counts.")]
+    from_km: Annotated[float, Served("Odometer of the vehicle at the first window.", "odometer_from_km")]
+    to_km: Annotated[float, Served("Odometer of the vehicle at the last window.", "odometer_to_km")]

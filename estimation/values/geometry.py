@@ -6,19 +6,22 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, IntArray, bin_centres, frozen_array
-from estimation.values.intervals import NORMAL_95
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, frozen_array
 from estimation.values.json_value import JsonValue
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
+from estimation.values.results import ResultKind
+from estimation.values.runs import SubjectKind
+from estimation.values.served import MM, Served
 from estimation.values.windows import WindowKey
 
 
 @dataclass(frozen=True, slots=True)
-class BinTable:
+class BinTable(FrozenArrays):
     """Mergeable sufficient statistics of the piecewise least squares, per bin of lateral displacement and group.
 
     Groups are what standard deviations come from: blocks of running time are assigned to ``g`` groups, and any derived
@@ -27,20 +30,12 @@ class BinTable:
     """
 
     parameter_key: str  # digest of every parameter that shapes the statistics
-    edges: FloatArray  # (b + 1,) m
-    weight: FloatArray  # (g, b) sum of weights; the sample count without forgetting
-    lateral: FloatArray  # (g, b, q) regressors [x1, x1 u, x2, x2 u], targets z1 and its parameter sensitivities
-    yaw: FloatArray  # (g, b, r) regressors [(l W/2) psi, c, c u, c u^2], targets z2 and its sensitivities
+    edges: Annotated[FloatArray, "b + 1"]  # m
+    weight: Annotated[FloatArray, "g", "b"]  # sum of weights; the sample count without forgetting
+    lateral: Annotated[FloatArray, "g", "b", None]  # regressors [x1, x1 u, x2, x2 u], targets z1, its sensitivities
+    yaw: Annotated[FloatArray, "g", "b", None]  # regressors [(l W/2) psi, c, c u, c u^2], targets z2, its sensitivities
     samples: int  # samples ever added, without weights
     windows: int
-
-    def __post_init__(self) -> None:
-        b = len(self.edges) - 1
-        g = len(self.weight)
-        object.__setattr__(self, "edges", frozen_array(self.edges, (b + 1,), name="edges"))
-        object.__setattr__(self, "weight", frozen_array(self.weight, (g, b), name="weight"))
-        object.__setattr__(self, "lateral", frozen_array(self.lateral, (g, b, None), name="lateral"))
-        object.__setattr__(self, "yaw", frozen_array(self.yaw, (g, b, None), name="yaw"))
 
     @property
     def centres(self) -> FloatArray:
@@ -150,31 +145,38 @@ class CentreOrigin(StrEnum):
 class Centre:
     """The middle of the travel that the conicity is about; in EN 15302 it is the one about equal rolling radii."""
 
-    displacement: float  # m, from the origin, at the reported amplitude
-    std: float  # m, of where the rolling radii are equal: a bogie holds wheels of different diameters off that line
-    origin: CentreOrigin
+    displacement: Annotated[
+        float,
+        Served(
+            "Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left.",
+            "displacement_mm",
+            MM,
+            finite=False,
+        ),
+    ]
+    std: Annotated[
+        float,
+        Served(
+            "Standard deviation of where both rolling radii are equal, against that: a bogie holds wheels "
+            "of different diameters off it. What it changes is part of the intervals.",
+            "rolling_line_std_mm",
+            MM,
+            finite=False,
+        ),
+    ]
+    origin: Annotated[CentreOrigin, Served("From where the displacement is counted.")]
 
 
-COMBINATIONS = (
-    "rolling_radius_sum",
-    "rolling_radius_difference",
-    "contact_angle_sum",
-    "contact_angle_difference",
-)
+COMBINATIONS = ("rolling_radius_sum", "rolling_radius_difference", "contact_angle_sum", "contact_angle_difference")
 
 
 @dataclass(frozen=True, slots=True)
-class BinValues:
+class BinValues(FrozenArrays):
     """One of the four combinations over the bins; NaN where not estimated."""
 
-    value: FloatArray  # (b,) m or rad
-    std: FloatArray  # (b,)
-    status: tuple[BinStatus, ...]  # (b,)
-
-    def __post_init__(self) -> None:
-        b = len(self.status)
-        object.__setattr__(self, "value", frozen_array(self.value, (b,), name="value"))
-        object.__setattr__(self, "std", frozen_array(self.std, (b,), name="std"))
+    value: Annotated[FloatArray, "b"]  # m or rad
+    std: Annotated[FloatArray, "b"]
+    status: Annotated[tuple[BinStatus, ...], "b"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,32 +189,33 @@ class Contradiction:
 
 
 @dataclass(frozen=True, slots=True)
-class WheelsetGeometry:
+class WheelsetGeometry(FrozenArrays):
     """Contact geometry of one wheelset, estimated from its bin table."""
 
-    bin_edges: FloatArray  # (b + 1,) m, lateral displacement y - d
-    samples: FloatArray  # (b,) effective samples
+    bin_edges: Annotated[FloatArray, "b + 1"]  # m, lateral displacement y - d
+    samples: Annotated[FloatArray, "b"]  # effective samples
     rolling_radius_sum: BinValues
     rolling_radius_difference: BinValues
     contact_angle_sum: BinValues
     contact_angle_difference: BinValues
-    amplitude: FloatArray  # (k,) m
-    conicity: tuple[Estimate, ...]  # (k,) equivalent conicity at each amplitude
-    reported_amplitude: float  # m: 3 mm, or the largest amplitude covered
-    equivalent_conicity: Estimate  # at reported_amplitude
-    nonlinearity: Estimate  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
-    zero_crossing: Estimate  # m, lateral displacement where rL = rR
-    windows: int
+    amplitude: Annotated[FloatArray, "n"]  # m
+    conicity: Annotated[tuple[Estimate, ...], "n"]  # equivalent conicity at each amplitude
+    reported_amplitude: Annotated[
+        float,
+        Served("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm", MM, finite=False),
+    ]
+    equivalent_conicity: Annotated[Estimate, Served(name="equivalent_conicity_1")]  # at reported_amplitude
+    nonlinearity: Annotated[
+        Estimate, Served(name="nonlinearity_parameter_per_mm")
+    ]  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
+    zero_crossing: Annotated[
+        Estimate, Served("Lateral displacement at which both rolling radii are equal.", "zero_crossing_mm", MM)
+    ]
+    windows: Annotated[int, Served(name="n_windows")]
     parameter_key: str
     status: Status
     reason: Reason | None = None
-    centre: Centre | None = None  # of equivalent_conicity; None without one, or of a rival that does not say it
-
-    def __post_init__(self) -> None:
-        b = len(self.samples)
-        object.__setattr__(self, "bin_edges", frozen_array(self.bin_edges, (b + 1,), name="bin_edges"))
-        object.__setattr__(self, "samples", frozen_array(self.samples, (b,), name="samples"))
-        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (len(self.conicity),), name="amplitude"))
+    centre: Annotated[Centre | None, Served("The point the conicity is about; null without a conicity.")] = None
 
     @property
     def bin_centres(self) -> FloatArray:
@@ -280,6 +283,10 @@ def _doubted(estimate: Estimate, found: Contradiction) -> Estimate:
     )
 
 
+GEOMETRY = ResultKind("geometry", SubjectKind.WHEELSET, WheelsetGeometry)
+"""Geometries of wheelsets; their parts are baselines, and the mileage intervals of these."""
+
+
 @dataclass(frozen=True, slots=True)
 class GeometryRecord:
     """A geometry estimate with its provenance. Never changed; a later one with the same key supersedes it.
@@ -288,15 +295,20 @@ class GeometryRecord:
     interval since the baseline, and None for the current geometry (all windows since the baseline, with forgetting).
     """
 
-    wheelset: str
+    wheelset: Annotated[str, Served(example="WS-0001")]
     baseline: int
     interval: int | None
-    mileage_km: float  # weighted mean mileage of its windows since new
+    mileage_km: Annotated[
+        float, Served("Weighted mean mileage of its windows since the wheelset was new.", finite=False)
+    ]
     from_ns: int
     to_ns: int
     geometry: WheelsetGeometry
     input_digest: str  # over keys, digests and mileages of windows, and track versions
-    track_versions: Mapping[str, Sequence[int]]  # by section, those that its windows were estimated with, increasing
+    track_versions: Annotated[
+        Mapping[str, Sequence[int]],
+        Served("By section, the versions of its alignment that the windows were estimated with, increasing."),
+    ]
     parameters: Mapping[str, JsonValue]
     code_version: str
     recorded_ns: int
@@ -304,7 +316,70 @@ class GeometryRecord:
 
 @dataclass(frozen=True, slots=True)
 class IntervalDigest:
-    """What the newest geometry of an interval was made from, and of how many windows."""
+    """What the newest geometry of an interval was made from, of how many windows, and why it holds no number."""
 
     input_digest: str
     windows: int
+    reason: Reason | None = None
+
+
+class KnownConicity(NamedTuple):
+    """An equivalent conicity that is estimated, with its amplitude in m."""
+
+    amplitude: float
+    value: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class IntervalConicities:
+    """The known conicities of one interval of one wheelset, in the order of their amplitudes.
+
+    ``reason`` is why there is none; None where there is one.
+    """
+
+    baseline: int
+    interval: int | None
+    mileage_km: float
+    from_ns: int
+    to_ns: int
+    windows: int
+    input_digest: str
+    code_version: str
+    known: tuple[KnownConicity, ...]
+    reason: Reason | None
+
+
+def known_conicities(geometry: WheelsetGeometry) -> tuple[KnownConicity, ...]:
+    """Return the conicities of a geometry that are estimated, in the order of their amplitudes."""
+    pairs = list(zip(geometry.amplitude.tolist(), geometry.conicity, strict=True))
+    if np.isfinite(geometry.reported_amplitude):
+        pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
+    known = [
+        KnownConicity(amplitude, estimate.value, estimate.std)
+        for amplitude, estimate in pairs
+        if estimate.status is Status.ESTIMATED and estimate.value is not None and estimate.std is not None
+    ]
+    return tuple(sorted(known, key=lambda one: one.amplitude))
+
+
+def why_no_conicity(geometry: WheelsetGeometry) -> Reason | None:
+    """Return why a geometry has no conicity, of the conicity or else of the geometry; None where it has one."""
+    return None if known_conicities(geometry) else geometry.equivalent_conicity.reason or geometry.reason
+
+
+def interval_conicities(record: GeometryRecord) -> IntervalConicities:
+    """Return the conicities of an interval's geometry."""
+    geometry = record.geometry
+    return IntervalConicities(
+        baseline=record.baseline,
+        interval=record.interval,
+        mileage_km=record.mileage_km,
+        from_ns=record.from_ns,
+        to_ns=record.to_ns,
+        windows=geometry.windows,
+        input_digest=record.input_digest,
+        code_version=record.code_version,
+        known=known_conicities(geometry),
+        reason=why_no_conicity(geometry),
+    )

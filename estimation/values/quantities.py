@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 
+import numpy as np
+from scipy.special import chdtrc, stdtrit
+
+from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason
 
 
@@ -46,3 +51,103 @@ class Forecast:
     p10: float | None
     p50: float | None
     p90: float | None
+
+
+NORMAL_95 = 1.959963984540054
+"""Standard deviations from the mean of a normal distribution to the ends of its 95 % interval."""
+
+
+def leave_one_out(groups: FloatArray, present: BoolArray) -> FloatArray:
+    """Return sums over all groups of blocks (row 0), then over all but one.
+
+    Args:
+        groups: (n, ...) sums of each group.
+        present: (n,) which groups have data, g of them.
+
+    Returns:
+        FloatArray: (1 + g, ...) sums.
+    """
+    total = groups.sum(axis=0)
+    return np.concatenate([total[None], total[None] - groups[present]])
+
+
+def jackknife_std(replicates: FloatArray) -> FloatArray:
+    """Return the delete-a-group standard deviation along axis 0.
+
+    Args:
+        replicates: (1 + g, ...) the number from all data (row 0, takes no part), then with each of the g groups left
+            out.
+    """
+    g = len(replicates) - 1
+    if g < 2:  # noqa: PLR2004 - one group has no spread
+        return np.full(replicates.shape[1:], np.nan)
+    left_out = replicates[1:]
+    spread = ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)
+    return np.asarray(np.sqrt((g - 1) / g * spread), dtype=np.float64)
+
+
+def normal_equivalent(jackknife: FloatArray, groups: int) -> FloatArray:
+    """Return the std of a normal distribution with the same 95 % interval as Student's t.
+
+    Args:
+        jackknife: (...) delete-a-group standard deviations.
+    """
+    if groups < 2:  # noqa: PLR2004 - one group has no spread
+        return jackknife
+    return np.asarray(jackknife * (_student_95(groups) / NORMAL_95))
+
+
+def with_interval(
+    value: float, sampled: float, systematic: float = 0.0, groups: int | None = None, count: float = 1.0
+) -> Estimate:
+    """Return a number with its 95 % interval; every published interval is made here.
+
+    Args:
+        value: The number, in any unit.
+        systematic: Its standard deviation that more data of the same kind do not lessen.
+        groups: Groups behind ``sampled``, two or more: Student's t then widens its part; None for a normal
+            distribution.
+    """
+    factor = NORMAL_95 if groups is None else _student_95(groups)
+    half = float(np.hypot(factor * sampled, NORMAL_95 * systematic))
+    std = float(np.hypot(sampled, systematic))
+    return Estimate(float(value), std, float(value) - half, float(value) + half, count, Status.ESTIMATED)
+
+
+def parts_of(estimate: Estimate, groups: int) -> tuple[float, float]:
+    """Return what :func:`with_interval` made an interval from: the sampled and the systematic standard deviation.
+
+    Args:
+        groups: Groups behind its sampled part, two or more.
+    """
+    if estimate.std is None or estimate.low is None or estimate.high is None:
+        return float("nan"), float("nan")
+    half, student = 0.5 * (estimate.high - estimate.low), _student_95(groups)
+    sampled = (half**2 - (NORMAL_95 * estimate.std) ** 2) / (student**2 - NORMAL_95**2)
+    within = min(max(sampled, 0.0), estimate.std**2)
+    return float(np.sqrt(within)), float(np.sqrt(estimate.std**2 - within))
+
+
+def _student_95(groups: int) -> float:
+    return float(stdtrit(groups - 1, 0.975))
+
+
+def log10_chance(statistic: float, degrees: float) -> float:
+    """Return the decimal logarithm of the chance that a chi-square variable exceeds a value; -inf beyond about 1400."""
+    with np.errstate(divide="ignore"):
+        return float(np.log10(chdtrc(degrees, statistic)))
+
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_SECOND = 1_000_000_000
+
+
+def utc_text(t_ns: int) -> str:
+    """Return a time in UTC, to the second where it is a whole one.
+
+    Args:
+        t_ns: ns since 1970, UTC.
+    """
+    seconds, rest = divmod(t_ns, _SECOND)
+    decimals = f".{rest:09d}".rstrip("0") if rest else ""
+    return f"{(_EPOCH + timedelta(seconds=seconds)).strftime('%Y-%m-%dT%H:%M:%S')}{decimals}Z"

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Annotated
 
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import History, ResultKind
+from estimation.values.runs import SubjectKind
+from estimation.values.served import MM, Served
 
 TONNAGE_NOT_ON_FILE = Estimate.unknown(Reason(ReasonCode.TONNAGE_UNKNOWN, "the traffic of the section is not on file"))
 
@@ -31,7 +35,7 @@ class RailKey:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SectionConicity:
+class SectionConicity(FrozenArrays):
     """What the windows of a wheelset in one mileage interval, on one section in one period, give: a cell.
 
     NaN where an amplitude is not estimated.
@@ -39,19 +43,14 @@ class SectionConicity:
 
     wheel: WheelKey
     rail: RailKey
-    amplitude: FloatArray  # (k,) m
-    conicity: FloatArray  # (k,)
-    sampled: FloatArray  # (k,) std from the spread of the data, widened to that of a normal distribution
-    systematic: FloatArray  # (k,) std that more data of the same kind do not lessen
+    amplitude: Annotated[FloatArray, "k"]  # m
+    conicity: Annotated[FloatArray, "k"]
+    sampled: Annotated[FloatArray, "k"]  # std from the spread of the data, widened to that of a normal distribution
+    systematic: Annotated[FloatArray, "k"]  # std that more data of the same kind do not lessen
     scale_std: float  # relative, of a scale of y - d that the alignment of the section leaves open
     windows: int
     from_ns: int
     to_ns: int
-
-    def __post_init__(self) -> None:
-        k = len(self.amplitude)
-        for name in ("amplitude", "conicity", "sampled", "systematic"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
 
     @property
     def key(self) -> tuple[WheelKey, RailKey]:
@@ -60,17 +59,12 @@ class SectionConicity:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KnownWheel:
+class KnownWheel(FrozenArrays):
     """A wheelset whose conicity on the reference rails follows from its measured profiles; NaN where it has none."""
 
     wheel: WheelKey
-    conicity: FloatArray  # (k,)
-    std: FloatArray  # (k,)
-
-    def __post_init__(self) -> None:
-        k = len(self.conicity)
-        for name in ("conicity", "std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
+    conicity: Annotated[FloatArray, "k"]
+    std: Annotated[FloatArray, "k"]
 
 
 class RailsReference(StrEnum):
@@ -86,12 +80,12 @@ class RailPart:
     """What belongs to the rails of a section in a period, at every amplitude (k,)."""
 
     rail: RailKey
-    reference: RailsReference | None  # None where nothing was parted
+    reference: Annotated[RailsReference | None, Served("What the rails are compared with; null where nothing was.")]
     part: tuple[Estimate, ...]  # conicity of the fleet's mean wheel here less that on the reference
     reference_wheel: tuple[Estimate, ...]  # conicity of the wheel as designed, on these rails
     excess: tuple[Estimate, ...]  # of that over what it would be on the rails as on file
-    wheelsets: int  # that ran there
-    windows: int
+    wheelsets: Annotated[int, Served("Number of wheelsets that ran on the section.", "n_wheelsets")]
+    windows: Annotated[int, Served(name="n_windows")]
     from_ns: int
     to_ns: int
 
@@ -101,10 +95,10 @@ class WheelPart:
     """What belongs to the wheels of a wheelset in a mileage interval: its conicity on the reference (k,)."""
 
     wheel: WheelKey
-    reference: RailsReference | None
+    reference: Annotated[RailsReference | None, Served("Whose rails the conicities are for; null where none are.")]
     conicity: tuple[Estimate, ...]
-    sections: tuple[str, ...]
-    windows: int
+    sections: Annotated[tuple[str, ...], Served("On which it ran.")]
+    windows: Annotated[int, Served(name="n_windows")]
     from_ns: int
     to_ns: int
 
@@ -113,10 +107,16 @@ class WheelPart:
 class RailTrend:
     """How fast the excess of a section changes, from its periods."""
 
-    per_year: Estimate  # 1/year
-    amplitude: float  # m
-    periods: int
-    per_100_mgt: Estimate = TONNAGE_NOT_ON_FILE  # 1 by 100 million gross tonnes of traffic
+    per_year: Annotated[Estimate, Served("Growth of the excess in a year.", "excess_per_year_1")]
+    amplitude: Annotated[float, Served(name="amplitude_mm", scale=MM)]  # m
+    periods: Annotated[int, Served("Number of periods behind it.", "n_periods")]
+    per_100_mgt: Annotated[
+        Estimate,
+        Served(
+            "Growth of the excess with 100 million gross tonnes, where the traffic of the section is on file.",
+            "excess_per_100_mgt_1",
+        ),
+    ] = TONNAGE_NOT_ON_FILE
 
     def with_tonnage(self, tonnage: float | None) -> RailTrend:
         """Return the trend with that by traffic, which runs evenly.
@@ -136,22 +136,17 @@ def _scaled(one: Estimate, factor: float) -> Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class RailsApart:
+class RailsApart(FrozenArrays):
     """Wheel and rail apart, for all cells that were looked at together."""
 
-    amplitude: FloatArray  # (k,) m
+    amplitude: Annotated[FloatArray, "k"]  # m
     rails: tuple[RailPart, ...]  # in the order of their keys
     wheels: tuple[WheelPart, ...]
     trends: Mapping[str, RailTrend]  # by section
     no_trends: Mapping[str, Reason]  # why the other sections have none
-    interaction: FloatArray  # (k,) std of what neither wheel nor rail explains; NaN where nothing was parted
+    interaction: Annotated[FloatArray, "k"]  # std of what neither wheel nor rail explains; NaN where nothing was parted
     refused: Mapping[str, Reason] = field(default_factory=dict)  # why sections named as known hold no level
     refused_wheels: Mapping[str, Reason] = field(default_factory=dict)  # why measured wheelsets hold none, by serial
-
-    def __post_init__(self) -> None:
-        k = len(self.amplitude)
-        object.__setattr__(self, "amplitude", frozen_array(self.amplitude, (k,), name="amplitude"))
-        object.__setattr__(self, "interaction", frozen_array(self.interaction, (k,), name="interaction"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +161,7 @@ class StoredCell:
     windows: int = 0  # that it was made from
     from_ns: int = 0
     to_ns: int = 0
+    interval_digest: str = ""  # of what all cells of its mileage interval are made from
 
     @property
     def usable(self) -> SectionConicity | None:
@@ -179,36 +175,45 @@ class StoredCell:
 
 
 @dataclass(frozen=True, slots=True)
-class SectionRailsRecord:
-    """What the last run found of the rails of a section, with its provenance; superseded by a later one."""
+class RailsFinding:
+    """What was found of the rails of a section."""
 
-    section: str
     amplitude: tuple[float, ...]  # m
-    reference_wheel_profile: str
-    periods: tuple[RailPart, ...]  # oldest first
-    trend: RailTrend | None
-    limit: float  # on the excess
-    exceeded: bool | None  # whether the excess is above the limit by its interval; None where it is not known
-    reported_amplitude: float | None  # m, at which the limit was looked at
-    input_digest: str
-    code_version: str
-    recorded_ns: int
-    refused: Reason | None = None  # why it holds no level though it is named as known
-    no_trend: Reason | None = None  # why there is no trend
+    reference_wheel_profile: Annotated[str, Served("The wheel as designed, of most wheelsets.", example="P8")]
+    periods: Annotated[tuple[RailPart, ...], Served("Oldest first.")]
+    trend: Annotated[RailTrend | None, Served("Null where there is none; `trend_reason_code` says why.")]
+    limit: Annotated[float, Served("On the excess.", "limit_1")]
+    exceeded: Annotated[
+        bool | None,
+        Served(
+            "Whether the newest excess is beyond the limit, and its interval leaves no doubt of its sign; "
+            "null where it is not known: the newest period says why.",
+            "limit_exceeded",
+        ),
+    ]
+    reported_amplitude: Annotated[
+        float | None, Served("3 mm, or the largest amplitude below that is known.", "limit_amplitude_mm", MM)
+    ]
+    refused: Annotated[
+        Reason | None,
+        Served("Why the section holds no level though it is named as known; null where that does not apply.", "reason"),
+    ] = None
+    no_trend: Annotated[Reason | None, Served("Why there is no trend; null where there is one.", "trend_reason")] = None
 
 
 @dataclass(frozen=True, slots=True)
-class WheelsetRailsRecord:
-    """The conicity of a wheelset without what belongs to rails, in its newest interval; superseded by a later one."""
+class WheelsFinding:
+    """The conicity of a wheelset without what belongs to rails, in its newest interval."""
 
     amplitude: tuple[float, ...]  # m
     part: WheelPart
-    input_digest: str
-    code_version: str
-    recorded_ns: int
-    refused: Reason | None = None  # why it holds no level though its profiles were measured
+    refused: Annotated[
+        Reason | None,
+        Served("Why it holds no level though its profiles were measured; null where that does not apply.", "reason"),
+    ] = None
 
-    @property
-    def wheelset(self) -> str:
-        """Serial."""
-        return self.part.wheel.wheelset
+
+CELLS = "cells"
+"""The stage of cells, and the facet that a wheelset with other cells has raised."""
+SECTION_RAILS = ResultKind("section_rails", SubjectKind.SECTION, RailsFinding, History.NEWEST)
+WHEELSET_RAILS = ResultKind("wheelset_rails", SubjectKind.WHEELSET, WheelsFinding, History.NEWEST)

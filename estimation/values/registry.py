@@ -11,6 +11,8 @@ from annotated_types import Interval
 
 from estimation.errors import ParameterError
 from estimation.values.file_units import MM, FileDefault, FileForm, FileUnit, Key
+from estimation.values.served import MM as IN_MM
+from estimation.values.served import Served
 
 MAX_AXLES = 8
 MOST_KM = 1e8
@@ -29,20 +31,26 @@ Text = Annotated[str, FileForm.TEXT]
 class FleetRecord:
     """A fleet: who operates what."""
 
-    code: Code
-    name: Text
+    code: Annotated[Code, Served(example="demo")]
+    name: Annotated[Text, Served(example="Demonstration fleet")]
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleRecord:
     """A vehicle and what its rules depend on."""
 
-    code: Code
-    fleet: Code
-    vehicle_class: Code
-    axles: Axle
-    max_speed_m_s: Annotated[float, Interval(ge=1.0, le=600.0), SPEED_IN_FILES, Key("max_speed_km_h")]
-    axle_offsets_m: tuple[Annotated[float, Interval(ge=-FARTHEST_M, le=FARTHEST_M)], ...]
+    code: Annotated[Code, Served(example="V-101")]
+    fleet: Annotated[Code, Served(example="demo")]
+    vehicle_class: Annotated[
+        Code, Served("Code of its class; while that is not on file the vehicle is not estimated.", example="coach")
+    ]
+    axles: Annotated[Axle, Served(example=4)]
+    max_speed_m_s: Annotated[
+        float, Interval(ge=1.0, le=600.0), SPEED_IN_FILES, Key("max_speed_km_h"), Served(example=44.4)
+    ]
+    axle_offsets_m: Annotated[
+        tuple[Annotated[float, Interval(ge=-FARTHEST_M, le=FARTHEST_M)], ...], Served(example=(2.0, 4.5, 16.0, 18.5))
+    ]
     """Distance of each axle behind the position reference, m."""
 
     def of_file(self, _given: Collection[str]) -> Self:
@@ -59,14 +67,14 @@ class VehicleRecord:
 class Mounting:
     """Which wheelset ran at which axle of which vehicle, ``[from_ns, to_ns)`` on the vehicle's clock."""
 
-    wheelset: Code
-    vehicle: Code
-    axle: Axle
-    from_ns: Annotated[MomentNs, Key("from")]
-    to_ns: Annotated[MomentNs, Key("to"), FileDefault(None)] | None
+    wheelset: Annotated[Code, Served(example="WS-0001")]
+    vehicle: Annotated[Code, Served(example="V-101")]
+    axle: Annotated[Axle, Served(example=1)]
+    from_ns: Annotated[MomentNs, Key("from"), Served(name="mounted_from")]
+    to_ns: Annotated[MomentNs | None, Key("to"), FileDefault(None), Served(name="mounted_to")]
     vehicle_odometer_km: Kilometres  # at from_ns
     wheelset_mileage_km: Kilometres  # at from_ns
-    reversed: bool = False  # left wheel on the right-hand side
+    reversed: Annotated[bool, Served("The left wheel runs on the right-hand side.")] = False
 
     def of_file(self, _given: Collection[str]) -> Self:
         """Refuse an end before the start."""
@@ -79,9 +87,9 @@ class Mounting:
 class Reprofiling:
     """A wheelset came back from the lathe; every later window belongs to a new baseline."""
 
-    wheelset: Code
-    at_ns: Annotated[MomentNs, Key("at")]
-    mileage_km: Kilometres
+    wheelset: Annotated[Code, Served(example="WS-0001")]
+    at_ns: Annotated[MomentNs, Key("at"), Served(name="reprofiled_at")]
+    mileage_km: Annotated[Kilometres, Served(example=151200.0)]
     note: FreeText = ""
 
 
@@ -96,22 +104,28 @@ class SensorWork(StrEnum):
 class SensorChange:
     """The sensors of an axle were exchanged or calibrated; what was wrong with them before says nothing of them now."""
 
-    vehicle: Code
-    axle: Axle
-    at_ns: Annotated[MomentNs, Key("at")]
+    vehicle: Annotated[Code, Served(example="V-101")]
+    axle: Annotated[Axle, Served(example=2)]
+    at_ns: Annotated[MomentNs, Key("at"), Served(name="worked_at")]
     work: Annotated[SensorWork, FileForm.CHOICE]
-    removed: FreeText = ""  # serial number of what was taken off
-    fitted: FreeText = ""  # of what is there since
-    note: FreeText = ""
+    removed: Annotated[FreeText, Served("Serial number of what was taken off.", example="N-0815")] = ""
+    fitted: Annotated[FreeText, Served("Serial number of what is there since.", example="N-0816")] = ""
+    note: Annotated[FreeText, Served(example="cable chafed")] = ""
 
 
 @dataclass(frozen=True, slots=True)
 class WheelsetRecord:
     """A wheelset by serial, with where it is now and its history of lathes."""
 
-    serial: Code
-    fleet: Code
-    wheel_profile: Text
-    nominal_radius_m: Annotated[float, Interval(ge=100.0, le=1000.0), MM, Key("nominal_radius_mm")]
+    serial: Annotated[Code, Served(example="WS-0001")]
+    fleet: Annotated[Code, Served(example="demo")]
+    wheel_profile: Annotated[Text, Served(example="P8")]
+    nominal_radius_m: Annotated[
+        float,
+        Interval(ge=100.0, le=1000.0),
+        MM,
+        Key("nominal_radius_mm"),
+        Served(name="nominal_radius_mm", scale=IN_MM, example=460.0),
+    ]
     mounting: Annotated[Mounting | None, Key(None)] = None
     reprofilings: Annotated[tuple[Reprofiling, ...], Key(None)] = ()

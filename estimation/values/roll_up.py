@@ -1,15 +1,18 @@
-"""Roll-ups: what the windows of a mileage interval have in common, as sums to which a window is added once."""
+"""Roll-ups: what the windows of a mileage interval have in common, added up in the order of vehicle time."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import hashlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
-from estimation.values.geometry import FilledCells
+from estimation.values.arrays import FloatArray
+from estimation.values.geometry import BinTable
 from estimation.values.windows import WindowRecord
 
-CONTENT_BITS = 256
+APART = " of "  # behind the key of its tables, the number of a roll-up that belongs to no key by the present rules
+MOST_CHOSEN = 16
 
 
 class Side(IntEnum):
@@ -39,10 +42,13 @@ class TabledWindow:
     parameter_key: str
     track_version: int | None
     content_digest: str  # of the table
-    rolled: bool = False  # into the sums, or found to belong to none
-    roll_up: int | None = None  # number of the roll-up; None where it is in none
-    running_km: float | None = None  # mileage with which it was rolled
+    running_km: float | None = None  # mileage with which it was looked at last; None before that
     samples_purged: bool = False  # it cannot be estimated again
+
+    @property
+    def start_ns(self) -> int:
+        """Start of the window."""
+        return self.record.start_ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,92 +67,78 @@ class Member:
 
 
 @dataclass(frozen=True, slots=True)
-class TakenTable:
-    """A table that was replaced or removed after it had been rolled: it is to be taken away from its roll-up."""
-
-    number: int
-    roll_up: int  # number of the roll-up
-    start_ns: int
-    mileage_km: float
-    line: str
-    cells: FilledCells
-
-
-@dataclass(frozen=True, slots=True)
 class RollUp:
     """What is known of the windows of one key without their sums.
 
-    Mileages are integers, so that their sums do not depend on the order either. ``content`` is the sum of the digests
-    of its windows modulo 2^256: the same windows give the same number in any order.
+    Like the sums it is made window by window, oldest first; ``content`` is the digest of all of them in this order.
     """
 
     key: RollUpKey
     number: int | None = None  # under which it is stored
     windows: int = 0
-    content: int = 0
+    content: str = ""  # 64 hexadecimal digits
     first_ns: int = 0
     last_ns: int = 0  # start of the last window
     end_ns: int = 0  # of the last window
     last_km: float = 0.0  # mileage of the last window
     last_stored_km: float = 0.0  # that the odometer gave
-    mileage_mm: int = 0  # sum
-    weight: int = 0  # sum of the weights of forgetting, in 2^-40
-    weighted_mileage: int = 0  # sum of weight times mileage, 2^-40 mm
+    mileage_km: float = 0.0  # sum
+    weight: float = 0.0  # sum of the weights of forgetting
+    weighted_km: float = 0.0  # sum of weight times mileage
     versions: Mapping[str, tuple[int, ...]] = field(default_factory=dict)  # by section, of its alignment, increasing
     vehicles: tuple[str, ...] = ()
     chosen: tuple[tuple[str, int], ...] = ()  # (digest, start) of windows that stand for all, by digest
     sealed: bool = False  # windows and tables may be gone
 
     @property
-    def content_digest(self) -> str:
-        """The content as 64 hexadecimal digits."""
-        return f"{self.content:064x}"
-
-    @property
     def mean_km(self) -> float:
         """Mean mileage of the windows."""
-        return self.mileage_mm / self.windows * 1e-6
+        return self.mileage_km / self.windows
 
 
-WEIGHT_UNIT = 2.0**-40
-MILLIMETRES = 1e6  # per km
-MOST_CHOSEN = 16
+@dataclass(frozen=True, slots=True)
+class RolledPart:
+    """A roll-up with its sums; ``before`` is the digest of its content as it was read."""
+
+    roll_up: RollUp
+    before: str
+    plain: BinTable
+    forgetting: BinTable
+    added: tuple[Member, ...]
+
+
+def with_members(roll_up: RollUp, members: Iterable[Member]) -> RollUp:
+    """Return the roll-up with some more windows.
+
+    Args:
+        members: Behind those that it has, oldest first; of one that is sealed they may come late.
+    """
+    for member in members:
+        roll_up = with_member(roll_up, member)
+    return roll_up
 
 
 def with_member(roll_up: RollUp, member: Member) -> RollUp:
-    """Return the roll-up with one more window."""
-    record, weight = member.window.record, round(member.forgetting / WEIGHT_UNIT)
-    mileage_mm = round(member.mileage_km * MILLIMETRES)
+    """Return the roll-up with one more window, as :func:`with_members` does."""
+    record, weight = member.window.record, member.forgetting
     empty = roll_up.windows == 0
     last = empty or record.start_ns > roll_up.last_ns
     return replace(
         roll_up,
         windows=roll_up.windows + 1,
-        content=(roll_up.content + int(member.line, 16)) % 2**CONTENT_BITS,
+        content=hashlib.sha256(f"{roll_up.content} {member.line}".encode()).hexdigest(),
         first_ns=record.start_ns if empty else min(roll_up.first_ns, record.start_ns),
         last_ns=record.start_ns if last else roll_up.last_ns,
         end_ns=record.start_ns + record.length_ns if last else roll_up.end_ns,
         last_km=member.mileage_km if last else roll_up.last_km,
         last_stored_km=record.mileage_km if last else roll_up.last_stored_km,
-        mileage_mm=roll_up.mileage_mm + mileage_mm,
+        mileage_km=roll_up.mileage_km + member.mileage_km,
         weight=roll_up.weight + weight,
-        weighted_mileage=roll_up.weighted_mileage + weight * mileage_mm,
+        weighted_km=roll_up.weighted_km + weight * member.mileage_km,
         versions=_with_version(roll_up.versions, record.track_section, member.window.track_version),
         vehicles=tuple(sorted({*roll_up.vehicles, record.vehicle})),
         chosen=_with_chosen(roll_up.chosen, member),
     )
-
-
-def of_members(roll_up: RollUp, members: Sequence[Member]) -> RollUp:
-    """Return the roll-up of the same key and number with just these windows.
-
-    Args:
-        members: In any order.
-    """
-    found = RollUp(roll_up.key, roll_up.number, sealed=roll_up.sealed)
-    for member in members:
-        found = with_member(found, member)
-    return found
 
 
 def _with_version(
@@ -158,7 +150,7 @@ def _with_version(
 
 
 def _with_chosen(chosen: tuple[tuple[str, int], ...], member: Member) -> tuple[tuple[str, int], ...]:
-    """Return the windows of the smallest digests: a choice that does not depend on the order."""
+    """Return the windows of the smallest digests: any windows have the same chance."""
     if member.window.record.quality.hunting.sustained:
         return chosen
     digest = member.window.record.content_digest
@@ -167,13 +159,11 @@ def _with_chosen(chosen: tuple[tuple[str, int], ...], member: Member) -> tuple[t
 
 @dataclass(frozen=True, slots=True)
 class Odometer:
-    """Where the chain of mileages of a wheelset stands after a window."""
+    """Where the chain of mileages of a wheelset stands after a window whose odometer had a reading."""
 
-    shift: float  # km by which what it has run is beyond what the odometer says
-    last: float  # km, last known reading
+    last: float  # km, the reading
     last_km: float  # that it had run then
-    last_ns: int  # start of the window of that reading; 0 before the first
-    seen_ns: int  # start of the last window, whether it had a reading or not
+    last_ns: int  # start of the window; 0 before the first
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,4 +172,22 @@ class RollUpState:
 
     rules: str  # digest of what says which window belongs where
     classes: Mapping[str, str]  # by vehicle, key of its tables and code of its class
-    odometers: Mapping[int, Odometer]  # by baseline, after its last window that was rolled
+
+
+@dataclass(frozen=True, slots=True)
+class RollingSums:
+    """Sums over pieces of a window, weighted by what the noise of the sensors leaves of the equation."""
+
+    products: FloatArray  # (BANDS, TERMS, TERMS)
+    noise: FloatArray  # (BANDS, TERMS, TERMS), of ``products``: what the noise on file makes of it on average
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRollingSums:
+    """What a window says of its rolling radius, part by part, and what that was made from."""
+
+    wheelset: str
+    start_ns: int
+    window_digest: str  # of its content
+    assumed: str  # digest of its class and parameters
+    parts: tuple[RollingSums, ...]

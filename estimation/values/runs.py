@@ -1,10 +1,14 @@
-"""The record of a run of a job."""
+"""Jobs: their runs, what a worker has claimed, what a job has looked at, and what failed by itself."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Annotated
+
+from estimation.values.reasons import ReasonCode
+from estimation.values.served import Served
 
 
 class JobTrigger(StrEnum):
@@ -28,11 +32,117 @@ class JobOutcome(StrEnum):
 class JobRun:
     """One run of one job; ``finished_ns`` None until its end is recorded. ``counts`` are what it did."""
 
-    run_id: int
-    job: str
+    run_id: Annotated[int, Served("", "id", example=42)]
+    job: Annotated[str, Served(example="estimate_windows")]
     trigger: JobTrigger
     started_ns: int
     finished_ns: int | None
     outcome: JobOutcome
     counts: Mapping[str, int]
     error: str | None = None
+
+
+MOST_ENDED = 3
+"""Workers that end at one thing before it is set aside."""
+
+
+@dataclass(frozen=True, slots=True)
+class Claimed:
+    """What came of asking for some things."""
+
+    keys: tuple[str, ...]  # of those that may be worked on under the lease
+    ended: tuple[tuple[str, int], ...] = ()  # how many workers ended at which key; it is free, to be asked for alone
+    elsewhere: int = 0  # how many are worked on under other leases
+    begun_ns: Mapping[str, int] = field(default_factory=dict)  # of ``keys``, by the clock of the claims
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A look at a wheelset that found nothing to do."""
+
+    inputs: str  # digest of all that it was made from, 64 hexadecimal digits
+    until_ns: int | None = None  # our time from which the same inputs may say something else
+    number: int | None = None  # of the newest result that was looked at
+
+    def holds(self, inputs: str, now_ns: int) -> bool:
+        """Whether a look at these inputs would find nothing to do either."""
+        return self.inputs == inputs and (self.until_ns is None or now_ns < self.until_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class SectionLook:
+    """What a look at a track section is made from: the same again would find the same."""
+
+    inputs: str  # digest of settings, classes and what is on file of the section, 64 hexadecimal digits
+    touched: int  # how often something had happened to its windows, positions or epochs
+
+
+SECOND_NS = 1_000_000_000
+FIRST_DELAY_S = 60.0
+PASSING_FACTOR, PASSING_LONGEST_S = 2.0, 3_600.0
+FAILED_FACTOR, FAILED_LONGEST_S = 4.0, 86_400.0
+
+
+class SubjectKind(StrEnum):
+    """What can fail alone."""
+
+    RECORDING = "recording"
+    WINDOW = "window"
+    WHEELSET = "wheelset"
+    SECTION = "section"
+    VEHICLE = "vehicle"
+    FLEET = "fleet"
+
+
+class QuarantineState(StrEnum):
+    """Whether the last attempt failed."""
+
+    HELD = "held"
+    RESOLVED = "resolved"
+
+
+PASSING = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.WAITS_FOR_MEMORY)
+"""Codes of faults that have nothing to do with the input."""
+
+TRIED_AGAIN = (*PASSING, ReasonCode.CONFLICT, ReasonCode.PROCESSING_FAILED, ReasonCode.WORKERS_ENDED)
+"""Codes of what is tried again after a while, though nothing has changed."""
+
+AT_ONCE = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.CONFLICT)
+"""Codes of which the first retry is the next run: it costs little, and the fault has often gone by then."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quarantined:
+    """One thing at which one stage of the work failed."""
+
+    kind: SubjectKind
+    key: Annotated[str, Served("Digest, serial or code; of a window `serial@start in ns`.", example="WS-0001")]
+    stage: Annotated[str, Served("The job, or `ingest` for recordings.", example="refresh_geometry")]
+    code: Annotated[ReasonCode, Served("", "reason_code")]
+    error: str
+    inputs: str  # digest or counter of what it was made from; with another one it is tried at once
+    first_ns: Annotated[int, Served("", "first_failed_at")]
+    last_ns: Annotated[int, Served("", "last_failed_at")]
+    due_ns: int
+    attempts: Annotated[int, Served("Failures in a row.")]
+    state: QuarantineState = QuarantineState.HELD  # held, or resolved by a later success
+
+    def waits(self, inputs: str, now_ns: int) -> bool:
+        """Whether it is too early for another attempt; never once the clock is behind the last failure."""
+        return self.state is QuarantineState.HELD and inputs == self.inputs and self.last_ns <= now_ns < self.due_ns
+
+
+def resolved(item: Quarantined) -> Quarantined:
+    """Return ``item`` after a success."""
+    return replace(item, state=QuarantineState.RESOLVED)
+
+
+def delay_s(code: ReasonCode, attempts: int) -> float:
+    """Return how long to wait after so many failures, s: longer each time, up to an hour or a day."""
+    if code in AT_ONCE:
+        attempts -= 1
+    if attempts < 1:
+        return 0.0
+    passing = code in PASSING or code is ReasonCode.CONFLICT
+    factor, longest = (PASSING_FACTOR, PASSING_LONGEST_S) if passing else (FAILED_FACTOR, FAILED_LONGEST_S)
+    return min(FIRST_DELAY_S * factor ** min(attempts - 1, 20), longest)

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason
+from estimation.values.served import Served
 
 SIGNALS = 3  # y, R, roll
 POWERS, CROSSES = 3, 6  # columns of ``Signature.spectra``: powers of the signals, then Re and Im of their products
@@ -39,7 +40,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Signature:
+class Signature(FrozenArrays):
     """Spectra of one wheelset over one place, or over as long a stretch that nobody knows the place of.
 
     Columns of ``spectra``: powers of y, R and roll (m2, m2, rad2), then real and imaginary part of the cross-spectra
@@ -54,11 +55,8 @@ class Signature:
     order: int  # of the stretch within its window
     place: Place | None
     speed: float  # m/s, mean
-    spectra: FloatArray  # (b, 9)
+    spectra: Annotated[FloatArray, None, POWERS + CROSSES]
     peak_wavelength: float  # m, of R: Klingel's, shifted by the track
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "spectra", frozen_array(self.spectra, (None, POWERS + CROSSES), name="spectra"))
 
     @property
     def finite(self) -> bool:
@@ -115,18 +113,18 @@ class UsedEntry:
 
     wheelset: str
     section: str
-    conicity: float
-    weight: float  # shares of all used entries; their sum is at most 1
-    source: ConicitySource
+    conicity: Annotated[float, Served("On file, at 3 mm.", "equivalent_conicity_1")]
+    weight: Annotated[float, Served("Share of all entries that were used.")]
+    source: Annotated[ConicitySource, Served("How its conicity is known.")]
 
 
 @dataclass(frozen=True, slots=True)
 class StateProbability:
     """Probability that the conicity at 3 mm is within [low, high)."""
 
-    low: float
-    high: float
-    probability: float
+    low: Annotated[float, Served("Least equivalent conicity of the state.", "from_1")]
+    high: Annotated[float, Served("Where the next state begins; null for the last.", "to_1", finite=False)]
+    probability: Annotated[float, Served("That the conicity is in this state.")]
 
 
 class Basis(StrEnum):
@@ -140,14 +138,16 @@ class Basis(StrEnum):
 class SignatureAnswer:
     """What the library says of a wheelset. Where ``conicity`` is not estimated nothing else is said."""
 
-    wheelset: str
-    conicity: Estimate  # equivalent, at 3 mm; ``count`` is of signatures
-    basis: Basis | None = None
-    states: tuple[StateProbability, ...] = ()
+    wheelset: Annotated[str, Served(example="WS-0001")]
+    conicity: Annotated[
+        Estimate, Served("`n_windows` counts signatures: stretches of track.", "equivalent_conicity_at_3_mm_1")
+    ]
+    basis: Annotated[Basis | None, Served("Whether the library has the places that the wheelset passed.")] = None
+    states: Annotated[tuple[StateProbability, ...], Served("All states; empty where nothing is said.")] = ()
     used: tuple[UsedEntry, ...] = ()
-    library_wheelsets: int = 0
-    library_sections: int = 0
-    novelty: float | None = None  # distance from the library over the largest that is answered
+    library_wheelsets: Annotated[int, Served("Wheelsets that the library has for this one.")] = 0
+    library_sections: Annotated[int, Served("Sections that it has.")] = 0
+    novelty: Annotated[float | None, Served("Distance from the library; above 1 nothing is said.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,22 +162,10 @@ class Retired:
 class Disagreement:
     """How far the answer of the signatures is from that of the geometry."""
 
-    difference: float
-    std: float
-    disagrees: bool
+    difference: Annotated[float, Served("Signature less geometry.", "difference_1")]
+    std: Annotated[float, Served("Standard deviation of the difference.", "difference_std_1")]
+    disagrees: Annotated[bool, Served("Whether their 95 % intervals are apart: a finding.", "disagree")]
     reason: Reason | None = None
-
-
-LEFT_OUT_CODES = (
-    ReasonCode.OTHER_VEHICLE_CLASS,
-    ReasonCode.OTHER_PROFILES,
-    ReasonCode.SAME_WHEELSET,
-    ReasonCode.JUDGED_TOGETHER,
-    ReasonCode.NEWER_ENTRIES,
-    ReasonCode.SECTION_CHANGED,
-    ReasonCode.WHEELSET_TURNED,
-)
-"""Why entries do not count for an answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,13 +202,15 @@ class SignatureRecord:
     """The newest answer about a wheelset, with its provenance, beside what its geometry says."""
 
     answer: SignatureAnswer
-    baseline: int
+    baseline: Annotated[int, Served("Number of reprofilings before it.")]
     signatures: int  # that were judged
     from_ns: int | None
     to_ns: int | None
-    left_out: Mapping[str, int]  # library entries that do not count for this wheelset, by code of the reason
-    geometry: Estimate | None  # conicity at 3 mm by the geometry, of the same baseline; None without one
-    disagreement: Disagreement | None
+    left_out: Annotated[Mapping[str, int], Served("Library entries and windows that do not count, by reason.")]
+    geometry: Annotated[
+        Estimate | None, Served("What the geometry says; null without one of this profile.", "geometry_at_3_mm_1")
+    ]
+    disagreement: Annotated[Disagreement | None, Served("Null where one of the two says nothing.", "compared")]
     input_digest: str
     code_version: str
     recorded_ns: int

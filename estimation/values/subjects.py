@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 
 EVERYTHING = "all"
 """The one subject of a stage that looks at all subjects of its kind together."""
@@ -15,8 +15,15 @@ class Facet(StrEnum):
     """Base facts of a wheelset, vehicle or section; results of a stage are a facet of the stage's own name."""
 
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
+    WINDOWS = "windows"  # states, qualities and mileages
+    ALERTS = "alerts"
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
-    GEOMETRY = "geometry"
+    BESIDE = "beside"  # what is known of the vehicle that a wheelset runs in, and of the wheelsets beside it
+    HUNTING = "hunting"  # windows of a vehicle in which it hunts
+    RECORDINGS = "recordings"  # of a vehicle, that are rejected
+    STIFFNESS = "stiffness"  # ratios that epochs show of a vehicle
+    DAMPER = "damper"
+    ALIGNMENT = "alignment"  # versions of the alignment of a section
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +33,8 @@ class StageInputs:
     Attributes:
         facets: Of its subjects; none of a stage that works window by window (``fleet_db.due``).
         common: Digest of what is the same for all subjects: settings and numerics.
-        together: Whether it looks at all subjects of the kind together.
+        together: Whether it looks at all subjects together, of whatever kind a facet is.
+        inline: Whether only other settings make it due: what is raised is followed by the transaction that raises it.
     """
 
     stage: str
@@ -34,6 +42,7 @@ class StageInputs:
     facets: tuple[str, ...]
     common: str
     together: bool = False
+    inline: bool = False
 
 
 @dataclass(frozen=True, slots=True)

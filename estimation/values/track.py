@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
 
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, freeze
 from estimation.values.file_units import MM, FileForm, Key
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
+from estimation.values.served import MM as IN_MM
+from estimation.values.served import Served
+from estimation.values.windows import WindowRecord
 
 MOST_TONNAGE_MGT = 1000.0  # a year, on one section
 
@@ -27,22 +30,16 @@ class AlignmentSource(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class GaugeShift:
+class GaugeShift(FrozenArrays):
     """Where a gauge deviation puts a wheelset: y - d at a rolling radius difference and a gauge deviation, m.
 
     The shift is against nominal gauge at the same rolling radius difference: that is measured well, and contact
     jumps, which move over y - d with the gauge, are steps of it. Linear between the grids, flat beyond them.
     """
 
-    difference: FloatArray  # (r,) rL - rR, m, uniform, increasing
-    gauge: FloatArray  # (e,) m, uniform, increasing
-    shift: FloatArray  # (r, e) m
-
-    def __post_init__(self) -> None:
-        for name in ("difference", "gauge"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(getattr(self, name)),), name=name))
-        shape = (len(self.difference), len(self.gauge))
-        object.__setattr__(self, "shift", frozen_array(self.shift, shape, name="shift"))
+    difference: Annotated[FloatArray, "n"]  # rL - rR, m, uniform, increasing
+    gauge: Annotated[FloatArray, "m"]  # m, uniform, increasing
+    shift: Annotated[FloatArray, "n", "m"]  # m
 
     def at(self, difference: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
         """Return the shift (n,), m, at rL - rR (n,) and gauge deviation (n,), m."""
@@ -78,7 +75,7 @@ class TrackFindings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TrackAlignment:
+class TrackAlignment(FrozenArrays):
     """Lateral alignment and gauge deviation of a track section against distance, each with its std.
 
     Two of them are equal if they are the same object, which makes them keys of caches.
@@ -86,24 +83,18 @@ class TrackAlignment:
 
     section: str
     version: int
-    s: FloatArray  # (n,) m, uniform
-    alignment: FloatArray  # (n,) m, positive to the left
-    alignment_std: FloatArray  # (n,) m
-    gauge_deviation: FloatArray  # (n,) m, actual minus nominal gauge
-    gauge_deviation_std: FloatArray  # (n,) m
-    passes: IntArray  # (n,) passes behind each value; 0 for a recording car
+    s: Annotated[FloatArray, "n"]  # m, uniform
+    alignment: Annotated[FloatArray, "n"]  # m, positive to the left
+    alignment_std: Annotated[FloatArray, "n"]  # m
+    gauge_deviation: Annotated[FloatArray, "n"]  # m, actual minus nominal gauge
+    gauge_deviation_std: Annotated[FloatArray, "n"]  # m
+    passes: Annotated[IntArray, "n"]  # passes behind each value; 0 for a recording car
     status: Status
     source: AlignmentSource = AlignmentSource.RECORDED
     cutoff_wavelength: float = np.inf  # m; longer wavelengths are not in ``alignment``
     scale_std: float = 0.0  # relative, of a common scale error of y - d that the alignment leaves open
     gauge_known: bool = True  # False: from the passes alone, or zero for want of knowledge; see its std
     findings: TrackFindings | None = None  # of a fleet, on its own alignment or on a recording whose gauge varies
-
-    def __post_init__(self) -> None:
-        n = len(self.s)
-        for name in ("s", "alignment", "alignment_std", "gauge_deviation", "gauge_deviation_std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        object.__setattr__(self, "passes", frozen_array(self.passes, (n,), np.int64, name="passes"))
 
     @property
     def band_limited(self) -> bool:
@@ -117,15 +108,13 @@ class TrackLayout:
 
     section: str
     version: int
-    s: FloatArray  # (n,) m along the section, strictly increasing
-    curvature: FloatArray  # (n,) 1/m, positive in a curve to the left
-    cant: FloatArray  # (n,) m, right rail above the left one: positive where it leans into a curve to the left
+    s: Annotated[FloatArray, "n"]  # m along the section, strictly increasing
+    curvature: Annotated[FloatArray, "n"]  # 1/m, positive in a curve to the left
+    cant: Annotated[FloatArray, "n"]  # m, right rail above left: positive leaning into a curve to the left
 
     def __post_init__(self) -> None:
-        n = len(self.s)
-        for name in ("s", "curvature", "cant"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if n < 2 or not (np.diff(self.s) > 0).all():  # noqa: PLR2004 - a layout has two ends
+        freeze(self)
+        if len(self.s) <= 1 or not (np.diff(self.s) > 0).all():
             raise ValueError("s: two points or more, strictly increasing, are needed")
 
 
@@ -141,15 +130,24 @@ class TrackSectionRecord:
     ``tonnage_mgt_per_year`` is the traffic that wears its rails, million gross tonnes a year; None where not known.
     """
 
-    code: Annotated[str, FileForm.CODE]
+    code: Annotated[str, FileForm.CODE, Served(example="main-1")]
     number: Annotated[int, Interval(ge=1, le=65534)]
     name: Annotated[str, FileForm.TEXT]
-    rail_profile: Annotated[str, FileForm.TEXT]
-    rail_inclination: Annotated[float, Interval(ge=0.0, le=0.5)]
-    nominal_gauge_m: Annotated[float, Interval(ge=500.0, le=2000.0), MM, Key("nominal_gauge_mm")]
+    rail_profile: Annotated[str, FileForm.TEXT, Served(example="56E1")]
+    rail_inclination: Annotated[float, Interval(ge=0.0, le=0.5), Served(name="rail_inclination_1", example=0.05)]
+    nominal_gauge_m: Annotated[
+        float,
+        Interval(ge=500.0, le=2000.0),
+        MM,
+        Key("nominal_gauge_mm"),
+        Served(name="nominal_gauge_mm", scale=IN_MM, example=1435.0),
+    ]
     length_m: Annotated[float, Interval(ge=1.0)]
     line: Annotated[SectionLine | None, Key(None)] = None
-    tonnage_mgt_per_year: Annotated[float, Interval(gt=0.0, le=MOST_TONNAGE_MGT)] | None = None
+    tonnage_mgt_per_year: Annotated[
+        Annotated[float, Interval(gt=0.0, le=MOST_TONNAGE_MGT)] | None,
+        Served("Traffic, million gross tonnes a year. Null: the registry does not say.", example=18.0),
+    ] = None
 
     def __post_init__(self) -> None:
         if self.line is not None:  # lists, as JSON has them
@@ -168,12 +166,17 @@ class AlignmentRecord:
     section: str
     version: int
     status: Status
-    source: AlignmentSource
-    same_since: int
-    cut_off_m: float  # inf where every wavelength is known
-    scale_std: float
+    source: Annotated[AlignmentSource, Served(example="fleet")]
+    same_since: Annotated[int, Served("It differs from this one by less than that left unknown.", "same_since_version")]
+    cut_off_m: Annotated[float, Served("Longer wavelengths are not in it; null where all are.", finite=False)]
+    scale_std: Annotated[
+        float, Served("Relative, of a common stretch that it leaves open.", "scale_std_1", finite=False)
+    ]
     gauge_known: bool
-    alignment_std_m: float | None  # median along the section; None where none is known
+    alignment_std_m: Annotated[
+        float | None,
+        Served("Median along the section; null of a recording as registered.", "alignment_std_mm", IN_MM),
+    ]
     points: int
     recorded_ns: int | None
     superseded_ns: int | None = None
@@ -196,11 +199,11 @@ class TrackReport:
     """What a run of the alignment job found of a section; ``version`` is the one in force afterwards, if any."""
 
     section: str
-    version: int | None
-    made: bool  # whether that run made the version
+    version: Annotated[int | None, Served("In force after that run; null where there is none yet.")]
+    made: Annotated[bool, Served("Whether that run made the version.", "made_version")]
     status: Status
-    reason: Reason | None
-    windows: int
+    reason: Annotated[Reason | None, Served("Why nothing is estimated, or why an estimate has not converged.")]
+    windows: Annotated[int, Served(name="n_windows")]
     input_digest: str  # over keys and digests of windows, and the version before
     code_version: str
     report: Mapping[str, JsonValue]
@@ -219,3 +222,73 @@ class Correction:
     def at(self, measured: FloatArray) -> FloatArray:
         """Return corrected positions, m."""
         return np.asarray(measured + self.offset + self.scale * (measured - self.middle))
+
+
+OPEN_NS = (1 << 63) - 1
+"""Horizon of the last epoch of a section: whatever comes later may belong to it."""
+
+
+@dataclass(frozen=True, slots=True)
+class FoldState:
+    """What is known of a section after some of its epochs."""
+
+    version: int | None  # of the alignment in force; None where there is none
+    same_since: int | None  # oldest version of the chain from which it does not differ materially
+    survey: Reason | None = None  # what the fleet has found of the survey; None where it was not checked
+
+    def key(self, given: str) -> str:
+        """Return what distinguishes this state as the start of an epoch; ``given`` is what all epochs rest on."""
+        survey = "" if self.survey is None else f"{self.survey.code} {self.survey.text}"
+        return f"{given} {self.version} {self.same_since} {survey}"
+
+
+@dataclass(frozen=True, slots=True)
+class TrackEpoch:
+    """One epoch of a section as it was computed last. Key: (section, number), from 1 in vehicle time."""
+
+    section: str
+    number: int
+    before: str  # key of the state that it started from
+    input_digest: str  # of the windows that it rests on, with what is assumed of each
+    horizon_ns: int  # up to when another window would change which windows are its own
+    windows: int
+    waits: bool  # it identified nothing: its windows are looked at again together with those of the next
+    after: FoldState  # what is known after it
+    estimated_on: int | None  # version of its windows, as long as the last one does not differ materially
+    report: int  # number of its report
+    recorded_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class FoundOfVehicles:
+    """Of which vehicles an epoch has found what matters for their windows alone."""
+
+    version: int  # that holds it: windows of these vehicles are estimated on no older one
+    stiffness_ratio: Mapping[str, float] = field(default_factory=dict)  # as that version has it; 1 without
+
+
+@dataclass(frozen=True, slots=True)
+class EpochMember:
+    """A window of an epoch, as it was when the epoch was computed."""
+
+    record: WindowRecord
+    context: str  # digest of all that is on file of its wheelset on its vehicle
+    assumed: str  # digest of what of it concerns this window
+
+
+@dataclass(frozen=True, slots=True)
+class EpochNews:
+    """What has changed under the epochs of a section since they were computed."""
+
+    from_ns: int | None  # start of the first window that is new, changed or gone; None where none is
+    unplaced: frozenset[int]  # epochs with windows whose positions have been forgotten
+
+
+def evidence_of_measurement(name: str) -> str:
+    """Return what stands for a measurement of wheels."""
+    return f"measured profiles of {name}"
+
+
+def evidence_of_version(source: str, version: int) -> str:
+    """Return what stands for an alignment that was known before."""
+    return f"{source} version {version}"

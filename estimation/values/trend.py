@@ -1,65 +1,78 @@
-"""Wear trends."""
+"""Trends of wear and of the suspension, and sudden changes in them.
+
+Identity changes: when a wheelset on file stopped being the one that ran, or the way round that it ran.
+
+They are found by the alert rule of this kind and kept in the evidence of its alerts. Geometries and trends read them:
+data from both sides of a change are of two wheelsets and are never merged.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Annotated, Protocol, TypeVar
 
-import numpy as np
-
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.alerts import Alert
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.json_value import JsonValue
-from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.quarantine import SubjectKind
+from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
-from estimation.values.results import ResultKind
+from estimation.values.results import History, ResultKind
+from estimation.values.runs import SubjectKind
+from estimation.values.served import MM, Served
 
 
 @dataclass(frozen=True, slots=True)
 class TrendStep:
     """A sudden change of the indicator that wear does not explain; what was recorded within it is of neither side."""
 
-    before_km: float  # mileage of the last interval before
-    after_km: float  # mileage of the first interval behind
-    before_ns: int  # end of the last data before
-    after_ns: int  # begin of the first data behind
+    before_km: Annotated[float, Served("Mileage of the last interval before it.", finite=False)]
+    after_km: Annotated[float, Served("Mileage of the first interval behind it.", finite=False)]
+    before_ns: Annotated[int, Served("End of the last data before it.")]
+    after_ns: Annotated[int, Served("Begin of the first data behind it.")]
     found_ns: int  # end of the data that showed it first
-    size: Estimate  # at ``amplitude``
-    level_before: float
-    amplitude: float  # m
-    probability: float
-    before: int  # intervals
-    behind: int  # intervals
+    size: Annotated[Estimate, Served("By how much the indicator has changed, at `amplitude_mm`.", "size_1")]
+    level_before: Annotated[float, Served("The indicator before it.", "level_before_1", finite=False)]
+    amplitude: Annotated[float, Served("Amplitude that size and level are of.", "amplitude_mm", MM, finite=False)]
+    probability: Annotated[float, Served("That there is a step there.", "probability_1", finite=False)]
+    before: Annotated[int, Served("Intervals before it.", "intervals_before")]
+    behind: Annotated[int, Served("Intervals behind it.", "intervals_behind")]
 
 
 @dataclass(frozen=True, slots=True)
-class WearTrend:
+class WearTrend(FrozenArrays):
     """An indicator since the last reprofiling or step, its robust slope, and when it reaches its limit."""
 
-    quantity: str  # "equivalent_conicity"
-    mileage_km: FloatArray  # (k,) since the wheelset was new
-    measured_ns: IntArray  # (k,)
-    value: FloatArray  # (k,)
-    std: FloatArray  # (k,)
-    slope_per_1000_km: Estimate
-    slope_per_year: Estimate
-    fitted: Estimate  # value of the fitted curve at the last point
-    limit: float
+    quantity: Annotated[str, Served(example="equivalent_conicity")]  # "equivalent_conicity"
+    mileage_km: Annotated[FloatArray, "k"]  # since the wheelset was new
+    measured_ns: Annotated[IntArray, "k", Served(name="measured_at")]
+    value: Annotated[FloatArray, "k", Served(name="value_1")]
+    std: Annotated[FloatArray, "k", Served(name="std_1")]
+    slope_per_1000_km: Annotated[Estimate, Served(name="slope_1_per_1000_km")]
+    slope_per_year: Annotated[Estimate, Served(name="slope_1_per_year")]
+    fitted: Annotated[Estimate, Served("The fitted curve at the last point, at the mileage of that point.", "fitted_1")]
+    limit: Annotated[float, Served(name="limit_1", finite=False)]
     distance_to_limit_km: Forecast  # from the last point; 0 where already reached
     date_of_limit_ns: Forecast
-    probability_over_limit: float | None  # now
+    probability_over_limit: Annotated[
+        float | None, Served("That the limit is exceeded now; null means unknown.", "probability_over_limit_1")
+    ]
     status: Status
     reason: Reason | None = None
-    converged: bool = True  # whether the robust fits over distance and date stopped changing
+    converged: Annotated[
+        bool, Served("Whether the robust fits over distance and date stopped changing; true where nothing was fitted.")
+    ] = True
     not_comparable: Reason | None = None  # why the limit is not held against it; None where it is
-    step: TrendStep | None = None  # that its points are behind
+    step: Annotated[
+        TrendStep | None, Served("The step that the trend begins behind; null where it begins with the profile.")
+    ] = None
     few_behind: Reason | None = None  # why nothing is forecast: too few points behind the step; None where enough are
 
-    def __post_init__(self) -> None:
-        k = len(self.value)
-        for name in ("mileage_km", "value", "std"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
-        object.__setattr__(self, "measured_ns", frozen_array(self.measured_ns, (k,), np.int64, name="measured_ns"))
+    @property
+    def head(self) -> JsonValue:
+        """What is read of many trends: the time within which the step is; None where there is none."""
+        return None if self.step is None else [self.step.before_ns, self.step.after_ns]
 
 
 TREND = ResultKind("trend", SubjectKind.WHEELSET, WearTrend, one_in_force=True)
@@ -76,4 +89,139 @@ class TrendRecord:
     input_digest: str
     code_version: str
     recorded_ns: int
-    parameters: Mapping[str, JsonValue] = field(default_factory=dict)  # that shaped it
+    parameters: Annotated[Mapping[str, JsonValue], Served("Settings that shaped it; empty where none were kept.")] = (
+        field(default_factory=dict)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SuspensionFinding:
+    """Yaw stiffness over longitudinal creep coefficient of a vehicle, from its passes of one section in one epoch.
+
+    ``ratio`` is relative to ``assumed``, that of the vehicle's parameters at the time. Key: (vehicle, section, to_ns).
+    """
+
+    vehicle: str
+    section: str
+    from_ns: int  # begin of the first window
+    to_ns: int  # end of the last
+    ratio: float
+    ratio_std: float
+    assumed: Annotated[
+        float, Served("Yaw stiffness over longitudinal creep coefficient of the vehicle's class.", "assumed_m")
+    ]
+    code_version: str
+    recorded_ns: int = field(metadata={"made_from": False})
+
+    @property
+    def stiffness_ratio(
+        self,
+    ) -> Annotated[Estimate, Served("Relative to the assumed one; it moves with the creep too.", "stiffness_ratio_1")]:
+        """The ratio with its interval."""
+        return with_interval(self.ratio, self.ratio_std)
+
+
+@dataclass(frozen=True, slots=True)
+class SuspensionChange:
+    """By how much the ratio of a vehicle has changed against its own past and the other vehicles."""
+
+    vehicle: str
+    change: float  # relative: -0.3 is softer by 30 %, or of 43 % more creep coefficient
+    std: float
+    past: Annotated[int, Served("", "past_findings")]  # findings
+    recent: Annotated[int, Served("", "recent_findings")]
+    others: Annotated[
+        int, Served("Vehicles on the same sections at the same time, which show friction.", "other_vehicles")
+    ]
+    recent_ns: Annotated[int, Served("", "measured_to")]  # end of the newest
+    step_probability: float | None = None  # of a sudden change, which the recent ones are behind; None without one
+    since_ns: int | None = None  # begin of the first finding behind it
+
+    @property
+    def estimate(self) -> Annotated[Estimate, Served("Relative; -0.3 is softer by 30 %.", "change_1")]:
+        """The change with its interval."""
+        return with_interval(self.change, self.std, count=float(self.recent))
+
+
+@dataclass(frozen=True, slots=True)
+class SuspensionShown:
+    """What all passes of a vehicle show: the newest change, and whether an alert stands and since when."""
+
+    newest: SuspensionChange | None  # None where too few findings are known
+    stands: bool
+    since_ns: int | None = None
+
+
+SUSPENSION = ResultKind("suspension", SubjectKind.VEHICLE, SuspensionShown, History.NEWEST)
+
+
+class StepCause(StrEnum):
+    """What happened to a wheelset or to its sensor."""
+
+    TURNED = "turned"  # reprofiled
+    EXCHANGED = "exchanged"  # for another wheelset
+    TURNED_END_FOR_END = "turned_end_for_end"  # left wheel on the other side
+    DAMAGED = "damaged"
+    SENSOR = "sensor"  # of another scale, or exchanged
+
+
+@dataclass(frozen=True, slots=True)
+class StepExplanation:
+    """How well a cause explains a step: share of all causes, and the standard deviations that it leaves open."""
+
+    cause: StepCause
+    share: float
+    left: float
+
+
+IDENTITY = "identity"  # kind of the alerts that record a change
+UNREGISTERED_CHANGE = "unregistered_change"  # kind of the alerts of steps of a trend
+BEFORE, AFTER = "before_ns", "after_ns"  # in their evidence
+
+
+class _Dated(Protocol):
+    @property
+    def from_ns(self) -> int: ...
+
+
+_Record = TypeVar("_Record", bound=_Dated)
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityChange:
+    """The time within which the wheelset changed; what was recorded within it is of neither."""
+
+    before_ns: int  # end of the data before
+    after_ns: int  # begin of the data after
+
+
+def latest_identity_change(alerts: Iterable[Alert]) -> IdentityChange | None:
+    """Return the last change; None where there is none."""
+    changes = [_change(alert) for alert in alerts if alert.kind == IDENTITY]
+    return max((change for change in changes if change is not None), key=lambda change: change.after_ns, default=None)
+
+
+def since_change(records: Sequence[_Record], change: IdentityChange | None) -> list[_Record]:
+    """Return the geometries of the wheelset that it is now.
+
+    Args:
+        records: Geometries of one wheelset, or what is left of them.
+    """
+    return [record for record in records if change is None or record.from_ns >= change.after_ns]
+
+
+def _change(alert: Alert) -> IdentityChange | None:
+    before, after = alert.evidence.get(BEFORE), alert.evidence.get(AFTER)
+    return IdentityChange(before, after) if isinstance(before, int) and isinstance(after, int) else None
+
+
+def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) -> bool:
+    """Return whether two times are of the same wheelset: both before its identity change, or both after it.
+
+    Args:
+        change: The last one; None where there was none.
+    """
+    if change is None:
+        return True
+    before = first_ns <= change.before_ns and second_ns <= change.before_ns
+    return before or (first_ns >= change.after_ns and second_ns >= change.after_ns)

@@ -4,45 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 from estimation.values.reasons import Reason
+from estimation.values.served import Served
 from estimation.values.windows import WindowState
 
 
 @dataclass(frozen=True, slots=True)
 class WindowsOfReason:
-    """Windows of one wheelset with one state and one reason.
+    """Windows of one wheelset with one state and one reason."""
 
-    Attributes:
-        state: Of all of them.
-        reason: Why they were refused or what they wait for, as it is of the newest; None of estimated ones.
-        windows: How many.
-        newest_ns: End of the newest, ns UTC on the vehicle's clock.
-    """
-
-    state: WindowState
-    reason: Reason | None
-    windows: int
-    newest_ns: int
+    state: WindowState  # of all of them
+    reason: Annotated[Reason | None, Served("Why they wait, are refused or give no number, as of the newest of them.")]
+    windows: Annotated[int, Served("How many.")]
+    newest_ns: Annotated[int, Served("End of the newest of them, on the vehicle's clock.")]
 
 
 @dataclass(frozen=True, slots=True)
 class WithoutEstimate:
-    """Why nothing is estimated of a wheelset, and what to do.
+    """Why nothing is estimated of a wheelset, and what to do."""
 
-    Attributes:
-        reason: In one sentence.
-        what_to_do: In sentences; empty where there is nothing to do but to wait.
-        windows: Its newest windows by state and reason, the most frequent first.
-        from_ns: Begin of the oldest window that was counted, ns UTC on the vehicle's clock; None where there is none.
-        last_ns: End of its newest window, whatever became of it; None where there is none.
-    """
-
-    reason: Reason
-    what_to_do: str
-    windows: tuple[WindowsOfReason, ...]
-    from_ns: int | None
-    last_ns: int | None
+    reason: Reason  # in one sentence
+    what_to_do: str  # in sentences; empty where there is nothing to do but to wait
+    windows: Annotated[
+        tuple[WindowsOfReason, ...], Served("The windows that are counted, the most frequent reason first.", "reasons")
+    ]
+    from_ns: Annotated[int | None, Served("Begin of the oldest that is counted; null without windows.", "counted_from")]
+    last_ns: Annotated[int | None, Served("End of its newest window, whatever became of it.", "last_data_at")]
 
     def count(self, state: WindowState) -> int:
         """Return how many of the counted windows have a state."""

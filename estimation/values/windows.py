@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
-import numpy as np
-
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason
+from estimation.values.served import Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,21 +53,25 @@ NO_BLOWS = TurnBlows(0.0, 0.0, 0.0, 0)
 class WindowQuality:
     """What gates look at before a window is estimated."""
 
-    coverage: float  # share of grid points with a valid sample, 0 to 1
-    longest_gap_s: float
+    coverage: Annotated[
+        float, Served(name="coverage_1", finite=False)
+    ]  # share of grid points with a valid sample, 0 to 1
+    longest_gap_s: Annotated[float, Served(finite=False)]
     gaps: int
-    clipped: float  # share of samples with the clipping bit or a raw value at its limit
-    invalid: float  # share of samples marked invalid by the sensor
-    speed_min_m_s: float
-    speed_max_m_s: float
-    position_quality: float  # 0 (unknown) to 1
+    clipped: Annotated[
+        float, Served(name="clipped_1", finite=False)
+    ]  # share of samples with the clipping bit or a raw value at its limit
+    invalid: Annotated[float, Served(name="invalid_1", finite=False)]  # share of samples marked invalid by the sensor
+    speed_min_m_s: Annotated[float, Served(finite=False)]
+    speed_max_m_s: Annotated[float, Served(finite=False)]
+    position_quality: Annotated[float, Served(name="position_quality_1", finite=False)]  # 0 (unknown) to 1
     sensor_fault: bool  # self-test failed or an emergency was sent
     hunting: Hunting = NOT_HUNTING  # found from all samples, clipped ones too
     blows: TurnBlows = NO_BLOWS  # likewise
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class Window(FrozenArrays):
     """A fixed length of running time of one wheelset, on a uniform grid; accelerations are NaN where not ``valid``.
 
     ``start_ns`` is a multiple of the window length on the vehicle's clock, so that windows do not depend on how
@@ -85,32 +90,21 @@ class Window:
     start_ns: int
     length_ns: int
     sample_interval_s: float
-    lateral_acceleration: FloatArray  # (n,) m/s2
-    yaw_acceleration: FloatArray  # (n,) rad/s2
-    roll_acceleration: FloatArray  # (n,) rad/s2
-    mass_lateral_acceleration: FloatArray  # (n,) m/s2
-    speed: FloatArray  # (n,) m/s
-    distance: FloatArray  # (n,) m along the section
-    valid: BoolArray  # (n,)
+    lateral_acceleration: Annotated[FloatArray, "n"]  # m/s2
+    yaw_acceleration: Annotated[FloatArray, "n"]  # rad/s2
+    roll_acceleration: Annotated[FloatArray, "n"]  # rad/s2
+    mass_lateral_acceleration: Annotated[FloatArray, "n"]  # m/s2
+    speed: Annotated[FloatArray, "n"]  # m/s
+    distance: Annotated[FloatArray, "n"]  # m along the section
+    valid: Annotated[BoolArray, "n"]
     resolution: tuple[float, float, float, float]
     track_section: str | None
     odometer_m: float  # vehicle odometer at the start of the window
     quality: WindowQuality
-    frame_yaw_acceleration: FloatArray | None = None  # (n,) rad/s2, of the bogie frame; None without a bogie
+    frame_yaw_acceleration: Annotated[FloatArray, "n"] | None = None  # rad/s2, of the bogie frame; None without a bogie
     measures_gravity: bool = False  # lateral accelerations are specific forces: g times the roll is in them
     backwards: bool = False  # the vehicle runs with its rear end first, and yaw has been turned over
-    bridged: BoolArray | None = None  # (n,); None where none are; not stored
-
-    def __post_init__(self) -> None:
-        n = len(self.valid)
-        for name in (*ACCELERATIONS, "speed", "distance"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if self.frame_yaw_acceleration is not None:
-            frame = frozen_array(self.frame_yaw_acceleration, (n,), name="frame_yaw_acceleration")
-            object.__setattr__(self, "frame_yaw_acceleration", frame)
-        object.__setattr__(self, "valid", frozen_array(self.valid, (n,), np.bool_, name="valid"))
-        if self.bridged is not None:
-            object.__setattr__(self, "bridged", frozen_array(self.bridged, (n,), np.bool_, name="bridged"))
+    bridged: Annotated[BoolArray, "n"] | None = None  # ; None where none are; not stored
 
 
 ACCELERATIONS = ("lateral_acceleration", "yaw_acceleration", "roll_acceleration", "mass_lateral_acceleration")
@@ -175,12 +169,12 @@ class WindowRecord:
     """A stored window without its samples. Key: (wheelset, start_ns)."""
 
     wheelset: str
-    start_ns: int
+    start_ns: Annotated[int, Served(name="measured_from")]
     length_ns: int
     vehicle: str
     axle: int
     track_section: str | None
-    mileage_km: float  # of the wheelset since new, at the start
+    mileage_km: Annotated[float, Served(finite=False)]  # of the wheelset since new, at the start
     quality: WindowQuality
     state: WindowState
     reason: Reason | None
@@ -212,18 +206,61 @@ class WindowMark:
 
 @dataclass(frozen=True, slots=True)
 class MileageReading:
-    """The mileage of a wheelset at the start of a window, and what speaks against it by itself.
+    """The mileage of a wheelset at the start of a window, and what speaks against it by itself."""
 
-    Attributes:
-        start_ns: Vehicle time.
-        mileage_km: Of the wheelset since new.
-        odometer_excess_m: By how much the change of the odometer within the window differs from the integral of the
-            speed beyond what is allowed, m; 0 where it does not.
-        off_line_m: How far the vehicle was from the line of the section that it reported, by GNSS, m; 0 within the
-            limit.
+    start_ns: int  # vehicle time
+    mileage_km: float  # of the wheelset since new
+    odometer_excess_m: float = 0.0  # by which its change differs from the integral of the speed beyond what is allowed
+    off_line_m: float = 0.0  # from the line of the section that it reported, by GNSS; 0 within the limit
+
+
+OF_FRAME = ("frame_yaw", "frame_yaw_rate", "frame_displacement")
+
+
+@dataclass(frozen=True, slots=True)
+class Motion(FrozenArrays):
+    """Motion of one wheelset and its suspended mass over one window.
+
+    With ``band_limited`` every lateral and angular signal has lost its wavelengths beyond the cut-off (all through the
+    same filter), so that offsets carry no meaning; without, they are absolute. Samples that are not ``valid`` are
+    left out. ``block`` numbers the intervals of some seconds from which standard deviations are computed; -1
+    where a sample belongs to none.
+
+    ``stiffness_ratio`` is the vehicle's yaw stiffness over creep coefficient, of the assumed one, where that has been
+    estimated. Where it is known what the gauge does, ``displacement`` is that at nominal gauge. The yaw spring of a
+    wheelset is tied to the frame of its bogie; without one to what does not yaw.
     """
 
-    start_ns: int
-    mileage_km: float
-    odometer_excess_m: float = 0.0
-    off_line_m: float = 0.0
+    speed: Annotated[FloatArray, "n"]  # V, m/s
+    displacement: Annotated[FloatArray, "n"]  # y - d where EN 15302 means it, m: ``motion.cross_level``
+    lateral_velocity: Annotated[FloatArray, "n"]  # y', m/s
+    lateral_acceleration: Annotated[FloatArray, "n"]  # y'', m/s2
+    yaw: Annotated[FloatArray, "n"]  # psi, rad
+    yaw_rate: Annotated[FloatArray, "n"]  # psi', rad/s
+    yaw_acceleration: Annotated[FloatArray, "n"]  # psi'', rad/s2
+    roll: Annotated[FloatArray, "n"]  # phi, rad
+    roll_rate: Annotated[FloatArray, "n"]  # phi', rad/s
+    suspension_deflection: Annotated[FloatArray, "n"]  # ym - y, m
+    suspension_deflection_rate: Annotated[FloatArray, "n"]  # ym' - y', m/s
+    valid: Annotated[BoolArray, "n"]
+    block: Annotated[IntArray, "n"]
+    band_limited: bool
+    stiffness_ratio: float = 1.0
+    frame_yaw: Annotated[FloatArray, "n"] | None = None  # rad, of the bogie frame; None without a bogie
+    frame_yaw_rate: Annotated[FloatArray, "n"] | None = None  # rad/s
+    frame_displacement: Annotated[FloatArray, "n"] | None = None  # m, lateral, of the frame above the axle
+    sample_interval_s: float = math.nan  # between samples; what filters over time needs it
+    displacement_noise: float = 0.0  # m2, variance of ``displacement`` by the sensors; mean over the valid samples
+
+    def __len__(self) -> int:
+        return len(self.valid)
+
+    @property
+    def yaw_deflection(self) -> FloatArray:
+        """Angle (n,) of the yaw spring, rad: yaw less that of the frame."""
+        return self.yaw if self.frame_yaw is None else self.yaw - self.frame_yaw
+
+    @property
+    def yaw_deflection_rate(self) -> FloatArray:
+        """Rate (n,) of that angle, rad/s."""
+        return self.yaw_rate if self.frame_yaw_rate is None else self.yaw_rate - self.frame_yaw_rate

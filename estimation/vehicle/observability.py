@@ -22,17 +22,17 @@ import numpy as np
 
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.linear_model import linear_model
-from estimation.vehicle.linear_wheelset import ComplexArray, LinearContact
-from estimation.vehicle.measurement_equations import (
+from estimation.vehicle.linear_model import (
     SENSORS,
     Combinations,
     combinations,
     equations,
     filtered,
+    linear_model,
     sensor_filters,
     true_signals,
 )
+from estimation.vehicle.linear_wheelset import ComplexArray, LinearContact
 from estimation.vehicle.vehicle_class import VehicleClass
 
 CAUSES = ("noise", "dilution", "track", "creep", "stiffness", "mass", "lengths", "scale")

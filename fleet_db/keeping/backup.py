@@ -11,18 +11,27 @@ from pathlib import Path
 from sqlalchemy import Engine
 
 from estimation.errors import StorageError
-from fleet_db.keeping.copied_rows import copy_rows, row_counts
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.kept_files import KeptFile, copy_kept, kept_files
-from fleet_db.keeping.kept_recordings import (
+from fleet_db.keeping.kept_files import (
     RAW,
+    KeptFile,
     KeptRecording,
+    copy_kept,
     copy_recording,
+    kept_files,
     kept_recordings,
     not_listed,
     write_digests,
 )
-from fleet_db.keeping.manifest import Manifest, backup_name, digests_file, sha256_of, write_manifest
+from fleet_db.keeping.manifest import (
+    Manifest,
+    backup_name,
+    copy_rows,
+    digests_file,
+    row_counts,
+    sha256_of,
+    write_manifest,
+)
 from fleet_db.migrate import check_head, head, upgrade
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
@@ -34,16 +43,10 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class BackupPlan:
-    """What a backup holds beside the database.
+    """What a backup holds beside the database."""
 
-    Attributes:
-        windows: Whether window files; without them a restore makes them again from the recordings.
-        recordings: Whether recordings; None: where the store has no copies of its own. Of others their digests are
-            kept.
-    """
-
-    windows: bool = True
-    recordings: bool | None = None
+    windows: bool = True  # whether window files; without them a restore makes them again from the recordings
+    recordings: bool | None = None  # None: where the store has no copies of its own; of others their digests are kept
 
 
 EVERYTHING = BackupPlan()
@@ -60,7 +63,6 @@ def back_up(
 
     Args:
         folder: Of the backups; made if it is not there.
-        now_ns: Our time, ns UTC.
         progress: Called with (done, total) files.
 
     Raises:

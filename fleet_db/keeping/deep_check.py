@@ -10,20 +10,12 @@ from sqlalchemy import Connection, and_, exists, func, select
 
 from estimation.errors import DamagedError
 from estimation.values.windows import WindowState
-from fleet_db.keeping.kept_files import KeptFile, kept_files
-from fleet_db.keeping.kept_recordings import KeptRecording, kept_recordings
+from fleet_db.keeping.kept_files import KeptFile, KeptRecording, kept_files, kept_recordings
 from fleet_db.keeping.orphans import orphaned_recordings, orphaned_samples
 from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.tables import (
-    AlertEventRow,
-    AlertRow,
-    TrackAlignmentRow,
-    WindowBinTableRow,
-    WindowPositionRow,
-    WindowRow,
-)
+from fleet_db.tables import AlertEventRow, AlertRow, TrackAlignmentRow, WindowBinTableRow, WindowPositionRow, WindowRow
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
 ALERTS, EVENTS, ALIGNMENTS = table_of(AlertRow), table_of(AlertEventRow), table_of(TrackAlignmentRow)
@@ -36,15 +28,12 @@ class Finding:
 
     Attributes:
         kind: What was compared: ``recording``, ``window file``, ``rows``, ``packed values``, ``database``, ``orphan``.
-        subject: What it is about.
-        detail: What is wrong.
-        harmless: Whether nothing is lost by it: a file that nothing refers to.
     """
 
     kind: str
-    subject: str
-    detail: str
-    harmless: bool = False
+    subject: str  # what it is about
+    detail: str  # what is wrong
+    harmless: bool = False  # whether nothing is lost by it: a file that nothing refers to
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Column, Connection, Integer, Table, bindparam, delete, func, insert, select, text, update
 
 from estimation.errors import InputError
 from fleet_db.atomic_files import write_atomically
+from fleet_db.tables import Base
 
 FORMAT = "treadwatch-backup-1"
 PREFIX, SUFFIX = "backup-", ".json"
@@ -18,33 +22,20 @@ PREFIX, SUFFIX = "backup-", ".json"
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """One backup in a backup folder; recordings and windows are shared with the others of the folder.
+    """One backup in a backup folder; recordings and windows are shared with the others of the folder."""
 
-    Attributes:
-        name: The time of the backup, which is in the names of its files.
-        migration: Of the database.
-        database_sha256, database_bytes: Of its database file.
-        rows: By table.
-        raw_files, window_files, file_bytes: That the rows refer to; the bytes are those of what the backup is to hold.
-        missing: Files that the rows refer to and that were not there, or damaged.
-        windows_kept: Whether window files are in the backup; if not, they are made again from the recordings.
-        recordings_kept: Whether recordings are in the backup; if not, their digests are in a file beside it, and their
-            bytes are in the store.
-        raw_store: Where the recordings were.
-    """
-
-    name: str
-    migration: str
+    name: str  # the time of the backup, which is in the names of its files
+    migration: str  # of the database
     database_sha256: str
     database_bytes: int
-    rows: Mapping[str, int]
-    raw_files: int
-    window_files: int
-    file_bytes: int
-    windows_kept: bool
-    missing: tuple[str, ...]
-    recordings_kept: bool
-    raw_store: str
+    rows: Mapping[str, int]  # by table
+    raw_files: int  # that the rows refer to
+    window_files: int  # likewise
+    file_bytes: int  # of what the backup is to hold
+    windows_kept: bool  # whether window files are in the backup; if not, they are made again from the recordings
+    missing: tuple[str, ...]  # files that the rows refer to and that were not there, or damaged
+    recordings_kept: bool  # if not, their digests are in a file beside it, and their bytes in the store
+    raw_store: str  # where the recordings were
 
     def database_file(self, folder: Path) -> Path:
         """Return where the database of this backup is."""
@@ -57,11 +48,7 @@ def digests_file(folder: Path, name: str) -> Path:
 
 
 def backup_name(now_ns: int) -> str:
-    """Return the name of a backup of this time, in the order of time.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
+    """Return the name of a backup of this time, in the order of time."""
     seconds, rest = divmod(now_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1_000_000:03d}Z"
 
@@ -102,3 +89,76 @@ def sha256_of(path: Path) -> str:
     """Return the sha256 of a file."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+BATCH = 2000
+
+
+def row_counts(connection: Connection) -> dict[str, int]:
+    """Return the number of rows of every table."""
+    return {
+        table.name: int(connection.execute(select(func.count()).select_from(table)).scalar_one())
+        for table in Base.metadata.sorted_tables
+    }
+
+
+def copy_rows(source: Connection, target: Connection) -> dict[str, int]:
+    """Make every table hold the rows of another database; return their numbers by table.
+
+    Args:
+        target: Of a writing transaction; its tables are those of this version. Rows that are there are deleted first.
+    """
+    for table in reversed(Base.metadata.sorted_tables):
+        target.execute(delete(table))
+    counts = {table.name: _copy_table(source, target, table) for table in Base.metadata.sorted_tables}
+    if target.dialect.name == "postgresql":
+        for table in Base.metadata.sorted_tables:
+            _continue_numbers(target, table)
+    return counts
+
+
+def _copy_table(source: Connection, target: Connection, table: Table) -> int:
+    """Copy one table; references of its rows to each other are filled in when all rows are there."""
+    own = [column for column in table.columns if any(key.column.table is table for key in column.foreign_keys)]
+    count = 0
+    later: list[dict[str, Any]] = []
+    for batch in _batches(source, table):
+        count += len(batch)
+        later += [_reference(table, own, row) for row in batch if any(row[column.name] is not None for column in own)]
+        target.execute(insert(table), [row | {column.name: None for column in own} for row in batch])
+    if later:
+        key = [column == _parameter(column) for column in table.primary_key]
+        target.execute(update(table).where(*key), later)
+    return count
+
+
+def _batches(source: Connection, table: Table) -> Iterator[list[dict[str, Any]]]:
+    found = source.execution_options(stream_results=True, yield_per=BATCH).execute(
+        select(table).order_by(*table.primary_key)
+    )
+    for rows in found.mappings().partitions():
+        yield [dict(row) for row in rows]
+
+
+def _reference(table: Table, own: list[Column[Any]], row: Mapping[str, Any]) -> dict[str, Any]:
+    return {f"key_{column.name}": row[column.name] for column in table.primary_key} | {
+        column.name: row[column.name] for column in own
+    }
+
+
+def _parameter(column: Column[Any]) -> Any:  # noqa: ANN401 - SQLAlchemy's own expression
+    return bindparam(f"key_{column.name}", type_=column.type)
+
+
+def _continue_numbers(target: Connection, table: Table) -> None:
+    """Let PostgreSQL number new rows after those that were copied."""
+    keys = list(table.primary_key)
+    if len(keys) != 1 or not isinstance(keys[0].type, Integer):
+        return
+    name, key = table.name, keys[0].name
+    sequence = target.scalar(text("SELECT pg_get_serial_sequence(:name, :key)"), {"name": name, "key": key})
+    largest = target.scalar(select(func.max(keys[0])))
+    if sequence is not None and largest is not None:
+        target.execute(
+            text("SELECT setval(CAST(:sequence AS regclass), :last)"), {"sequence": sequence, "last": largest}
+        )

@@ -16,11 +16,18 @@ from sqlalchemy import Connection, Engine, exists, inspect, select
 
 from estimation.errors import ConflictError, InputError, StorageError
 from fleet_db.atomic_files import sync_directory
-from fleet_db.keeping.copied_rows import copy_rows, row_counts
 from fleet_db.keeping.exclusive import keeping_alone
-from fleet_db.keeping.kept_files import KeptFile, copy_kept, kept_files
-from fleet_db.keeping.kept_recordings import RAW, KeptRecording, copy_recording, kept_recordings, not_listed
-from fleet_db.keeping.manifest import Manifest, read_manifest, sha256_of
+from fleet_db.keeping.kept_files import (
+    RAW,
+    KeptFile,
+    KeptRecording,
+    copy_kept,
+    copy_recording,
+    kept_files,
+    kept_recordings,
+    not_listed,
+)
+from fleet_db.keeping.manifest import Manifest, copy_rows, read_manifest, row_counts, sha256_of
 from fleet_db.migrate import check_upgradable, known_revisions, refusal, upgrade
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
@@ -38,21 +45,13 @@ CAUSE = "restored without the files of its windows"
 
 @dataclass(frozen=True, slots=True)
 class Restored:
-    """What a restore did.
+    """What a restore did."""
 
-    Attributes:
-        manifest: Of the backup.
-        rows: By table, as they are now.
-        files: Number of files that are there.
-        missing: Files that the backup does not hold, or only damaged; each with whose it is.
-        stale_vehicles: Vehicles whose windows are made again from their recordings.
-    """
-
-    manifest: Manifest
-    rows: dict[str, int]
-    files: int
-    missing: tuple[str, ...]
-    stale_vehicles: tuple[str, ...]
+    manifest: Manifest  # of the backup
+    rows: dict[str, int]  # by table, as they are now
+    files: int  # number of files that are there
+    missing: tuple[str, ...]  # files that the backup does not hold, or only damaged; each with whose it is
+    stale_vehicles: tuple[str, ...]  # vehicles whose windows are made again from their recordings
 
 
 @dataclass(frozen=True, slots=True)

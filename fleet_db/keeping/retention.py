@@ -72,10 +72,6 @@ class Retention:
             raise ParameterError(f"must be at least {LEAST_DAYS_OF_SAMPLES:g} days", field="window_samples")
 
     def before_ns(self, kind: Kept, now_ns: int) -> int | None:
-        """Return the time before which this kind is deleted; None where it is kept for ever.
-
-        Args:
-            now_ns: Our time, ns UTC.
-        """
+        """Return the time before which this kind is deleted; None where it is kept for ever."""
         days: float | None = getattr(self, kind.value)
         return None if days is None else now_ns - round(days * DAY_NS)

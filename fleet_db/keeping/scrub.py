@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from estimation.errors import PassingFaultError
 from estimation.failures import after_failure
-from estimation.values.quarantine import SubjectKind, resolved
+from estimation.values.runs import SubjectKind, resolved
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkState

@@ -177,9 +177,8 @@ OTHER = "other"
 TABLES: Mapping[str, tuple[str, ...]] = {
     "windows": ("windows", "window_positions"),
     "bin tables": ("window_bin_tables",),
-    "roll-ups": ("roll_ups", "window_due", "taken_tables", "roll_up_states", "rolling_sums"),
-    "geometries": ("geometry_estimates", "wheelset_bins"),
-    "results": ("results",),
+    "roll-ups": ("roll_ups", "window_due", "roll_up_states", "rolling_sums"),
+    "results": ("results", "wheelset_bins"),
     "signatures": ("wear_signatures", "signature_answers"),
     "dampers": ("window_dampers", "gear_dampers"),
     "alignments": ("track_alignments", "track_versions", "track_reports", "track_epochs", "track_epoch_windows"),
@@ -192,24 +191,15 @@ TABLES: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class StoredKind:
-    """What there is of one kind.
-
-    Attributes:
-        items: Rows, or files.
-        item_bytes, index_bytes: Of rows or files, and of the indexes of the rows.
-        estimated: Whether items or bytes were sampled or are the database's own estimate.
-        days: How long it is kept; None for ever.
-        wheelset_year_bytes: What one wheelset keeps of it after a year at its running rate and these days; None where
-            nothing has run.
-    """
+    """What there is of one kind."""
 
     kind: str
-    items: int
-    item_bytes: int
-    index_bytes: int
-    estimated: bool
-    days: float | None
-    wheelset_year_bytes: int | None
+    items: int  # rows, or files
+    item_bytes: int  # of rows or files
+    index_bytes: int  # of the indexes of the rows
+    estimated: bool  # whether items or bytes were sampled or are the database's own estimate
+    days: float | None  # how long it is kept; None for ever
+    wheelset_year_bytes: int | None  # of one wheelset, at its running rate and these days; None where nothing has run
 
     @property
     def bytes(self) -> int:
@@ -248,7 +238,6 @@ def stored_bytes(
     """Return where the bytes are.
 
     Args:
-        retention: Days by kind.
         hours_per_day: Running of a wheelset to reckon with; None: as in the last days of data.
 
     Raises:

@@ -9,6 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, and_, delete, func, or_, select
 
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
+from estimation.values.geometry import GEOMETRY
 from estimation.values.windows import WindowKey, WindowState
 from fleet_db.packed_adhesion import (
     pack_section_adhesion,
@@ -17,10 +18,10 @@ from fleet_db.packed_adhesion import (
     unpack_window_adhesion,
 )
 from fleet_db.rows import table_of, upsert
-from fleet_db.tables import GeometryRow, SectionAdhesionRow, WindowAdhesionRow, WindowRow
+from fleet_db.tables import ResultRow, SectionAdhesionRow, WindowAdhesionRow, WindowRow
 
 OF_WINDOWS, OF_SECTIONS = table_of(WindowAdhesionRow), table_of(SectionAdhesionRow)
-WINDOWS, GEOMETRIES = table_of(WindowRow), table_of(GeometryRow)
+WINDOWS, RESULTS = table_of(WindowRow), table_of(ResultRow)
 FORGOTTEN = 1000  # windows at once: the next run goes on
 SAME = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns == WINDOWS.c.start_ns)
 
@@ -42,7 +43,8 @@ class AdhesionStore:
             limit: How many at most.
         """
         wheelset, start_ns = WINDOWS.c.wheelset, WINDOWS.c.start_ns
-        known = select(GEOMETRIES.c.wheelset).where(GEOMETRIES.c.wheelset == wheelset).correlate(WINDOWS).exists()
+        of_wheelset = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.subject == wheelset)
+        known = select(RESULTS.c.subject).where(*of_wheelset).correlate(WINDOWS).exists()
         statement = _not_looked_at(section).where(known)
         if after is not None:
             statement = statement.where(or_(start_ns > after[1], and_(start_ns == after[1], wheelset > after[0])))

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, and_, delete, exists, func, select, tuple_, union_all
+from sqlalchemy import Connection, and_, case, delete, exists, func, select, tuple_, union_all
 
 from estimation.errors import DamagedError
-from estimation.values.windows import PassedOver, Window, WindowKey, WindowRecord
+from estimation.values.windows import HUNTING_SHARE, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
-from fleet_db.stores.taken_tables import take_back
-from fleet_db.stores.window_marks import pass_over
+from fleet_db.stores.window_marks import list_for_sums, pass_over
 from fleet_db.stores.windows import to_window_record, window_values
 from fleet_db.tables import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.telemetry import WindowFiles
@@ -120,14 +119,19 @@ class AssembledWindowStore:
             self.connection.execute(delete(POSITIONS).where(same))
 
     def _touch(self, keys: Sequence[WindowKey]) -> None:
-        """Let jobs look again at the sections that windows are on as they are stored."""
+        """Let jobs look again at the sections that windows are on as they are stored, and at who hunts in them."""
         same = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys)
-        for section in self.connection.scalars(select(WINDOWS.c.track_section).where(same).distinct()):
+        hunts = WINDOWS.c.hunting_share >= HUNTING_SHARE
+        stored = select(WINDOWS.c.wheelset, WINDOWS.c.track_section, case((hunts, WINDOWS.c.vehicle)))
+        for wheelset, section, hunting_in in self.connection.execute(stored.where(same).distinct()):
             self.changes.on_section(section)
+            self.changes.subjects.windows(wheelset, hunting_in)
 
     def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
         """Return the row of a window whose file is written here."""
-        self.changes.show(each.window.wheelset)
+        self.changes.touch(each.window.wheelset)
+        hunts = each.window.quality.hunting.sustained
+        self.changes.subjects.windows(each.window.wheelset, each.window.vehicle if hunts else None)
         self.changes.on_section(each.window.track_section)
         return window_values(each.window, each.mileage_km) | {
             "content_digest": each.digest,
@@ -170,12 +174,13 @@ class AssembledWindowStore:
         One whose bin table has been purged stays, for it cannot be taken from its roll-up.
         """
         removed = [record for record in records if not self._stays(record)]
+        list_for_sums(self.connection, [record.key for record in removed])
         for record in removed:
-            take_back(self.connection, record.wheelset, record.start_ns)
             for table in (TABLES, POSITIONS, WINDOWS):
                 same = (table.c.wheelset == record.wheelset, table.c.start_ns == record.start_ns)
                 self.connection.execute(delete(table).where(*same))
             self.changes.note(record.wheelset)
+            self.changes.subjects.windows(record.wheelset, record.vehicle if record.quality.hunting.sustained else None)
             self.changes.on_section(record.track_section)
         return removed
 

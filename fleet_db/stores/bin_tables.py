@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, select
+from sqlalchemy import Connection, Row, Select, and_, func, select
 
 from estimation.errors import ConflictError, NotFoundError
+from estimation.jobs.steps.running_mileage import MOST_KM
 from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTable
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord
 from fleet_db.changes import Changes
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
-from fleet_db.rows import insert_all_new, on_sections, replace, table_of
-from fleet_db.stores.taken_tables import take_back
-from fleet_db.stores.window_marks import keys_given
+from fleet_db.rows import insert_all_new, on_sections, replace, replace_all, table_of
+from fleet_db.stores.window_marks import keys_given, list_for_sums
 from fleet_db.stores.windows import NOT_PASSED_OVER, to_window_record
 from fleet_db.tables import WindowBinTableRow, WindowRow
 
@@ -44,25 +44,27 @@ class BinTableStore:
         self.put_all([WindowTable(wheelset, start_ns, window_digest, table, track_version)])
 
     def put_all(self, tables: Sequence[WindowTable]) -> None:
-        """Store the bin tables of different windows as :meth:`put` does.
+        """Store the bin tables of different windows as :meth:`put` does; where one has been purged it stays summed.
 
         Raises:
             NotFoundError, ConflictError: As :meth:`put`.
         """
         windows = self._checked([(one.key, one.window_digest) for one in tables])
-        values = {one.key: _values(one) for one in tables}
+        values = {one.key: _values(one) for one in tables if windows[one.key].table_purged_ns is None}
         stored = self._stored(list(values))
         new = [row for key, row in values.items() if key not in stored]
         if insert_all_new(self.connection, TABLES, new) < len(new):  # another transaction has stored some meanwhile
             stored = self._stored(list(values))
+        changed: list[WindowKey] = []
         for key, row in values.items():
             if key in stored:
                 if all(getattr(stored[key], name) == row[name] for name in COMPARED):
                     continue
-                take_back(self.connection, *key)
                 replace(self.connection, TABLES, row)
-            self.changes.note(key[0], shown=False)  # its geometry follows
+            changed.append(key)
+            self.changes.note(key[0])  # its geometry follows
             self.changes.on_section(windows[key].track_section)
+        list_for_sums(self.connection, changed)
 
     def _checked(self, expected: Sequence[tuple[WindowKey, str]]) -> Mapping[WindowKey, Row[Any]]:
         """Return the sections that windows are on, once their contents are those expected."""
@@ -107,32 +109,33 @@ class BinTableStore:
         )
         return [(key.wheelset, start_ns) for start_ns in self.connection.scalars(statement)]
 
-    def tabled(self, wheelset: str) -> Sequence[TabledWindow]:
-        """Return all windows of a wheelset with tables, oldest first, without the tables."""
-        return self._tabled(_without_tables().where(TABLES.c.wheelset == wheelset))
-
-    def waiting(self, wheelset: str) -> Sequence[TabledWindow]:
-        """Return the windows of a wheelset whose tables have not been rolled up, oldest first."""
-        return self._tabled(_without_tables().where(TABLES.c.wheelset == wheelset, ~TABLES.c.rolled))
-
-    def of_roll_up(self, wheelset: str, number: int) -> Sequence[TabledWindow]:
-        """Return the windows of a roll-up whose tables are there, oldest first."""
-        return self._tabled(_without_tables().where(TABLES.c.wheelset == wheelset, TABLES.c.roll_up == number))
-
-    def beside(self, wheelset: str, start_ns: int, from_ns: int, to_ns: int | None) -> Sequence[TabledWindow]:
-        """Return the windows with tables before, at and after a time, at most one of each, oldest first.
+    def tabled(
+        self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None, limit: int | None = None
+    ) -> Sequence[TabledWindow]:
+        """Return windows with tables that start in ``[from_ns, to_ns)``, oldest first, without the tables.
 
         Args:
-            from_ns, to_ns: Windows that do not start in ``[from_ns, to_ns)`` are left out.
+            from_ns, to_ns: Without bound where None.
+            limit: At most so many; None: all.
         """
-        starts, within = TABLES.c.start_ns, [TABLES.c.wheelset == wheelset, TABLES.c.start_ns >= from_ns]
+        statement = _without_tables().where(TABLES.c.wheelset == wheelset)
+        if from_ns is not None:
+            statement = statement.where(TABLES.c.start_ns >= from_ns)
         if to_ns is not None:
-            within.append(starts < to_ns)
-        statement = _without_tables().where(*within)
-        return [
-            *self._tabled(statement.where(starts < start_ns).order_by(None).order_by(starts.desc()).limit(1)),
-            *self._tabled(statement.where(starts >= start_ns).limit(2 if self._has(wheelset, start_ns) else 1)),
-        ]
+            statement = statement.where(TABLES.c.start_ns < to_ns)
+        return self._tabled(statement.order_by(TABLES.c.start_ns).limit(limit))
+
+    def last_reading(self, wheelset: str, from_ns: int, to_ns: int) -> TabledWindow | None:
+        """Return the last window in ``[from_ns, to_ns)`` that has been summed and whose odometer had a reading."""
+        within = (TABLES.c.wheelset == wheelset, TABLES.c.start_ns >= from_ns, TABLES.c.start_ns < to_ns)
+        read = (TABLES.c.running_km.is_not(None), func.abs(WINDOWS.c.mileage_km) <= MOST_KM)
+        statement = _without_tables().where(*within, *read).order_by(TABLES.c.start_ns.desc()).limit(1)
+        return next(iter(self._tabled(statement)), None)
+
+    def note_running(self, wheelset: str, mileages: Mapping[int, float]) -> None:
+        """Keep the mileages that a wheelset had run at windows, by start."""
+        rows = [{"wheelset": wheelset, "start_ns": at_ns, "running_km": km} for at_ns, km in mileages.items()]
+        replace_all(self.connection, TABLES, rows)
 
     def cells_of(self, wheelset: str, starts: Sequence[int]) -> Iterator[tuple[int, FilledCells]]:
         """Yield start and filled cells of the tables of some windows, oldest first.
@@ -153,10 +156,6 @@ class BinTableStore:
                 for start_ns, packed in found:
                     yield start_ns, unpack_filled_cells(packed, where=f"bin table of window {wheelset}@{start_ns}")
 
-    def _has(self, wheelset: str, start_ns: int) -> bool:
-        same = (TABLES.c.wheelset == wheelset, TABLES.c.start_ns == start_ns)
-        return self.connection.scalar(select(TABLES.c.start_ns).where(*same)) is not None
-
     def _tabled(self, statement: Select[Any]) -> list[TabledWindow]:
         return [
             TabledWindow(
@@ -164,8 +163,6 @@ class BinTableStore:
                 parameter_key=row.parameter_key,
                 track_version=row.track_version,
                 content_digest=row.table_digest,
-                rolled=row.rolled,
-                roll_up=row.roll_up,
                 running_km=row.running_km,
                 samples_purged=row.samples_purged_ns is not None,
             )
@@ -206,7 +203,7 @@ def _values(one: WindowTable) -> dict[str, Any]:
 
 @cache
 def _contents() -> Select[Any]:
-    names = ("wheelset", "start_ns", "content_digest", "track_section")
+    names = ("wheelset", "start_ns", "content_digest", "track_section", "table_purged_ns")
     return select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
 
 
@@ -218,9 +215,9 @@ def _compared() -> Select[Any]:
 
 @cache
 def _without_tables() -> Select[Any]:
-    rolled = (TABLES.c.rolled, TABLES.c.roll_up, TABLES.c.running_km)
-    columns = (TABLES.c.parameter_key, TABLES.c.track_version, TABLES.c.content_digest.label("table_digest"), *rolled)
-    return select(WINDOWS, *columns).join_from(WINDOWS, TABLES, SAME_WINDOW).order_by(TABLES.c.start_ns)
+    names = ("parameter_key", "track_version", "running_km")
+    columns = (*(TABLES.c[name] for name in names), TABLES.c.content_digest.label("table_digest"))
+    return select(WINDOWS, *columns).join_from(WINDOWS, TABLES, SAME_WINDOW)
 
 
 def _selected(columns: Select[Any], wheelset: str, from_ns: int, to_ns: int | None) -> Select[Any]:

@@ -16,14 +16,14 @@ from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.json_value import JsonValue
 from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.track import TrackSectionRecord
-from estimation.vehicle.class_on_file import (
+from estimation.vehicle.vehicle_class import (
     SHIPPED_VERSION,
     ClassOnFile,
+    VehicleClass,
     class_digest,
     class_document,
     class_of_document,
 )
-from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of

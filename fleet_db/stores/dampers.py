@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, and_, delete, select
 
 from estimation.values.dampers import GearDamper, WindowDamper
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from fleet_db.changes import Changes
 from fleet_db.packed_dampers import pack_gear_damper, pack_window_damper, unpack_gear_damper, unpack_window_damper
 from fleet_db.rows import table_of, upsert
@@ -78,16 +80,15 @@ class DamperStore:
         if before is not None and all(before[name] == value for name, value in values.items()):
             return False
         self.changes.touch(wheelset)
+        self.changes.subjects.raised(SubjectKind.VEHICLE, found.vehicle, Facet.DAMPER)
         return upsert(self.connection, OF_GEARS, values)
-
-    def gear(self, vehicle: str, first_axle: int) -> GearDamper | None:
-        """Return the damper of a running gear; None where it was not looked at, or none begins at that axle."""
-        own = (OF_GEARS.c.vehicle == vehicle, OF_GEARS.c.first_axle == first_axle)
-        packed: bytes | None = self.connection.scalar(select(OF_GEARS.c.packed).where(*own))
-        return None if packed is None else unpack_gear_damper(packed, where=f"damper of {vehicle} axle {first_axle}")
 
     def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
         """Return the dampers of a vehicle by axle."""
-        statement = select(OF_GEARS).where(OF_GEARS.c.vehicle == vehicle).order_by(OF_GEARS.c.first_axle)
-        rows = self.connection.execute(statement)
-        return [unpack_gear_damper(row.packed, where=f"damper of {vehicle} axle {row.first_axle}") for row in rows]
+        return self.of_vehicles([vehicle])
+
+    def of_vehicles(self, vehicles: Collection[str]) -> Sequence[GearDamper]:
+        """Return the dampers of some vehicles, by vehicle and axle."""
+        statement = select(OF_GEARS).where(OF_GEARS.c.vehicle.in_(vehicles))
+        rows = self.connection.execute(statement.order_by(OF_GEARS.c.vehicle, OF_GEARS.c.first_axle))
+        return [unpack_gear_damper(row.packed, where=f"damper of {row.vehicle} axle {row.first_axle}") for row in rows]

@@ -12,7 +12,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment
 from estimation.values.windows import PassedOver, WindowState
-from estimation.vehicle.class_on_file import ClassOnFile, same_motion
+from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
 from fleet_db.changes import Changes
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import reason_columns, table_of
@@ -124,6 +124,7 @@ class Again:
         of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
         for wheelset, section in self.connection.execute(of):
             self.changes.note(wheelset)
+            self.changes.subjects.windows(wheelset)
             self.changes.on_section(section)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, select
 
-from estimation.values.look import Look
+from estimation.values.runs import Look
 from fleet_db.changes import CHANGES, Changes
 from fleet_db.rows import table_of, upsert
 from fleet_db.tables import LookRow

@@ -8,8 +8,8 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, String, and_, cast, func, or_, select, tuple_, update
 
-from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
 from fleet_db.rows import table_of, upsert
 from fleet_db.tables import ChunkRow, QuarantineRow, WindowRow
 

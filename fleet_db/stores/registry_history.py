@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, RowMapping, Subquery, and_, func, insert, null, select
 
 from estimation.values.json_value import JsonValue
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from fleet_db.changes import Changes
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, select
 
-from estimation.values.look import SectionLook
+from estimation.values.runs import SectionLook
 from fleet_db.rows import table_of, upsert
 from fleet_db.tables import SectionChangeRow, SectionLookRow
 

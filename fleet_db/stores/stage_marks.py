@@ -23,7 +23,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.subjects import EVERYTHING, Due, Mark, StageInputs
 from fleet_db.due import WindowDueStore, list_due
 from fleet_db.rows import table_of
@@ -105,7 +105,7 @@ class StageMarkStore:
         self.connection.execute(delete(MARKS).where(MARKS.c.stage == stage, MARKS.c.subject.in_(subjects)))
 
     def _raised(self, inputs: StageInputs, subject: str) -> int:
-        return self.subjects.growth(inputs.kind, inputs.facets, None if inputs.together else subject)
+        return self.subjects.growth(inputs.facets, None if inputs.together else (inputs.kind, subject))
 
 
 def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> Select[Any]:
@@ -117,10 +117,14 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
     statement = select(*columns, func.coalesce(come, false()).label("come")).select_from(
         VERSIONS.outerjoin(MARKS, of_stage)
     )
-    statement = statement.where(VERSIONS.c.kind == inputs.kind.value, VERSIONS.c.facet.in_(inputs.facets))
-    if subjects is not None and not inputs.together:
-        statement = statement.where(VERSIONS.c.subject.in_(subjects))
-    changed = or_(MARKS.c.seen.is_(None), MARKS.c.seen != SUM, MARKS.c.common != inputs.common, come)
+    statement = statement.where(VERSIONS.c.facet.in_(inputs.facets))
+    if not inputs.together:
+        statement = statement.where(VERSIONS.c.kind == inputs.kind.value)
+        if subjects is not None:
+            statement = statement.where(VERSIONS.c.subject.in_(subjects))
+    changed: ColumnElement[bool] = MARKS.c.common != inputs.common
+    if not inputs.inline:
+        changed = or_(MARKS.c.seen.is_(None), MARKS.c.seen != SUM, MARKS.c.common != inputs.common, come)
     if inputs.together:
         return statement.group_by(*marked).having(changed)
     return statement.group_by(VERSIONS.c.subject, *marked).having(changed).order_by(VERSIONS.c.subject)

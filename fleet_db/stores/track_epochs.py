@@ -24,7 +24,7 @@ from sqlalchemy import (
 )
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
+from estimation.values.track import EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.changes import Changes
 from fleet_db.rows import insert_new, replace, table_of, upsert

@@ -12,6 +12,8 @@ from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, s
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.quantities import Status
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from estimation.values.track import (
     AlignmentRecord,
     AlignmentSource,
@@ -168,6 +170,7 @@ class TrackStore:
         if recorded_ns is not None:
             version_values = _version_values(alignment, version if same_since is None else same_since, recorded_ns)
             self.connection.execute(insert(VERSIONS).values(**values, **version_values))
+        self.changes.subjects.raised(SubjectKind.SECTION, alignment.section, Facet.ALIGNMENT)
         return version
 
     def in_force(self, section: str) -> AlignmentRecord | None:
@@ -222,7 +225,10 @@ class TrackStore:
         They stay for what was recorded with them.
         """
         gone = (VERSIONS.c.section == section, STANDS, VERSIONS.c.version.not_in(sorted(kept)))
-        return int(self.connection.execute(update(VERSIONS).where(*gone).values(superseded_ns=recorded_ns)).rowcount)
+        count = int(self.connection.execute(update(VERSIONS).where(*gone).values(superseded_ns=recorded_ns)).rowcount)
+        if count:
+            self.changes.subjects.raised(SubjectKind.SECTION, section, Facet.ALIGNMENT)
+        return count
 
     def versions(self, section: str, after: int | None, limit: int) -> Sequence[AlignmentRecord]:
         """Return at most ``limit`` versions of a section behind version ``after``, oldest first."""

@@ -8,8 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, func, insert, select
 
 from estimation.errors import DamagedError, ParameterError
-from estimation.vehicle.class_on_file import ClassOnFile, class_digest, class_document, class_of_document
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.registry_history import RecordKey, stands_voided

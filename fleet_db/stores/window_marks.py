@@ -6,13 +6,26 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, bindparam, delete, or_, select, tuple_, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    and_,
+    bindparam,
+    delete,
+    exists,
+    or_,
+    select,
+    tuple_,
+    update,
+)
 
 from estimation.errors import NotFoundError
-from estimation.values.windows import PassedOver, WindowKey, WindowMark, WindowState
+from estimation.values.windows import DueStage, PassedOver, WindowKey, WindowMark, WindowState
 from fleet_db.changes import Changes
+from fleet_db.due import list_due
 from fleet_db.rows import reason_columns, replace_all, table_of
-from fleet_db.stores.taken_tables import take_back
 from fleet_db.tables import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
@@ -56,10 +69,10 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
             if mark.state is WindowState.REFUSED:
                 gone.append(mark.key)
             if before.state != mark.state.value:
-                refused = WindowState.REFUSED.value in {before.state, mark.state.value}  # else the newest usable stays
-                changes.note(mark.wheelset, shown=refused)
-            elif mark.state is WindowState.REFUSED:
-                changes.show(mark.wheelset)  # another reason
+                changes.note(mark.wheelset)
+            changes.touch(mark.wheelset)
+            if WindowState.REFUSED.value in {before.state, mark.state.value}:  # else the newest usable one stays
+                changes.subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)
     remove_tables(connection, changes, gone)
     return held
@@ -68,11 +81,21 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
 def remove_tables(connection: Connection, changes: Changes, keys: Sequence[WindowKey]) -> None:
     """Remove the bin tables of some windows, where there are any."""
     for first in range(0, len(keys), BATCH):
-        for row in connection.execute(_tabled(), {"keys": keys[first : first + BATCH]}).all():
-            take_back(connection, row.wheelset, row.start_ns)
-            same = (TABLES.c.wheelset == row.wheelset, TABLES.c.start_ns == row.start_ns)
-            connection.execute(delete(TABLES).where(*same))
-            changes.note(row.wheelset, shown=False)
+        tabled = [
+            (row.wheelset, row.start_ns) for row in connection.execute(_tabled(), {"keys": keys[first : first + BATCH]})
+        ]
+        list_for_sums(connection, tabled)
+        if tabled:
+            connection.execute(delete(TABLES).where(keys_given(TABLES)), {"keys": tabled})
+        for wheelset, _ in tabled:
+            changes.note(wheelset)
+
+
+def list_for_sums(connection: Connection, keys: Sequence[WindowKey]) -> None:
+    """List windows whose bin table or its mileage is another, or is about to be removed: they are summed again."""
+    tabled = exists().where(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
+    for first in range(0, len(keys), BATCH):
+        list_due(connection, DueStage.SUMS, and_(keys_given(WINDOWS), tabled), keys=keys[first : first + BATCH])
 
 
 def pass_over(connection: Connection, chosen: ColumnElement[bool], what: PassedOver) -> int:

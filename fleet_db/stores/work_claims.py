@@ -28,7 +28,7 @@ from sqlalchemy import (
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.errors import LeaseLostError
-from estimation.values.claims import Claimed
+from estimation.values.runs import Claimed
 from fleet_db.locks import UnendedLease, living
 from fleet_db.rows import table_of
 from fleet_db.tables import WorkClaimRow, WorkLeaseRow

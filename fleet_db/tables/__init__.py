@@ -27,10 +27,8 @@ from fleet_db.tables.opinions import (
     GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
-    SectionRailsRow,
     SignatureAnswerRow,
     WearSignatureRow,
-    WheelsetRailsRow,
     WindowAdhesionRow,
     WindowDamperRow,
 )
@@ -55,7 +53,7 @@ from fleet_db.tables.registry import (
     WheelsetChangeRow,
     WheelsetRow,
 )
-from fleet_db.tables.results import GeometryRow, ResultRow, WorklistAlertRow, WorklistEntryRow
+from fleet_db.tables.results import ResultRow, WorklistAlertRow, WorklistEntryRow
 from fleet_db.tables.track import (
     SuspensionFindingRow,
     TrackAlignmentRow,
@@ -72,7 +70,6 @@ from fleet_db.tables.windows import (
     RollingSumsRow,
     RollUpRow,
     RollUpStateRow,
-    TakenTableRow,
     WheelsetBinRow,
     WindowBinTableRow,
     WindowDueRow,
@@ -89,7 +86,6 @@ __all__ = [
     "FeedBranchRow",
     "FleetRow",
     "GearDamperRow",
-    "GeometryRow",
     "IdempotencyRow",
     "JobOwnerRow",
     "JobRunRow",
@@ -111,7 +107,6 @@ __all__ = [
     "SectionAdhesionRow",
     "SectionChangeRow",
     "SectionLookRow",
-    "SectionRailsRow",
     "SensorChangeRow",
     "SignatureAnswerRow",
     "StageMarkRow",
@@ -119,7 +114,6 @@ __all__ = [
     "StoredSettingRow",
     "SubjectVersionRow",
     "SuspensionFindingRow",
-    "TakenTableRow",
     "TrackAlignmentRow",
     "TrackEpochRow",
     "TrackEpochVehicleRow",
@@ -137,7 +131,6 @@ __all__ = [
     "WebhookSecretRow",
     "WheelsetBinRow",
     "WheelsetChangeRow",
-    "WheelsetRailsRow",
     "WheelsetRow",
     "WindowAdhesionRow",
     "WindowBinTableRow",

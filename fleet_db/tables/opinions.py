@@ -26,26 +26,7 @@ class RailCellRow(Base):
     section: Mapped[str] = mapped_column(String(64), ForeignKey("track_sections.code"), primary_key=True)
     period: Mapped[int] = mapped_column(Integer, primary_key=True)
     digest: Mapped[Digest]
-    document: Mapped[Json]
-
-
-class SectionRailsRow(Base):
-    """What was found last of the rails of a section."""
-
-    __tablename__ = "section_rails"
-
-    section: Mapped[str] = mapped_column(ForeignKey("track_sections.code"), primary_key=True)
-    input_digest: Mapped[Digest]
-    code_version: Mapped[Name]
-    document: Mapped[Json]
-
-
-class WheelsetRailsRow(Base):
-    """What was found last of the wheels of a wheelset, without the rails it ran on."""
-
-    __tablename__ = "wheelset_rails"
-
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
+    interval_digest: Mapped[Digest]
     document: Mapped[Json]
 
 

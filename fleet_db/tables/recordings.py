@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from sqlalchemy import CheckConstraint, Index, String, TextClause, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.values.quarantine import QuarantineState, SubjectKind
+from estimation.values.runs import QuarantineState, SubjectKind
 from fleet_db.receipts import ChunkState, RecordingAction
 from fleet_db.tables.base import Base, Code, Count, Digest, Json, Name, Nanoseconds, ReasonCodeColumn, Serial, one_of
 

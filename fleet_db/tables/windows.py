@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from sqlalchemy import (
-    BigInteger,
     CheckConstraint,
     ForeignKey,
     ForeignKeyConstraint,
@@ -99,23 +98,15 @@ class WindowRow(Base):
     passed_over: Mapped[str | None] = mapped_column(String(16))
 
 
-WAITING, WAITING_PG = text("rolled = 0"), text("NOT rolled")
-
-
 class WindowBinTableRow(Base):
     """The sufficient statistics of one window, packed; ``window_digest`` identifies the content of the window.
 
-    ``content_digest`` is of the table itself. A table that is ``rolled`` is part
-    of the sums of ``roll_up``, with the mileage and the digest of its share there; or of none.
+    ``content_digest`` is of the table itself. ``running_km`` is the mileage with which it was summed; null before that.
     """
 
     __tablename__ = "window_bin_tables"
     __table_args__ = (
         ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
-        Index(
-            "ix_window_bin_tables_waiting", "wheelset", "start_ns", sqlite_where=WAITING, postgresql_where=WAITING_PG
-        ),
-        Index(None, "roll_up", "start_ns"),
     )
 
     wheelset: Mapped[str] = mapped_column(String(64), primary_key=True)
@@ -125,10 +116,7 @@ class WindowBinTableRow(Base):
     parameter_key: Mapped[str] = mapped_column(String(128))
     samples: Mapped[Count]
     content_digest: Mapped[Digest | None]
-    rolled: Mapped[bool] = mapped_column(server_default=false())
-    roll_up: Mapped[int | None] = mapped_column(BigInteger)
     running_km: Mapped[Real | None]
-    line: Mapped[Digest | None]
     packed: Mapped[Packed]
 
 
@@ -162,7 +150,7 @@ class WheelsetBinRow(Base):
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     bin: Mapped[int] = mapped_column(primary_key=True)
-    geometry_id: Mapped[Count] = mapped_column(ForeignKey("geometry_estimates.geometry_id"))
+    geometry_id: Mapped[Count] = mapped_column(ForeignKey("results.result_id"))
     lateral_displacement_low_m: Mapped[Real]
     lateral_displacement_high_m: Mapped[Real]
     samples: Mapped[Real | None]
@@ -181,7 +169,7 @@ class WheelsetBinRow(Base):
 
 
 class RollUpRow(Base):
-    """Exact sums of the tables of one interval, plain and with forgetting, packed; ``summary`` is of its windows."""
+    """Sums of the tables of one interval, plain and with forgetting, packed; ``summary`` is of its windows."""
 
     __tablename__ = "roll_ups"
     __table_args__ = (
@@ -200,25 +188,12 @@ class RollUpRow(Base):
     vehicle_class: Mapped[Code]
     windows: Mapped[Count]
     content: Mapped[Digest]
+    first_ns: Mapped[Nanoseconds]
+    last_ns: Mapped[Nanoseconds]
     sealed: Mapped[bool] = mapped_column(server_default=false())
     summary: Mapped[Json]
-    plain: Mapped[Packed | None]
+    plain: Mapped[Packed]
     forgetting: Mapped[Packed | None]
-
-
-class TakenTableRow(Base):
-    """A bin table that was replaced or removed after it had been rolled up."""
-
-    __tablename__ = "taken_tables"
-    __table_args__ = (Index(None, "wheelset"),)
-
-    number: Mapped[Serial]
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
-    roll_up: Mapped[Count]
-    start_ns: Mapped[Nanoseconds]
-    running_km: Mapped[Real]
-    line: Mapped[Digest]
-    packed: Mapped[Packed]
 
 
 class RollUpStateRow(Base):
@@ -229,7 +204,6 @@ class RollUpStateRow(Base):
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     rules: Mapped[Digest]
     classes: Mapped[Json]
-    odometers: Mapped[Json]
     earlier_digest: Mapped[Digest | None]
     earlier: Mapped[Packed | None]
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import convolve1d
 
-from estimation.contact.table import ContactTable
+from estimation.contact.geometry import ContactTable
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters

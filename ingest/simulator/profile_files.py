@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.rail_wear import RailWear, worn_rail
+from estimation.contact.wear import RailWear, worn_rail
 from ingest.profiles.files import read_profile
 from ingest.profiles.wheel_profile import read_wheel_profile
 from ingest.simulator.scenario import Scenario, WheelsetPlan

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Self
 
 from estimation.contact.profiles import Profile
-from estimation.contact.rail_wear import DEEPEST_BAND
+from estimation.contact.wear import DEEPEST_BAND
 from estimation.errors import ProfileError, ScenarioError
 from estimation.values.file_units import MM
 from ingest.file_value import As, FileBeside, between, read_value, taken

@@ -11,7 +11,7 @@ from annotated_types import Interval
 from pydantic import AfterValidator
 
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.rail_wear import DEEPEST_BAND, RailWear
+from estimation.contact.wear import DEEPEST_BAND, RailWear
 from estimation.errors import ProfileError
 from estimation.values.file_units import DEG, MM, FileUnit, Key, M
 from ingest.file_value import As, FileBeside, Inline, between, keys_of, taken

@@ -11,22 +11,23 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.dampers import GearDamper
 from estimation.values.geometry import BinStatus, BinValues, Centre, CentreOrigin, GeometryRecord, WheelsetGeometry
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.quarantine import Quarantined, QuarantineState, SubjectKind
+from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.rails import (
+    SECTION_RAILS,
+    WHEELSET_RAILS,
     RailKey,
     RailPart,
+    RailsFinding,
     RailsReference,
     RailTrend,
-    SectionRailsRecord,
     WheelKey,
     WheelPart,
-    WheelsetRailsRecord,
+    WheelsFinding,
 )
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
-from estimation.values.runs import JobOutcome, JobTrigger
+from estimation.values.results import Result
+from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, QuarantineState, SubjectKind
 from estimation.values.signatures import (
     Basis,
     ConicitySource,
@@ -36,9 +37,8 @@ from estimation.values.signatures import (
     StateProbability,
     UsedEntry,
 )
-from estimation.values.suspension import SuspensionFinding
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
-from estimation.values.trend import TrendRecord, WearTrend
+from estimation.values.trend import SuspensionFinding, TrendRecord, WearTrend
 from estimation.values.windows import Window, WindowQuality
 from ingest.vehicle_class_file import shipped_class
 
@@ -312,12 +312,11 @@ RAILS_OPEN = Estimate.unknown(Reason(ReasonCode.AMPLITUDE_NOT_COVERED, "not cove
 RAILS_AMPLITUDES = (1e-3, 3e-3)
 
 
-def section_rails() -> SectionRailsRecord:
+def section_rails() -> Result[RailsFinding]:
     """Return worn rails of S-1."""
     both, held = (RAILS_KNOWN, RAILS_OPEN), RailsReference.KNOWN_RAILS
     period = RailPart(RailKey("S-1", 110), held, both, both, both, 4, 24, START, START + DAY)
-    return SectionRailsRecord(
-        section="S-1",
+    found = RailsFinding(
         amplitude=RAILS_AMPLITUDES,
         reference_wheel_profile="P8",
         periods=(period,),
@@ -325,18 +324,17 @@ def section_rails() -> SectionRailsRecord:
         limit=0.05,
         exceeded=True,
         reported_amplitude=1e-3,
-        input_digest="d" * 64,
-        code_version="test",
-        recorded_ns=RECORDED,
     )
+    return Result("S-1", "d" * 64, "test", RECORDED, found)
 
 
-def wheelset_rails() -> WheelsetRailsRecord:
+def wheelset_rails() -> Result[WheelsFinding]:
     """Return the wheels of the first wheelset without the rails of S-1."""
     own = WheelKey(WHEELSETS[0], 0, 3)
     part = WheelPart(own, RailsReference.KNOWN_RAILS, (RAILS_KNOWN, RAILS_OPEN), ("S-1",), 24, START, START + DAY)
     differs = Reason(ReasonCode.MEASURED_WHEELS_DIFFER, "measured, as S-9, but the conicity differs by 0.080")
-    return WheelsetRailsRecord(RAILS_AMPLITUDES, part, "d" * 64, "test", RECORDED, differs)
+    found = WheelsFinding(RAILS_AMPLITUDES, part, differs)
+    return Result(WHEELSETS[0], "d" * 64, "test", RECORDED, found)
 
 
 def gear_dampers() -> list[GearDamper]:
@@ -413,7 +411,8 @@ def populate(storage: Storage) -> None:
         _put_dampers(unit)
         for finding in suspension_findings():
             unit.suspensions.put(finding)
-        unit.rails.put_found([section_rails()], [wheelset_rails()])
+        unit.results.put_all(SECTION_RAILS, [section_rails()])
+        unit.results.put_all(WHEELSET_RAILS, [wheelset_rails()])
     for serial in WHEELSETS[:10]:
         raised(storage, serial, fleet="alpha" if int(serial[-1]) % 2 == 0 else "=beta")
     raised(storage, WHEELSETS[0], "no_data")

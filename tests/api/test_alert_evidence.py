@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from running_service import Service
 
-from api.schemas.stored_evidence import evidence_of
+from api.schemas.evidence import evidence_of
 from api.times import to_rfc3339
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.life_cycle import transition
@@ -40,8 +40,7 @@ from estimation.values.alerts import AlertEventKind, Finding
 from estimation.values.dampers import GearDamper
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import Mounting, WheelsetRecord
-from estimation.values.suspension import SuspensionChange
-from estimation.values.trend import TrendStep, WearTrend
+from estimation.values.trend import SuspensionChange, TrendStep, WearTrend
 
 AT = 1_767_225_600_123_456_789
 WHOLE = AT - AT % 10**9

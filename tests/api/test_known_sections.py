@@ -38,5 +38,7 @@ def test_a_section_without_a_day_is_refused(text: str) -> None:
 
 def test_a_section_without_trend_says_why() -> None:
     why = Reason(ReasonCode.TREND_NOT_A_LINE, "ground")
-    shown = section_rails(replace(stored(), trend=None, no_trend=why))
+    found = stored()
+    assert found.value is not None
+    shown = section_rails(replace(found, value=replace(found.value, trend=None, no_trend=why)))
     assert (shown.trend, shown.trend_reason, shown.trend_reason_code) == (None, "ground", why.code)

@@ -10,8 +10,8 @@ import httpx
 import pytest
 from running_service import Service
 
-from estimation.values.quarantine import SubjectKind
 from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.values.runs import SubjectKind
 from fleet_db.receipts import ChunkRecord, ChunkState
 
 

@@ -18,10 +18,9 @@ from api.settings import Settings
 from api.window_reasons import WindowReasons
 from estimation.errors import NotFoundError
 from estimation.values.quantities import Status
-from estimation.values.quarantine import Quarantined, SubjectKind
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
-from estimation.values.runs import JobOutcome, JobTrigger
+from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, SubjectKind
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState

@@ -22,7 +22,7 @@ from api.csv_tables import columns_of
 from api.schemas.worklist import WheelsetRow, WorklistSort
 from estimation.values.alerts import AlertEventKind, Severity
 from estimation.values.worklist import Urgency
-from estimation.worklist.urgency import TURN
+from estimation.worklist.row import TURN
 
 DOCUMENT = json.loads(committed_document())
 OF_FLEET = {"serial": "WS-000", "code": "V-0", "name": "estimate_windows", "alert_id": "1", "section": "S-3"}

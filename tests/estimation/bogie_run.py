@@ -11,8 +11,7 @@ from smooth_wheelset import SmoothTable, ideal, mems_windows, track
 
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.motion.parameters import WindowParameters
-from estimation.values.motion import Motion
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorChannel, SensorLayout, VehicleClass
 from ingest.simulator.motion import WheelsetMotion

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
 from estimation.values.arrays import FloatArray
 
 LENGTH = 2000.0  # m

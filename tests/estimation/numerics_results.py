@@ -22,7 +22,7 @@ from estimation.tables import bin_table
 from estimation.tables.bin_table import tabulate_window
 from estimation.track.panel.basis import PanelParameters
 from estimation.track.section import estimate_section
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable

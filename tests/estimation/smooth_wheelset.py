@@ -8,10 +8,9 @@ from functools import cache
 import numpy as np
 
 from estimation.motion.cross_level import standard_displacement
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
-from estimation.values.windows import Window, WindowQuality
+from estimation.values.windows import Motion, Window, WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
 from ingest.simulator.track import TrackRecipe, TrackTruth, make_track

@@ -17,9 +17,9 @@ from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.replicates import nothing
 from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from_curve
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.windows import Motion
 
 SURE = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0)
 RIVALS = pytest.mark.parametrize(

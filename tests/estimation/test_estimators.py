@@ -21,8 +21,8 @@ from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorP
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.replicates import Replicates, curve_estimate
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
+from estimation.values.windows import Motion
 from estimation.vehicle.regressors import regression
 
 CERTAIN = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))

@@ -15,9 +15,9 @@ from estimation.estimators import paper_equations
 from estimation.estimators.catalogue import SHIPPED, estimators
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
+from estimation.values.windows import Motion
 
 CERTAIN = ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0)
 CONES = {1: 0.1, 2: 0.14}  # of the front and the rear wheelset

@@ -21,9 +21,9 @@ from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorP
 from estimation.estimators.known_irregularity import KnownIrregularity
 from estimation.estimators.particle_filter import ParticleFilter
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 

@@ -13,13 +13,12 @@ from smooth_wheelset import ideal, run
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.estimators import contact_jumps
-from estimation.estimators import hidden_kernels as kernels
 from estimation.estimators.contact_jumps import stepped
-from estimation.estimators.hidden_displacement import GRID, PRIOR_STD, HiddenDisplacement
+from estimation.estimators.hidden_displacement import GRID, PRIOR_STD, HiddenDisplacement, smooth, steps, weigh
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
+from estimation.values.windows import Motion
 
 LEVER, V = 2 * 0.7452 * 0.45, 20.0
 BAND_LIMITED = EstimatorParameters(
@@ -79,11 +78,11 @@ def errors(found: CurveEstimate) -> np.ndarray:
 def test_forward_and_backward_give_what_all_paths_give() -> None:
     rng = np.random.default_rng(3)
     likelihood, prior = rng.uniform(size=(5, 3)), np.array([0.2, 0.5, 0.3])
-    up, down = kernels.steps(prior, 0.3)
+    up, down = steps(prior, 0.3)
     transition = np.diag(1.0 - up - down) + np.diag(up[:-1], 1) + np.diag(down[1:], -1)
     np.testing.assert_allclose(prior @ transition, prior, atol=1e-15)
     posterior = np.empty((5, 3))
-    evidence = kernels.smooth(likelihood, prior, 0.3, posterior)
+    evidence = smooth(likelihood, prior, 0.3, posterior)
     np.testing.assert_allclose(posterior, smoothed_by_enumeration(likelihood, prior, transition), rtol=1e-12)
     state = prior * likelihood[0]
     for one in likelihood[1:]:
@@ -94,7 +93,7 @@ def test_forward_and_backward_give_what_all_paths_give() -> None:
 def test_the_likelihood_is_students() -> None:
     x, R, curve = np.array([0.1e-3, 0.3e-3]), np.array([0.2e-3, 0.1e-3]), 0.3 * (np.arange(20) * 1e-4 + 0.5e-4 - 1e-3)
     likelihood, grid = np.empty((1, 3)), np.array([-1e-4, 0.0, 1e-4])
-    left_out = kernels.weigh(x, R, 2, curve, -1e-3, 1e-4, grid, 5e-5, 0.5, likelihood)
+    left_out = weigh(x, R, 2, curve, -1e-3, 1e-4, grid, 5e-5, 0.5, likelihood)
     apart = (R[:, None] - 0.3 * (x[:, None] + grid)) / 5e-5
     expected = -0.5 * 3.5 * np.log1p(apart**2 / 6.0).sum(axis=0)
     np.testing.assert_allclose(np.log(likelihood[0]) + left_out, expected, rtol=1e-9)

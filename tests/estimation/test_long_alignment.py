@@ -15,8 +15,7 @@ from estimation.track.gridded_pass import GriddedPass, grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, result
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
 from estimation.values.arrays import FloatArray
 
 PANEL = Panel.of(PanelParameters(length=LENGTH, basis_count=21))

@@ -7,21 +7,19 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-import sqlalchemy
 import stored_values as make
 from stored_raw import raw_of
 
 from estimation.errors import DamagedError, ParameterError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track_epochs import EpochMember, FoldState, TrackEpoch
-from estimation.values.windows import PassedOver, WindowPosition, WindowRecord, WindowState
+from estimation.values.track import EpochMember, FoldState, TrackEpoch
+from estimation.values.windows import DueStage, PassedOver, WindowPosition, WindowRecord, WindowState
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.kept_files import kept_files
 from fleet_db.keeping.orphans import orphaned_samples
 from fleet_db.keeping.purge import WAITING, Purged, purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import WindowBinTableRow
 
 NOTHING: dict[str, Any] = dict.fromkeys((kind.value for kind in Kept), None)
 AFTER = make.START + 2 * DAY_NS
@@ -45,7 +43,7 @@ def put(storage: SqlStorage, index: int, reason: ReasonCode | None = None, *, pe
         elif not pending:
             unit.tables.put("WS-1", window.start_ns, make.bin_table(index), None, record.content_digest)
             unit.windows.mark("WS-1", window.start_ns, WindowState.ESTIMATED)
-            unit.connection.execute(sqlalchemy.update(WindowBinTableRow).values(rolled=True))
+            unit.due.settle(DueStage.SUMS, "WS-1", unit.due.of_wheelset(DueStage.SUMS, "WS-1"))
         after = unit.windows.get("WS-1", window.start_ns)
     assert after is not None
     return after
@@ -82,10 +80,10 @@ def test_samples_of_what_is_estimated_or_refused_for_good_go(fleet: SqlStorage) 
     assert orphaned_samples(fleet) == []
 
 
-def test_a_table_that_is_not_rolled_up_keeps_the_samples(fleet: SqlStorage) -> None:
-    put(fleet, 0)
+def test_a_table_that_is_not_summed_keeps_the_samples(fleet: SqlStorage) -> None:
+    record = put(fleet, 0)
     with fleet.write() as unit:
-        unit.connection.execute(sqlalchemy.update(WindowBinTableRow).values(rolled=False))
+        unit.tables.put("WS-1", record.start_ns, make.bin_table(7), None, record.content_digest)
     assert purged(fleet).items == 0
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from estimation.errors import PassingFaultError
-from estimation.values.quarantine import QuarantineState, SubjectKind
+from estimation.values.runs import QuarantineState, SubjectKind
 from fleet_db.keeping import scrub as scrubbing
 from fleet_db.keeping.scrub import STAGE, ScrubFault, ScrubPlan, scrub
 from fleet_db.raw_files import FileRawStore

@@ -11,8 +11,7 @@ from same_values import same_values
 
 from estimation.errors import StorageError
 from estimation.values.dampers import SHARES, DamperSums, GearDamper, WindowDamper
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.packed_dampers import pack_gear_damper, unpack_window_damper
 from fleet_db.storage import SqlStorage
@@ -84,8 +83,6 @@ def test_the_damper_of_a_running_gear_is_replaced_and_comes_back(fleet: SqlStora
         assert unit.dampers.put_gear(known, "WS-1", "1")
         assert unit.dampers.of_vehicle("V-1") == [known]
         assert unit.dampers.of_vehicle("V-2") == []
-        assert unit.dampers.gear("V-1", 1) == known
-        assert unit.dampers.gear("V-1", 2) is unit.dampers.gear("V-2", 1) is None
 
 
 def test_a_damper_that_is_another_is_news_of_its_wheelset(fleet: SqlStorage) -> None:

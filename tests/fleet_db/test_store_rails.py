@@ -9,18 +9,21 @@ from same_values import same_values
 
 from estimation.values.quantities import Estimate, Status
 from estimation.values.rails import (
+    SECTION_RAILS,
+    WHEELSET_RAILS,
     RailKey,
     RailPart,
+    RailsFinding,
     RailsReference,
     RailTrend,
     SectionConicity,
-    SectionRailsRecord,
     StoredCell,
     WheelKey,
     WheelPart,
-    WheelsetRailsRecord,
+    WheelsFinding,
 )
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import Result
 from fleet_db.storage import SqlStorage
 
 WHEEL, RAIL = WheelKey("WS-1", 0, 3), RailKey("S-7", 110)
@@ -51,7 +54,7 @@ def test_cells_come_back_to_the_last_bit(fleet: SqlStorage) -> None:
         unit.rails.put_cells([refused, known])
     with fleet.read() as unit:
         found = unit.rails.cells()
-        assert [(one.wheel, one.rail, one.digest) for one in unit.rails.cells("WS-1")] == [
+        assert [(one.wheel, one.rail, one.digest) for one in unit.rails.cells(["WS-1"])] == [
             (WHEEL, RAIL, "a" * 64),
             (open_, RAIL, "b" * 64),
         ]
@@ -71,8 +74,7 @@ def test_a_cell_replaces_the_one_of_its_key_and_is_removed_by_it(fleet: SqlStora
 
 def test_what_is_found_replaces_all_that_was_found(fleet: SqlStorage) -> None:
     period = RailPart(RAIL, RailsReference.KNOWN_RAILS, (KNOWN, OPEN), (KNOWN, OPEN), (OPEN, OPEN), 4, 24, 10, 20)
-    section = SectionRailsRecord(
-        section="S-7",
+    section = RailsFinding(
         amplitude=(1e-3, 3e-3),
         reference_wheel_profile="P8",
         periods=(period,),
@@ -80,32 +82,22 @@ def test_what_is_found_replaces_all_that_was_found(fleet: SqlStorage) -> None:
         limit=0.05,
         exceeded=True,
         reported_amplitude=1e-3,
-        input_digest="d" * 64,
-        code_version="v",
-        recorded_ns=99,
     )
-    part = WheelPart(WHEEL, RailsReference.MEAN, (OPEN, OPEN), ("S-7",), 6, 10, 20)
-    wheelset = WheelsetRailsRecord((1e-3, 3e-3), part, "d" * 64, "v", 99)
+    found = [Result(code, "d" * 64, "v", 99, section) for code in ("S-7", "S-8")]
     with fleet.write() as unit:
-        assert unit.rails.input_digest() is None
-        unit.rails.put_found([section], [wheelset])
+        unit.results.replace_all(SECTION_RAILS, found)
+        unit.results.replace_all(SECTION_RAILS, found[:1])
     with fleet.read() as unit:
-        assert unit.rails.of_section("S-7") == section
-        assert unit.rails.of_wheelset("WS-1") == wheelset
-        assert unit.rails.input_digest() == ("d" * 64, "v")
-    with fleet.write() as unit:
-        unit.rails.put_found([], [replace(wheelset, recorded_ns=100)])
-    with fleet.read() as unit:
-        assert unit.rails.of_section("S-7") is None
-        assert unit.rails.of_wheelset("WS-1") == replace(wheelset, recorded_ns=100)
+        assert unit.results.latest(SECTION_RAILS, "S-7") == found[0]
+        assert unit.results.latest(SECTION_RAILS, "S-8") is None
 
 
 def test_another_fleet_sees_no_wheelset_and_no_cell(fleet: SqlStorage) -> None:
     part = WheelPart(WHEEL, None, (OPEN,), ("S-7",), 6, 10, 20)
     with fleet.write() as unit:
         unit.rails.put_cells([StoredCell(WHEEL, RAIL, "a" * 64, cell(), None)])
-        unit.rails.put_found([], [WheelsetRailsRecord((1e-3,), part, "d" * 64, "v", 99)])
+        unit.results.put_all(WHEELSET_RAILS, [Result("WS-1", "d" * 64, "v", 99, WheelsFinding((1e-3,), part))])
     seen_by_another = replace(fleet, visible_fleets=frozenset({"another"}))
     with seen_by_another.read() as unit:
-        assert unit.rails.of_wheelset("WS-1") is None
+        assert unit.results.latest(WHEELSET_RAILS, "WS-1") is None
         assert unit.rails.cells() == []

@@ -7,7 +7,7 @@ from dataclasses import replace
 import stored_values as make
 from same_values import same_values
 
-from estimation.values.suspension import SuspensionFinding
+from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import NO_BLOWS, NOT_HUNTING, Hunting, TurnBlows
 from fleet_db.storage import SqlStorage
 from fleet_db.telemetry import pack_window, unpack_window, window_digest

@@ -9,7 +9,7 @@ import pytest
 import stored_values as make
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track_epochs import OPEN_NS, EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
+from estimation.values.track import OPEN_NS, EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.storage import SqlStorage
 

@@ -14,14 +14,16 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import WindowPosition, WindowState
-from estimation.vehicle.class_on_file import SHIPPED_VERSION, class_document, class_of_document
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (
+    SHIPPED_VERSION,
     Arrangement,
     BogieParameters,
     SensorChannel,
     SensorLayout,
     VehicleClass,
+    class_document,
+    class_of_document,
 )
 from fleet_db.receipts import NOTHING_AGAIN
 from fleet_db.storage import SqlStorage

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from sqlalchemy import select
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from fleet_db.storage import SqlStorage
 from fleet_db.subjects import VERSIONS
 
@@ -26,7 +26,7 @@ def test_a_facet_is_raised_once_a_transaction(storage: SqlStorage) -> None:
             unit.subjects.raised(WHEELSET, "W1", "windows")
             unit.subjects.raised(WHEELSET, "W1", "windows")
             unit.subjects.raised(SECTION, None, "windows")
-            assert unit.subjects.growth(WHEELSET, ("windows", "trend"), "W1") == 1
+            assert unit.subjects.growth(("windows", "trend"), (WHEELSET, "W1")) == 1
     assert versions(storage) == {("wheelset", "W1", "windows"): 2, ("section", "", "windows"): 2}
 
 

@@ -12,7 +12,7 @@ import pytest
 from postgres_server import SAFE, PostgresServer, stoppable_server
 
 from estimation.errors import StorageError
-from estimation.values.claims import MOST_ENDED, Claimed
+from estimation.values.runs import MOST_ENDED, Claimed
 from fleet_db.migrate import upgrade
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage

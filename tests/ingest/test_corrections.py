@@ -10,9 +10,9 @@ from sqlalchemy import select
 from vehicle_bus import OFFSETS_M, SECOND_NS, VEHICLE, Run, register
 
 from estimation.errors import ConflictError, LogFileError, NotFoundError
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
+from estimation.values.runs import SubjectKind
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState, RecordingAction
 from fleet_db.rows import table_of

@@ -14,8 +14,8 @@ from test_receiver import CountingClock
 from vehicle_bus import CATALOGUE, SECOND_NS, START_NS, VEHICLE, Run, register
 
 from estimation.errors import StoppedError
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import ReasonCode, code_of
+from estimation.values.runs import SubjectKind
 from fleet_db.decoding_locks import decoding_locks
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState

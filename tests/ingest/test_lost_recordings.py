@@ -11,7 +11,7 @@ from test_reassembly import Windows, made_of, mounting, received, receiver_on
 from test_receiver import files_of
 from vehicle_bus import VEHICLE, Run, register
 
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage

@@ -12,7 +12,7 @@ from test_reassembly import Windows, made_of, mounting
 from vehicle_bus import VEHICLE, register
 
 from estimation.errors import PassingFaultError
-from estimation.values.quarantine import SubjectKind
+from estimation.values.runs import SubjectKind
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage

@@ -18,8 +18,8 @@ from topic_consumer import ROOM, Consumer, put, referred, sent
 from vehicle_bus import VEHICLE, register
 
 from estimation.errors import StorageError
-from estimation.values.quarantine import QuarantineState, delay_s
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import QuarantineState, delay_s
 from fleet_db.decoding_locks import decoding_locks
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkState

@@ -14,7 +14,7 @@ from live_listening import eventually
 from test_receiver import CountingClock
 from vehicle_bus import CATALOGUE, VEHICLE
 
-from estimation.values.quarantine import Quarantined, SubjectKind
+from estimation.values.runs import Quarantined, SubjectKind
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkRecord

@@ -23,9 +23,8 @@ from api.workers.pool import ProcessPool
 from estimation.jobs.catalogue import job_named, run_all
 from estimation.jobs.job import JobContext, WorkExecutor, run_job
 from estimation.jobs.settings import JobSettings
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import ReasonCode
-from estimation.values.runs import JobRun, JobTrigger
+from estimation.values.runs import JobRun, JobTrigger, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage

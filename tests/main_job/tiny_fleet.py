@@ -93,7 +93,7 @@ from_campaign = 3
 """
 WINDOW_S = 30.0
 HOUR_NS = 3_600_000_000_000
-BOOK_KEEPING = ("job_runs", "section_looks")
+BOOK_KEEPING = ("job_runs", "section_looks", "stage_marks")
 
 
 @dataclass(frozen=True)
@@ -170,8 +170,8 @@ def rows(storage: SqlStorage) -> dict[str, list[tuple[Any, ...]]]:
         }
 
 
-NOT_COMPARED = frozenset({"recorded_ns", "rolled", "roll_up"})
-"""Times, and in which roll-up a table is: several workers number them as they come."""
+NOT_COMPARED = frozenset({"recorded_ns", "running_km"})
+"""Times, and the mileage that is kept of a window once the stored sums hold its table: the last few wait for others."""
 
 
 def results(storage: SqlStorage) -> dict[str, Any]:

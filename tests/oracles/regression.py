@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import Regression, angle_difference_factor
 

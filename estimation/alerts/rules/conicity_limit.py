@@ -8,24 +8,21 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
+from estimation.alerts.rules.evidence import (
+    DecidingEvidence,
+    Evidence,
+    number_evidence,
+)
 from estimation.alerts.rules.intervals import with_standing
 from estimation.alerts.rules.limit_state import Against, LimitState, limit_state
-from estimation.alerts.rules.rule import (
-    AlertRule,
-    Probability,
-    WheelsetFacts,
-    WindowCount,
-    estimate_evidence,
-    number_evidence,
-    too_few_windows,
-    unknown_evidence,
-)
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount, too_few_windows
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_at_limit_amplitude
 from estimation.trend.points import QUANTITY
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason
 from estimation.values.registry import VehicleRecord
+from estimation.values.served import Served
 
 ANY_CLASS = "*"
 SPEED_DIGITS = 6  # of km/h: 120 km/h in m/s and back is 120.00000000000001, which belongs to the band up to 120
@@ -48,12 +45,25 @@ class SpeedBand:
 DEFAULT_BANDS = (SpeedBand(0.40, 120.0), SpeedBand(0.534, 300.0, -1.0 / 900.0), SpeedBand(0.20))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ConicityLimitEvidence(DecidingEvidence):
+    """Evidence of `conicity_limit`: equivalent conicity against its limit."""
+
+    quantity: Annotated[str, Served("What is compared with the limit.", example="equivalent_conicity")]
+    amplitude_mm: Annotated[float | None, Served("Amplitude that the conicity is of.")]
+    conicity: Annotated[Estimate, Served("Equivalent conicity that is compared with the limit.", "conicity_1")]
+    current: Annotated[Estimate, Served("Equivalent conicity of the current geometry.", "current_1")]
+    windows: Annotated[int, Served("Windows behind the geometry.")]
+    limit: Annotated[float | None, Served("The raise limit.", "limit_1")]
+
+
 @dataclass(frozen=True, slots=True)
 class ConicityLimitRule(AlertRule):
     """Equivalent conicity over its limit for the vehicle's class and greatest speed."""
 
     kind: ClassVar[str] = "conicity_limit"
     limit_unit: ClassVar[str] = "1"
+    evidence: ClassVar[type[Evidence] | None] = ConicityLimitEvidence
     counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
 
@@ -144,15 +154,15 @@ def conicity_limit_finding(
         cleared=None if over is None else _is_clear(rule, state, clear_limit),
         severity=severity,
         probability=number_evidence(over, 3),
-        evidence={
-            "quantity": QUANTITY,
-            "amplitude_mm": number_evidence(1e3 * (LIMIT_AMPLITUDE if against is None else against.amplitude)),
-            "conicity": estimate_evidence(state.conicity if against is None else against.conicity),
-            "current": estimate_evidence(state.conicity if current is None else current),
-            "windows": windows,
-            "limit": number_evidence(limit),
-            **unknown_evidence(reason),
-        },
+        evidence=ConicityLimitEvidence(
+            quantity=QUANTITY,
+            amplitude_mm=number_evidence(1e3 * (LIMIT_AMPLITUDE if against is None else against.amplitude)),
+            conicity=state.conicity if against is None else against.conicity,
+            current=state.conicity if current is None else current,
+            windows=windows,
+            limit=number_evidence(limit),
+            unknown=reason,
+        ).stored(),
         action="reprofile" if severity is Severity.CRITICAL else "plan_reprofiling",
         raise_limit=limit,
         clear_limit=clear_limit,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
+from estimation.alerts.rules.evidence import DecidingEvidence, Evidence, unknown_evidence
 from estimation.alerts.rules.rule import (
     AlertRule,
     WheelsetFacts,
@@ -16,13 +17,26 @@ from estimation.alerts.rules.rule import (
     measured_until,
     newest_windows,
     too_few_windows,
-    unknown_evidence,
 )
 from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import ReasonCode
+from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataQualityEvidence(DecidingEvidence):
+    """Evidence of `data_quality`: the data contradict themselves or the registry."""
+
+    implausible_windows: Annotated[int, Served("Implausible ones of the latest windows.")]
+    windows: Annotated[int, Served("How many windows were looked at.")]
+    reasons: Annotated[Mapping[str, int], Served("Implausible windows by reason code.")]
+    rejected_recordings: Annotated[int | None, Served("Rejected recordings of the vehicle.")] = 0
+    rejected_reasons: Annotated[Mapping[str, int], Served("Rejected recordings by reason code.")] = field(
+        default_factory=dict
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +45,7 @@ class DataQualityRule(AlertRule):
 
     kind: ClassVar[str] = "data_quality"
     limit_unit: ClassVar[str] = "windows"
+    evidence: ClassVar[type[Evidence] | None] = DataQualityEvidence
     advice: ClassVar[str] = "its mileage or recordings cannot be believed: check odometer and recordings"
     counts_km: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (
@@ -78,14 +93,9 @@ def data_quality_finding(
         cleared=None if unknown else not found,
         severity=Severity.WARNING,
         probability=None,
-        evidence={
-            "implausible_windows": found,
-            "windows": len(latest),
-            "reasons": {code: reasons[code] for code in sorted(reasons)},
-            "rejected_recordings": 0,
-            "rejected_reasons": {},
-            **unknown_evidence(unknown),
-        },
+        evidence=DataQualityEvidence(
+            implausible_windows=found, windows=len(latest), reasons=reasons, unknown=unknown
+        ).stored(),
         action="check_section_number" if set(reasons) == {ReasonCode.PLACE_IMPLAUSIBLE.value} else "check_odometer",
         raise_limit=float(rule.raise_windows),
         clear_limit=0.0,

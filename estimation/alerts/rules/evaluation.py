@@ -9,9 +9,9 @@ from estimation.alerts.rules.conicity_limit import ConicityLimitRule
 from estimation.alerts.rules.identity import IdentityRule, mounting_corrected
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.values.alerts import Alert, CloseReason, Finding
-from estimation.values.identity import BEFORE, UNREGISTERED_CHANGE
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.trend import BEFORE, UNREGISTERED_CHANGE
 
 
 def superseded(facts: WheelsetFacts, book: RuleBook) -> list[tuple[Alert, CloseReason, int]]:

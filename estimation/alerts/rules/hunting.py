@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Interval
 
+from estimation.alerts.rules.evidence import DecidingEvidence, Evidence, number_evidence
 from estimation.alerts.rules.rule import (
     AlertRule,
     Share,
@@ -16,14 +17,25 @@ from estimation.alerts.rules.rule import (
     WindowCount,
     measured_until,
     newest_windows,
-    number_evidence,
     too_few_windows,
-    unknown_evidence,
 )
 from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
-from estimation.values.json_value import JsonValue
+from estimation.values.reasons import Reason
+from estimation.values.served import Served
 from estimation.values.windows import HUNTING_SHARE, WindowRecord
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HuntingEvidence(DecidingEvidence):
+    """Evidence of `hunting`: several of the latest windows show it."""
+
+    hunting_windows: Annotated[int, Served("Windows of hunting among the latest.")]
+    windows: Annotated[int, Served("How many windows were looked at.")]
+    frequency_hz: Annotated[float | None, Served("Median frequency.")] = None
+    wavelength_m: Annotated[float | None, Served("Median wavelength.")] = None
+    amplitude_mm: Annotated[float | None, Served("Largest lateral amplitude.")] = None
+    speed_max_m_s: Annotated[float | None, Served("Greatest speed of those windows.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +44,7 @@ class HuntingRule(AlertRule):
 
     kind: ClassVar[str] = "hunting"
     limit_unit: ClassVar[str] = "windows"
+    evidence: ClassVar[type[Evidence] | None] = HuntingEvidence
     advice: ClassVar[str] = "it hunts: check yaw dampers and wheel profiles"
     counts_km: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (
@@ -87,12 +100,7 @@ def hunting_finding(rule: HuntingRule, wheelset: str, windows: Sequence[WindowRe
         cleared=None if unknown else not found,
         severity=Severity.CRITICAL if len(found) >= rule.critical_windows else Severity.WARNING,
         probability=None,
-        evidence={
-            "hunting_windows": len(found),
-            "windows": len(latest),
-            **_shape(found),
-            **unknown_evidence(unknown),
-        },
+        evidence=_evidence(found, len(latest), unknown).stored(),
         action="check_yaw_dampers_and_profiles",
         raise_limit=float(rule.raise_windows),
         clear_limit=0.0,
@@ -100,16 +108,18 @@ def hunting_finding(rule: HuntingRule, wheelset: str, windows: Sequence[WindowRe
     )
 
 
-def _shape(found: Sequence[WindowRecord]) -> dict[str, JsonValue]:
-    """Return frequency, wavelength, amplitude and speed of the windows that show hunting."""
+def _evidence(found: Sequence[WindowRecord], windows: int, unknown: Reason | None) -> HuntingEvidence:
     if not found:
-        return {"frequency_hz": None, "wavelength_m": None, "amplitude_mm": None, "speed_max_m_s": None}
+        return HuntingEvidence(hunting_windows=0, windows=windows, unknown=unknown)
     frequency = float(np.median([w.quality.hunting.frequency_hz for w in found]))
     speed = [0.5 * (w.quality.speed_min_m_s + w.quality.speed_max_m_s) for w in found]
     lengths = [v / w.quality.hunting.frequency_hz for v, w in zip(speed, found, strict=True)]
-    return {
-        "frequency_hz": number_evidence(frequency, 3),
-        "wavelength_m": number_evidence(float(np.median(lengths)), 2),
-        "amplitude_mm": number_evidence(max(1e3 * w.quality.hunting.amplitude for w in found), 2),
-        "speed_max_m_s": number_evidence(max(w.quality.speed_max_m_s for w in found), 3),
-    }
+    return HuntingEvidence(
+        hunting_windows=len(found),
+        windows=windows,
+        frequency_hz=number_evidence(frequency, 3),
+        wavelength_m=number_evidence(float(np.median(lengths)), 2),
+        amplitude_mm=number_evidence(max(1e3 * w.quality.hunting.amplitude for w in found), 2),
+        speed_max_m_s=number_evidence(max(w.quality.speed_max_m_s for w in found), 3),
+        unknown=unknown,
+    )

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Annotated, ClassVar
 
 from estimation.alerts.identity import IdentityEvent, IdentityParameters, Mistake
-from estimation.alerts.rules.rule import AlertRule, WheelsetFacts, number_evidence
+from estimation.alerts.rules.evidence import Evidence, number_evidence
+from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.values.alerts import Alert, Finding, Severity
-from estimation.values.identity import AFTER, BEFORE, IDENTITY
-from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
+from estimation.values.served import Served
+from estimation.values.trend import IDENTITY
 
 MOUNTED = "mounted"
 _EXPLANATIONS = {
@@ -20,12 +22,37 @@ _EXPLANATIONS = {
 }
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MountedAs:
+    """How a wheelset is mounted on file."""
+
+    vehicle: Annotated[str, Served("Code of the vehicle.")]
+    axle: Annotated[int, Served("Number of the axle, from 1.")]
+    from_ns: Annotated[int, Served("Since when.", "mounted_from")]
+    reversed: Annotated[bool, Served("The left wheel runs on the right-hand side.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IdentityEvidence(Evidence):
+    """Evidence of `identity`: the wheelset that runs is not the one on file, or not the way round."""
+
+    mistake: Annotated[Mistake, Served("The mistake that explains the jump.")]
+    partner: Annotated[str | None, Served("The other wheelset of a swap.")]
+    before_ns: Annotated[int, Served("End of the last data before it happened.", "last_data_before_at")]
+    after_ns: Annotated[int, Served("Begin of the first data after it.", "first_data_after_at")]
+    jump: Annotated[float | None, Served("Standard deviations between the geometries before and after.", "jump_1")]
+    left: Annotated[float | None, Served("Standard deviations that the explanation leaves.", "left_1")]
+    reason: Annotated[str, Served("The explanation, as a sentence.")]
+    mounted: Annotated[MountedAs, Served("The mounting that it was raised on.")]
+
+
 @dataclass(frozen=True, slots=True)
 class IdentityRule(AlertRule):
     """A wheelset is not the one on file, or not the way round; its alert stands until its mounting is corrected."""
 
     kind: ClassVar[str] = IDENTITY
     limit_unit: ClassVar[str] = "1"
+    evidence: ClassVar[type[Evidence] | None] = IdentityEvidence
     hides_wear: ClassVar[Reason | None] = Reason(
         ReasonCode.IDENTITY_DOUBTFUL, "the wheelset is not the recorded one, or is mounted the other way round"
     )
@@ -52,16 +79,18 @@ def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: 
     """
     if event is None:
         return None if standing is None else _unchanged(standing)
-    details: dict[str, JsonValue] = {
-        "mistake": event.mistake.value,
-        "partner": event.partner,
-        BEFORE: event.before_ns,
-        AFTER: event.after_ns,
-        "jump": number_evidence(event.jump, 3),
-        "left": number_evidence(event.left, 3),
-        "reason": _EXPLANATIONS[event.mistake],
-        MOUNTED: mounted(mounting),
-    }
+    details = IdentityEvidence(
+        mistake=event.mistake,
+        partner=event.partner,
+        before_ns=event.before_ns,
+        after_ns=event.after_ns,
+        jump=number_evidence(event.jump, 3),
+        left=number_evidence(event.left, 3),
+        reason=_EXPLANATIONS[event.mistake],
+        mounted=MountedAs(
+            vehicle=mounting.vehicle, axle=mounting.axle, from_ns=mounting.from_ns, reversed=mounting.reversed
+        ),
+    )
     return Finding(
         wheelset=event.wheelset,
         kind=IDENTITY,
@@ -69,7 +98,7 @@ def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: 
         cleared=False,
         severity=Severity.WARNING,
         probability=None,
-        evidence=details,
+        evidence=details.stored(),
         action="check_mounting",
         raise_limit=None,
         clear_limit=None,
@@ -93,11 +122,9 @@ def _unchanged(alert: Alert) -> Finding:
     )
 
 
-def mounted(mounting: Mounting) -> list[JsonValue]:
-    """Return how a wheelset is mounted, as an alert remembers it."""
-    return [mounting.vehicle, mounting.axle, mounting.from_ns, mounting.reversed]
-
-
 def mounting_corrected(alert: Alert, mounting: Mounting) -> bool:
     """Whether the mounting on file is another than the alert was raised on."""
-    return alert.kind == IDENTITY and alert.evidence.get(MOUNTED) != mounted(mounting)
+    mounted = alert.evidence.get(MOUNTED)
+    if alert.kind != IDENTITY or not isinstance(mounted, Mapping):
+        return alert.kind == IDENTITY
+    return any(mounted.get(field.name) != getattr(mounting, field.name) for field in fields(MountedAs))

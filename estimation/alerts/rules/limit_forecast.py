@@ -8,24 +8,35 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
-from estimation.alerts.rules.intervals import with_standing
-from estimation.alerts.rules.rule import (
-    AlertRule,
-    Probability,
-    WheelsetFacts,
-    date_evidence,
-    estimate_evidence,
-    forecast_evidence,
+from estimation.alerts.rules.evidence import (
+    DecidingEvidence,
+    Evidence,
     number_evidence,
-    unknown_evidence,
 )
+from estimation.alerts.rules.intervals import with_standing
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
 from estimation.trend.trend import probability_within
 from estimation.values.alerts import Finding, Severity
-from estimation.values.quantities import Status
+from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.served import Served
 from estimation.values.trend import WearTrend
 
 PROBABLY_OVER = 0.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LimitForecastEvidence(DecidingEvidence):
+    """Evidence of `limit_forecast`: when the trend reaches the limit."""
+
+    quantity: Annotated[str, Served("What the trend is of.", example="equivalent_conicity")]
+    slope_per_1000_km: Annotated[Estimate, Served("Slope of the trend.", "slope_1_per_1000_km")]
+    fitted: Annotated[Estimate, Served("The fitted trend at its last point.", "fitted_1")]
+    distance_to_limit_km: Annotated[Forecast, Served("Distance left to the limit.")]
+    date_of_limit_ns: Annotated[Forecast, Served("When the limit is reached; to the second.", "date_of_limit")]
+    within_km: Annotated[float, Served("Distance within which reaching the limit raises the alert.")]
+    limit: Annotated[float | None, Served("Limit of the quantity.", "limit_1")]
+    points: Annotated[int, Served("Points of the trend.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +45,7 @@ class LimitForecastRule(AlertRule):
 
     kind: ClassVar[str] = "limit_forecast"
     limit_unit: ClassVar[str] = "km"
+    evidence: ClassVar[type[Evidence] | None] = LimitForecastEvidence
     counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_within_km", ">=", "within_km"),)
@@ -88,17 +100,17 @@ def limit_forecast_finding(
         cleared=None if within_clear is None else 1.0 - within_clear >= rule.clear_probability,
         severity=_severity(rule, trend, within),
         probability=number_evidence(within, 2),
-        evidence={
-            "quantity": trend.quantity,
-            "slope_per_1000_km": estimate_evidence(trend.slope_per_1000_km),
-            "fitted": estimate_evidence(trend.fitted),
-            "distance_to_limit_km": forecast_evidence(trend.distance_to_limit_km),
-            "date_of_limit_ns": date_evidence(trend.date_of_limit_ns),
-            "within_km": rule.within_km,
-            "limit": number_evidence(trend.limit),
-            "points": points,
-            **unknown_evidence(reason),
-        },
+        evidence=LimitForecastEvidence(
+            quantity=trend.quantity,
+            slope_per_1000_km=trend.slope_per_1000_km,
+            fitted=trend.fitted,
+            distance_to_limit_km=trend.distance_to_limit_km,
+            date_of_limit_ns=trend.date_of_limit_ns,
+            within_km=rule.within_km,
+            limit=number_evidence(trend.limit),
+            points=points,
+            unknown=reason,
+        ).stored(),
         action="plan_reprofiling",
         raise_limit=rule.within_km,
         clear_limit=rule.clear_within_km,

@@ -21,8 +21,7 @@ from estimation.trend.extrapolation import (
     extrapolated,
 )
 from estimation.trend.trend import probability_above
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate, Status
+from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.trend import WearTrend
 

@@ -7,13 +7,37 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
-from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, estimate_evidence
+from estimation.alerts.rules.evidence import Evidence
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
 from estimation.values.adhesion import CellFriction, SectionAdhesion
 from estimation.values.alerts import Finding, Severity
-from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Estimate
+from estimation.values.served import Served
 
 Friction = Annotated[float, Interval(ge=0.02, le=0.6)]
 Hours = Annotated[float, Interval(ge=0.1, le=720.0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """A stretch of a track section."""
+
+    from_m: Annotated[float, Served("Where it begins, along the section.")]
+    to_m: Annotated[float, Served("Where it ends, along the section.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LowAdhesionEvidence(Evidence):
+    """Evidence of `low_adhesion`: rails of little friction along a track section."""
+
+    track_section: Annotated[str, Served("Code of the section.")]
+    stretches: Annotated[tuple[Stretch, ...], Served("Where friction is below the limit.")]
+    friction: Annotated[Estimate | None, Served("Coefficient of friction at the surest place of them.", "friction_1")]
+    passes: Annotated[int | None, Served("Passes of wheelsets behind it.")]
+    windows: Annotated[int, Served("Windows that are pooled along the section.")]
+    from_ns: Annotated[int, Served("Start of the first of them.", "measured_from")]
+    to_ns: Annotated[int, Served("Start of the last of them.", "measured_to")]
+    limit: Annotated[float, Served("Friction below which the alert is raised.", "limit_1")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +46,7 @@ class LowAdhesionRule(AlertRule):
 
     kind: ClassVar[str] = "low_adhesion"
     limit_unit: ClassVar[str] = "1"
+    evidence: ClassVar[type[Evidence] | None] = LowAdhesionEvidence
 
     raise_friction: Friction = 0.15
     raise_probability: Probability = 0.45
@@ -40,17 +65,16 @@ def section_finding(rule: LowAdhesionRule, found: SectionAdhesion) -> Finding:
     """
     low = [cell for cell in found.cells if _within(cell, found)]
     worst = max(low, key=lambda cell: cell.low_probability, default=None)
-    stretches: list[JsonValue] = [{"from_m": begin, "to_m": end} for begin, end in found.low_stretches]
-    evidence: dict[str, JsonValue] = {
-        "track_section": found.track_section,
-        "stretches": stretches,
-        "friction": None if worst is None else estimate_evidence(worst.friction),
-        "passes": None if worst is None else worst.passes,
-        "windows": found.windows,
-        "from_ns": found.from_ns,
-        "to_ns": found.to_ns,
-        "limit": rule.raise_friction,
-    }
+    evidence = LowAdhesionEvidence(
+        track_section=found.track_section,
+        stretches=tuple(Stretch(from_m=begin, to_m=end) for begin, end in found.low_stretches),
+        friction=None if worst is None else worst.friction,
+        passes=None if worst is None else worst.passes,
+        windows=found.windows,
+        from_ns=found.from_ns,
+        to_ns=found.to_ns,
+        limit=rule.raise_friction,
+    )
     return Finding(
         wheelset="",
         kind=LowAdhesionRule.kind,
@@ -58,7 +82,7 @@ def section_finding(rule: LowAdhesionRule, found: SectionAdhesion) -> Finding:
         cleared=not found.low_stretches,
         severity=Severity.WARNING,
         probability=None if worst is None else round(worst.low_probability, 3),
-        evidence=evidence,
+        evidence=evidence.stored(),
         action="inspect_rail_surface",
         raise_limit=rule.raise_friction,
         clear_limit=rule.raise_friction,

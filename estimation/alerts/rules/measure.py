@@ -9,21 +9,34 @@ from typing import Annotated, ClassVar
 from annotated_types import Interval
 
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, conicity_limit_finding
-from estimation.alerts.rules.intervals import with_standing
-from estimation.alerts.rules.limit_state import LimitState, limit_state
-from estimation.alerts.rules.rule import (
-    AlertRule,
-    Kilometres,
-    WheelsetFacts,
-    estimate_evidence,
+from estimation.alerts.rules.evidence import (
+    DecidingEvidence,
+    Evidence,
     number_evidence,
     unknown_evidence,
 )
+from estimation.alerts.rules.intervals import with_standing
+from estimation.alerts.rules.limit_state import LimitState, limit_state
+from estimation.alerts.rules.rule import AlertRule, Kilometres, WheelsetFacts
 from estimation.trend.points import QUANTITY
 from estimation.values.alerts import Finding, Severity
+from estimation.values.quantities import Estimate
 from estimation.values.reasons import code_of
+from estimation.values.served import Served
 
 ANY_PROBABILITY = Interval(ge=0.01, le=0.9)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeasureEvidence(DecidingEvidence):
+    """Evidence of `measure`: the conicity may be over its limit, and only a measurement of the profiles decides."""
+
+    quantity: Annotated[str, Served("What is compared with the limit.", example="equivalent_conicity")]
+    conicity: Annotated[Estimate, Served("Equivalent conicity at 3 mm; its reason says if extrapolated.", "conicity_1")]
+    reached_mm: Annotated[float | None, Served("Largest amplitude that the motion covers, at most 3 mm.")]
+    reached: Annotated[Estimate, Served("Equivalent conicity at that amplitude.", "reached_1")]
+    windows: Annotated[int | None, Served("Windows behind the geometry.")] = None
+    limit: Annotated[float | None, Served("Limit of the conicity at 3 mm.", "limit_1")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +45,7 @@ class MeasureRule(AlertRule):
 
     kind: ClassVar[str] = "measure"
     limit_unit: ClassVar[str] = "1"
+    evidence: ClassVar[type[Evidence] | None] = MeasureEvidence
     advice: ClassVar[str] = "may be beyond its limit: measure its profiles"
     counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
@@ -100,15 +114,14 @@ def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limi
         cleared=None if silent else settled or is_clear,
         severity=Severity.WARNING,
         probability=None if silent else number_evidence(over, 3),
-        evidence={
-            "quantity": QUANTITY,
-            "conicity": estimate_evidence(state.conicity),
-            "reached_mm": number_evidence(1e3 * state.reached_amplitude),
-            "reached": estimate_evidence(state.conicity if state.reached is None else state.reached),
-            "windows": decided.evidence["windows"],
-            "limit": number_evidence(limit),
-            **{name: decided.evidence[name] for name in unknown_evidence(None)},
-        },
+        evidence=MeasureEvidence(
+            quantity=QUANTITY,
+            conicity=state.conicity,
+            reached_mm=number_evidence(1e3 * state.reached_amplitude),
+            reached=state.conicity if state.reached is None else state.reached,
+            limit=number_evidence(limit),
+        ).stored()
+        | {name: decided.evidence[name] for name in ("windows", *unknown_evidence(None))},
         action="measure_wheel_profiles",
         raise_limit=limit,
         clear_limit=limit,

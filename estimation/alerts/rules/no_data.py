@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
+from estimation.alerts.rules.evidence import Evidence
 from estimation.alerts.rules.rule import AlertDelays, AlertRule, Days, WheelsetFacts, newest_windows
 from estimation.values.alerts import Finding, Severity
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
 
 DAY_NS = 86_400_000_000_000
 LATEST = 20  # windows whose reasons are told
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoDataEvidence(Evidence):
+    """Evidence of `no_data`: how long nothing usable has come."""
+
+    last_usable_ns: Annotated[int | None, Served("End of the newest usable window; null where there is none.")]
+    in_service_since_ns: Annotated[int, Served("When the wheelset was mounted.", "in_service_since")]
+    limit_days: Annotated[float, Served("Limit in days that the silence has passed.")]
+    refused_windows: Annotated[int | None, Served("Windows since then, of the latest, that cannot be used.")] = None
+    reasons: Annotated[Mapping[str, int], Served("These windows by reason code.")] = field(default_factory=dict)
+    reason: Annotated[str | None, Served("Why the newest of the most frequent reason cannot be used.")] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +37,7 @@ class NoDataRule(AlertRule):
 
     kind: ClassVar[str] = "no_data"
     limit_unit: ClassVar[str] = "days"
+    evidence: ClassVar[type[Evidence] | None] = NoDataEvidence
     hides_wear: ClassVar[Reason | None] = Reason(ReasonCode.NO_RECENT_DATA, "no usable data for too long")
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (("critical_days", ">=", "days"),)
 
@@ -64,11 +79,11 @@ def no_data_finding(
         cleared=not breached,
         severity=Severity.CRITICAL if critical else Severity.WARNING,
         probability=1.0 if breached else 0.0,
-        evidence={
-            "last_usable_ns": last_usable_ns,
-            "in_service_since_ns": in_service_since_ns,
-            "limit_days": rule.critical_days if critical else rule.days,
-        },
+        evidence=NoDataEvidence(
+            last_usable_ns=last_usable_ns,
+            in_service_since_ns=in_service_since_ns,
+            limit_days=rule.critical_days if critical else rule.days,
+        ).stored(),
         action="check_sensor_and_connection",
         raise_limit=rule.days,
         clear_limit=rule.days,

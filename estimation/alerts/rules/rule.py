@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,22 +10,16 @@ from typing import Annotated, ClassVar
 from annotated_types import Interval
 
 from estimation.alerts.identity import IdentityEvent
+from estimation.alerts.rules.evidence import Evidence
 from estimation.alerts.step_causes import StepSurroundings
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
 from estimation.values.dampers import GearDamper
-from estimation.values.geometry import GeometryRecord
-from estimation.values.interval_conicities import IntervalConicities, interval_conicities
-from estimation.values.json_value import JsonValue
-from estimation.values.quantities import Estimate, Forecast
-from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.suspension import SuspensionShown
-from estimation.values.trend import TrendRecord
+from estimation.values.trend import SuspensionShown, TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
-
-SECOND_NS = 1_000_000_000
-MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits
 
 # ranges of what a rules file may set; a number without one is from 0 to 1e9
 Probability = Annotated[float, Interval(ge=0.5, le=0.9999)]
@@ -116,6 +109,8 @@ class AlertRule(ABC):
             own.
         counts_km: Its findings have a mileage, so that its delays may be in kilometres.
         relations: Fields of which one limits another, each as (field, "<=" or ">=", field).
+        evidence: What its findings rest on: what its alerts keep, and what the API answers; None where that is told by
+            what it is alone.
         enabled, delays: Whether it is evaluated; how long before an alert follows.
     """
 
@@ -127,6 +122,7 @@ class AlertRule(ABC):
     advice: ClassVar[str] = ""
     counts_km: ClassVar[bool] = False
     relations: ClassVar[Sequence[tuple[str, str, str]]] = ()
+    evidence: ClassVar[type[Evidence] | None] = None
 
     enabled: bool = True
     delays: AlertDelays = field(default_factory=AlertDelays)
@@ -138,31 +134,6 @@ class AlertRule(ABC):
         Args:
             now_ns: Our time, nanoseconds UTC since the Unix epoch.
         """
-
-
-def number_evidence(value: float | None, digits: int = 4) -> float | None:
-    """Return the value with some significant digits; None where unknown or not finite."""
-    if value is None or not math.isfinite(value):
-        return None
-    return float(f"{value:.{digits}g}")
-
-
-def estimate_evidence(value: Estimate) -> dict[str, JsonValue]:
-    """Return an estimate with its interval and status, as the API writes it."""
-    return {
-        "value": number_evidence(value.value),
-        "std": number_evidence(value.std, 3),
-        "interval_95": None if value.low is None else [number_evidence(value.low), number_evidence(value.high)],
-        "n_windows": number_evidence(value.count),
-        "status": str(value.status),
-        "reason": text_of(value.reason),
-        "reason_code": code_of(value.reason),
-    }
-
-
-def unknown_evidence(reason: Reason | None) -> dict[str, JsonValue]:
-    """Return why a rule cannot decide, as sentence and code; both None where it can."""
-    return {"unknown_because": text_of(reason), "unknown_because_code": code_of(reason)}
 
 
 def newest_windows(windows: Sequence[WindowRecord], count: int) -> list[WindowRecord]:
@@ -193,23 +164,3 @@ def too_few_windows(windows: int, needed: int) -> Reason | None:
     if windows >= needed:
         return None
     return Reason(ReasonCode.TOO_FEW_WINDOWS, f"{windows} windows, {needed} needed")
-
-
-def forecast_evidence(value: Forecast, digits: int = 3) -> dict[str, JsonValue]:
-    """Return the quantiles of a forecast."""
-    return {
-        "p10": number_evidence(value.p10, digits),
-        "p50": number_evidence(value.p50, digits),
-        "p90": number_evidence(value.p90, digits),
-    }
-
-
-def date_evidence(value: Forecast) -> dict[str, JsonValue]:
-    """Return the quantiles of a date in whole seconds, ns UTC; None beyond what 64 bits hold."""
-    return {name: _whole_second(getattr(value, name)) for name in ("p10", "p50", "p90")}
-
-
-def _whole_second(t_ns: float | None) -> int | None:
-    if t_ns is None or not abs(t_ns) < MOST_NS:
-        return None
-    return round(t_ns / SECOND_NS) * SECOND_NS

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 from scipy.special import betainc
 
+from estimation.alerts.rules.evidence import DecidingEvidence, Evidence, number_evidence
 from estimation.alerts.rules.rule import (
     AlertRule,
     Probability,
@@ -17,14 +19,25 @@ from estimation.alerts.rules.rule import (
     WindowCount,
     measured_until,
     newest_windows,
-    number_evidence,
     too_few_windows,
-    unknown_evidence,
 )
 from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorFaultEvidence(DecidingEvidence):
+    """Evidence of `sensor_fault`: too many of the latest windows are of a faulty sensor."""
+
+    faulty_windows: Annotated[int, Served("Faulty ones of the latest windows.")]
+    windows: Annotated[int, Served("How many windows were looked at.")]
+    reasons: Annotated[
+        Mapping[str, int],
+        Served("Faulty windows by what is wrong: `self_test_or_emergency`, `clipping`, `invalid_values`."),
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +47,7 @@ class SensorFaultRule(AlertRule):
     kind: ClassVar[str] = "sensor_fault"
     of_sensors: ClassVar[bool] = True
     limit_unit: ClassVar[str] = "1"
+    evidence: ClassVar[type[Evidence] | None] = SensorFaultEvidence
     counts_km: ClassVar[bool] = True
     hides_wear: ClassVar[Reason | None] = Reason(ReasonCode.SENSOR_FAULTY, "the sensor is faulty")
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (
@@ -119,12 +133,9 @@ def sensor_fault_finding(
         cleared=below_clear >= rule.clear_probability if enough else None,
         severity=Severity.WARNING,
         probability=number_evidence(over, 3) if enough else None,
-        evidence={
-            "faulty_windows": k,
-            "windows": n,
-            "reasons": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
-            **unknown_evidence(too_few_windows(n, rule.minimum_windows)),
-        },
+        evidence=SensorFaultEvidence(
+            faulty_windows=k, windows=n, reasons=Counter(reasons), unknown=too_few_windows(n, rule.minimum_windows)
+        ).stored(),
         action="replace_sensor",
         raise_limit=rule.raise_share,
         clear_limit=rule.clear_share,

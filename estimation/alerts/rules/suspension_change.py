@@ -9,13 +9,31 @@ from typing import Annotated, ClassVar
 from annotated_types import Interval
 from scipy.special import ndtr
 
-from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, estimate_evidence, number_evidence
+from estimation.alerts.rules.evidence import Evidence, number_evidence
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
 from estimation.trend.suspension import SuspensionParameters
 from estimation.values.alerts import Alert, Finding, Severity
-from estimation.values.intervals import with_interval
-from estimation.values.suspension import SuspensionChange
+from estimation.values.quantities import Estimate, with_interval
+from estimation.values.served import Served
+from estimation.values.trend import SuspensionChange
 
 Change = Annotated[float, Interval(ge=0.01, le=10.0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SuspensionChangeEvidence(Evidence):
+    """Evidence of `suspension_change`: yaw stiffness over creep coefficient of a vehicle has changed."""
+
+    vehicle: Annotated[str, Served("Code of the vehicle.")]
+    change: Annotated[Estimate, Served("Relative change; -0.3 is softer by 30 %.", "change_1")]
+    past_findings: Annotated[int, Served("Findings of its own past.")]
+    step_probability: Annotated[
+        float | None, Served("That it changed at once; null where it did not seem to.", "step_probability_1")
+    ]
+    step_ns: Annotated[int | None, Served("First finding behind the step.")]
+    recent_findings: Annotated[int, Served("Findings that count as now.")]
+    other_vehicles: Annotated[int, Served("Vehicles on the same sections at the same time.")]
+    limit: Annotated[float, Served("Change that raises the alert.", "limit_1")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +45,7 @@ class SuspensionChangeRule(AlertRule):
 
     kind: ClassVar[str] = "suspension_change"
     limit_unit: ClassVar[str] = "1"
+    evidence: ClassVar[type[Evidence] | None] = SuspensionChangeEvidence
     advice: ClassVar[str] = "the yaw suspension of its vehicle has changed: check it"
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (
         ("clear_change", "<=", "raise_change"),
@@ -85,16 +104,16 @@ def suspension_change_finding(rule: SuspensionChangeRule, wheelset: str, found: 
         cleared=not breached and 1.0 - over_clear >= rule.clear_probability,
         severity=Severity.WARNING,
         probability=number_evidence(over, 3),
-        evidence={
-            "vehicle": found.vehicle,
-            "change": estimate_evidence(with_interval(found.change, found.std, count=float(found.recent))),
-            "past_findings": found.past,
-            "recent_findings": found.recent,
-            "other_vehicles": found.others,
-            "step_probability": number_evidence(found.step_probability, 3),
-            "step_ns": found.since_ns,
-            "limit": rule.raise_change,
-        },
+        evidence=SuspensionChangeEvidence(
+            vehicle=found.vehicle,
+            change=with_interval(found.change, found.std, count=float(found.recent)),
+            past_findings=found.past,
+            recent_findings=found.recent,
+            other_vehicles=found.others,
+            step_probability=number_evidence(found.step_probability, 3),
+            step_ns=found.since_ns,
+            limit=rule.raise_change,
+        ).stored(),
         action="check_yaw_suspension",
         raise_limit=rule.raise_change,
         clear_limit=rule.clear_change,

@@ -7,14 +7,14 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Interval
 
-from estimation.alerts.rules.rule import AlertRule, WheelsetFacts, estimate_evidence, number_evidence
+from estimation.alerts.rules.evidence import Evidence, number_evidence
+from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.alerts.step_causes import StepSurroundings, explanations
 from estimation.values.alerts import Alert, Finding, Severity
-from estimation.values.identity import AFTER, BEFORE, UNREGISTERED_CHANGE
-from estimation.values.json_value import JsonValue
+from estimation.values.quantities import Estimate
 from estimation.values.reasons import ReasonCode
-from estimation.values.step_causes import StepCause, StepExplanation
-from estimation.values.trend import TrendStep
+from estimation.values.served import Served
+from estimation.values.trend import UNREGISTERED_CHANGE, StepCause, StepExplanation, TrendStep
 
 DAY_NS = 86_400 * 10**9
 _WORDS = {
@@ -27,12 +27,39 @@ _WORDS = {
 NAMED = 0.1  # share of a cause that the sentence names
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExplainedBy:
+    """What may be behind a sudden change, and how well it explains it."""
+
+    cause: Annotated[StepCause, Served("What may have happened.")]
+    share: Annotated[float | None, Served("Probability among the causes.", "share_1")]
+    left: Annotated[float | None, Served("Standard deviations that it leaves open.", "left_1")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnregisteredChangeEvidence(Evidence):
+    """Evidence of `unregistered_change`: the conicity has changed at once, and no event on file says why."""
+
+    before_ns: Annotated[int, Served("End of the last data before it.", "last_data_before_at")]
+    after_ns: Annotated[int, Served("Begin of the first data behind it.", "first_data_behind_at")]
+    before_km: Annotated[float | None, Served("Mileage of the last interval before it.")]
+    after_km: Annotated[float | None, Served("Mileage of the first interval behind it.")]
+    size: Annotated[Estimate, Served("By how much the conicity has changed.", "size_1")]
+    level_before: Annotated[float | None, Served("Conicity before it.", "level_before_1")]
+    amplitude_mm: Annotated[float | None, Served("Amplitude that size and level are of.")]
+    intervals_before: Annotated[int, Served("Intervals before it.")]
+    intervals_behind: Annotated[int, Served("Intervals behind it.")]
+    causes: Annotated[tuple[ExplainedBy, ...], Served("What may have happened, the likeliest first.")]
+    reason: Annotated[str, Served("The finding as a sentence.")]
+
+
 @dataclass(frozen=True, slots=True)
 class UnregisteredChangeRule(AlertRule):
     """A sudden change of conicity; its alert stands until what happened is registered, or the data withdraw it."""
 
     kind: ClassVar[str] = UNREGISTERED_CHANGE
     limit_unit: ClassVar[str] = "1"
+    evidence: ClassVar[type[Evidence] | None] = UnregisteredChangeEvidence
     advice: ClassVar[str] = "its conicity has changed at once, and nobody registered why: turned, exchanged, damaged?"
     of_wear: ClassVar[bool] = True
 
@@ -77,22 +104,22 @@ def unregistered_change_finding(
     """
     size, causes = step.size.value or 0.0, explanations(step, around)
     severe = Severity.CRITICAL if size >= rule.critical_rise else Severity.WARNING
-    details: dict[str, JsonValue] = {
-        BEFORE: step.before_ns,
-        AFTER: step.after_ns,
-        "before_km": number_evidence(step.before_km, 8),
-        "after_km": number_evidence(step.after_km, 8),
-        "size": estimate_evidence(step.size),
-        "level_before": number_evidence(step.level_before),
-        "amplitude_mm": number_evidence(1e3 * step.amplitude),
-        "intervals_before": step.before,
-        "intervals_behind": step.behind,
-        "causes": [
-            {"cause": one.cause.value, "share": number_evidence(one.share, 2), "left": number_evidence(one.left, 2)}
+    details = UnregisteredChangeEvidence(
+        before_ns=step.before_ns,
+        after_ns=step.after_ns,
+        before_km=number_evidence(step.before_km, 8),
+        after_km=number_evidence(step.after_km, 8),
+        size=step.size,
+        level_before=number_evidence(step.level_before),
+        amplitude_mm=number_evidence(1e3 * step.amplitude),
+        intervals_before=step.before,
+        intervals_behind=step.behind,
+        causes=tuple(
+            ExplainedBy(cause=one.cause, share=number_evidence(one.share, 2), left=number_evidence(one.left, 2))
             for one in causes
-        ],
-        "reason": _sentence(step, size, causes),
-    }
+        ),
+        reason=_sentence(step, size, causes),
+    )
     return Finding(
         wheelset=wheelset,
         kind=UnregisteredChangeRule.kind,
@@ -100,7 +127,7 @@ def unregistered_change_finding(
         cleared=False,
         severity=Severity.INFO if -rule.warning_fall < size < 0.0 else severe,
         probability=number_evidence(step.probability, 3),
-        evidence=details,
+        evidence=details.stored(),
         action="measure_wheel_profiles" if size > 0.0 else "register_event",
         raise_limit=None,
         clear_limit=None,

@@ -9,21 +9,31 @@ from typing import Annotated, ClassVar
 from annotated_types import Interval
 from scipy.special import ndtr
 
-from estimation.alerts.rules.rule import (
-    AlertRule,
-    Probability,
-    WheelsetFacts,
-    WindowCount,
-    estimate_evidence,
+from estimation.alerts.rules.evidence import (
+    DecidingEvidence,
+    Evidence,
     number_evidence,
-    too_few_windows,
-    unknown_evidence,
 )
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount, too_few_windows
 from estimation.values.alerts import Finding, Severity
 from estimation.values.dampers import GearDamper
-from estimation.values.intervals import NORMAL_95
+from estimation.values.quantities import NORMAL_95, Estimate
+from estimation.values.served import Served
 
 DampingShare = Annotated[float, Interval(ge=0.05, le=1.5)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeakDamperEvidence(DecidingEvidence):
+    """Evidence of `weak_damper`: the lateral damper of a running gear has lost most of its damping."""
+
+    vehicle: Annotated[str, Served("Code of the vehicle.")]
+    first_axle: Annotated[int, Served("First axle of the running gear, from 1.")]
+    share: Annotated[Estimate, Served("Damping over that of the vehicle class on file.", "damping_share_1")]
+    windows: Annotated[int, Served("Windows that show it.")]
+    from_ns: Annotated[int, Served("Start of the first of them.", "measured_from")]
+    to_ns: Annotated[int, Served("Start of the last of them.", "measured_to")]
+    limit: Annotated[float, Served("Share below which the alert is raised.", "limit_1")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +46,7 @@ class WeakDamperRule(AlertRule):
 
     kind: ClassVar[str] = "weak_damper"
     limit_unit: ClassVar[str] = "1"
+    evidence: ClassVar[type[Evidence] | None] = WeakDamperEvidence
     advice: ClassVar[str] = "a lateral damper has lost its damping: check it"
     relations: ClassVar[Sequence[tuple[str, str, str]]] = (("clear_share", ">=", "raise_share"),)
 
@@ -73,16 +84,16 @@ def weak_damper_finding(rule: WeakDamperRule, wheelset: str, found: GearDamper) 
         cleared=1.0 - not_whole >= rule.clear_probability if known and not_whole is not None else None,
         severity=Severity.WARNING,
         probability=number_evidence(weak, 3),
-        evidence={
-            "vehicle": found.vehicle,
-            "first_axle": found.first_axle,
-            "share": estimate_evidence(found.share),
-            "windows": found.windows,
-            "from_ns": found.from_ns,
-            "to_ns": found.to_ns,
-            "limit": rule.raise_share,
-            **unknown_evidence(because),
-        },
+        evidence=WeakDamperEvidence(
+            vehicle=found.vehicle,
+            first_axle=found.first_axle,
+            share=found.share,
+            windows=found.windows,
+            from_ns=found.from_ns,
+            to_ns=found.to_ns,
+            limit=rule.raise_share,
+            unknown=because,
+        ).stored(),
         action="check_lateral_damper",
         raise_limit=rule.raise_share,
         clear_limit=rule.clear_share,

@@ -8,35 +8,42 @@ offset and however slowly the sensors see.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from scipy.special import ndtr
 
-from estimation.alerts.rules.intervals import counting
-from estimation.alerts.rules.rule import (
-    AlertRule,
-    Probability,
-    WheelsetFacts,
-    WindowCount,
-    estimate_evidence,
+from estimation.alerts.rules.evidence import (
+    DecidingEvidence,
+    Evidence,
     number_evidence,
-    too_few_windows,
-    unknown_evidence,
 )
+from estimation.alerts.rules.intervals import counting
+from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount, too_few_windows
 from estimation.alerts.rules.standing import Standing
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.intervals import with_interval
 from estimation.values.json_value import JsonValue
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.served import Served
 
+Indicator = Literal["offset", "shape"]
 INSIDE = 1.0e-3  # m: the reference
 OUTSIDE = (2.0e-3, 3.5e-3)  # m: what is compared with it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelAsymmetryEvidence(DecidingEvidence):
+    """Evidence of `wheel_asymmetry`: left and right wheel differ."""
+
+    offset_mm: Annotated[Estimate, Served("Lateral displacement at which both wheels roll on one radius.")]
+    shape_mm: Annotated[Estimate, Served("Even part of the rolling radius difference, outside against inside.")]
+    raised_by: Annotated[tuple[Indicator, ...], Served("What raised it.")]
+    windows: Annotated[int, Served("Windows behind the geometry.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +52,7 @@ class WheelAsymmetryRule(AlertRule):
 
     kind: ClassVar[str] = "wheel_asymmetry"
     limit_unit: ClassVar[str] = "mm"
+    evidence: ClassVar[type[Evidence] | None] = WheelAsymmetryEvidence
     advice: ClassVar[str] = "its wheels differ in diameter or shape: measure them"
     counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
@@ -171,7 +179,7 @@ def wheel_asymmetry_finding(
         not_assessable_reason: Why the geometry does not count at present; None where it does.
     """
     reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)
-    limits = {
+    limits: dict[Indicator, tuple[Estimate, float, float]] = {
         "offset": (asymmetry.offset, rule.offset_limit_mm, rule.offset_clear_mm),
         "shape": (asymmetry.shape, rule.shape_limit_mm, rule.shape_clear_mm),
     }
@@ -179,15 +187,15 @@ def wheel_asymmetry_finding(
     over_clear = {name: None if reason else _beyond(value, clear) for name, (value, _, clear) in limits.items()}
     breaching = [name for name, p in over.items() if p is not None and p >= rule.raise_probability]
     known = [p for p in over.values() if p is not None]
-    leading = max((n for n, p in over.items() if p is not None), key=lambda n: over[n] or 0.0, default="offset")
-    blamed = sorted({*breaching, *(name for name in raised_by if name in limits)})
-    details: dict[str, JsonValue] = {
-        "offset_mm": estimate_evidence(_in_mm(asymmetry.offset)),
-        "shape_mm": estimate_evidence(_in_mm(asymmetry.shape)),
-        "raised_by": [*blamed],
-        "windows": windows,
-        **unknown_evidence(reason),
-    }
+    leading: Indicator = max(limits, key=lambda name: -1.0 if over[name] is None else over[name] or 0.0)
+    blamed = [name for name in limits if name in breaching or name in raised_by]
+    details = WheelAsymmetryEvidence(
+        offset_mm=_in_mm(asymmetry.offset),
+        shape_mm=_in_mm(asymmetry.shape),
+        raised_by=tuple(blamed),
+        windows=windows,
+        unknown=reason,
+    )
     return Finding(
         wheelset=wheelset,
         kind=WheelAsymmetryRule.kind,
@@ -195,7 +203,7 @@ def wheel_asymmetry_finding(
         cleared=_cleared(over_clear, blamed, rule.clear_probability),
         severity=Severity.WARNING,
         probability=number_evidence(max(known), 3) if known else None,
-        evidence=details,
+        evidence=details.stored(),
         action="measure_wheel_diameters" if leading == "offset" else "measure_wheel_profiles",
         raise_limit=limits[leading][1],
         clear_limit=limits[leading][2],
@@ -203,7 +211,7 @@ def wheel_asymmetry_finding(
     )
 
 
-def _cleared(over_clear: dict[str, float | None], blamed: list[str], wanted: float) -> bool | None:
+def _cleared(over_clear: Mapping[Indicator, float | None], blamed: Sequence[str], wanted: float) -> bool | None:
     known = {name: p for name, p in over_clear.items() if p is not None}
     if not known or any(name not in known for name in blamed):
         return None

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from annotated_types import Interval
 from scipy.special import betainc
 
+from estimation.alerts.rules.evidence import DecidingEvidence, Evidence, number_evidence
 from estimation.alerts.rules.rule import (
     AlertRule,
     Probability,
@@ -19,18 +20,28 @@ from estimation.alerts.rules.rule import (
     WindowCount,
     measured_until,
     newest_windows,
-    number_evidence,
     too_few_windows,
-    unknown_evidence,
 )
 from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
-from estimation.values.json_value import JsonValue
 from estimation.values.registry import WheelsetRecord
+from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
 
 MOST_APART = 0.1  # relative, of the turn from that of the wheel: worn wheels, and speeds by wheels of another radius
 SAME_SIDE = 0.8  # of the windows that show a side
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelFlatEvidence(DecidingEvidence):
+    """Evidence of `wheel_flat`: a wheel strikes once a turn in many of the latest windows."""
+
+    striking_windows: Annotated[int, Served("Windows in which it strikes, of the latest.")]
+    windows: Annotated[int, Served("How many windows were looked at.")]
+    blow_m_s2: Annotated[float | None, Served("Median lateral acceleration; at least that where the sensor clips.")]
+    wheel: Annotated[Literal["left", "right"] | None, Served("Of the wheelset itself; null where it is not known.")]
+    turn_m: Annotated[float | None, Served("Distance between two blows.")]
+    speed_max_m_s: Annotated[float | None, Served("Greatest speed of those windows.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +50,7 @@ class WheelFlatRule(AlertRule):
 
     kind: ClassVar[str] = "wheel_flat"
     limit_unit: ClassVar[str] = "1"
+    evidence: ClassVar[type[Evidence] | None] = WheelFlatEvidence
     advice: ClassVar[str] = "a wheel has a flat: inspect the treads, turn the wheelset"
     counts_km: ClassVar[bool] = True
     of_wear: ClassVar[bool] = True
@@ -107,15 +119,15 @@ def wheel_flat_finding(
         cleared=None if unknown else 1.0 - over_clear >= rule.clear_probability,
         severity=Severity.CRITICAL if size is not None and size >= rule.critical_m_s2 else Severity.WARNING,
         probability=None if unknown else number_evidence(over, 3),
-        evidence={
-            "striking_windows": k,
-            "windows": n,
-            "blow_m_s2": number_evidence(size, 2),
-            "wheel": None if mounting is None else _wheel(found, mounted_reversed=mounting.reversed),
-            "turn_m": number_evidence(float(np.median([w.quality.blows.turn_m for w in found])) if found else None, 3),
-            "speed_max_m_s": number_evidence(max((w.quality.speed_max_m_s for w in found), default=None), 3),
-            **unknown_evidence(unknown),
-        },
+        evidence=WheelFlatEvidence(
+            striking_windows=k,
+            windows=n,
+            blow_m_s2=number_evidence(size, 2),
+            wheel=None if mounting is None else _wheel(found, mounted_reversed=mounting.reversed),
+            turn_m=number_evidence(float(np.median([w.quality.blows.turn_m for w in found])) if found else None, 3),
+            speed_max_m_s=number_evidence(max((w.quality.speed_max_m_s for w in found), default=None), 3),
+            unknown=unknown,
+        ).stored(),
         action="inspect_wheel_treads",
         raise_limit=rule.raise_share,
         clear_limit=rule.clear_share,
@@ -123,7 +135,7 @@ def wheel_flat_finding(
     )
 
 
-def _wheel(found: Sequence[WindowRecord], *, mounted_reversed: bool) -> JsonValue:
+def _wheel(found: Sequence[WindowRecord], *, mounted_reversed: bool) -> Literal["left", "right"] | None:
     """Return which of the wheelset's own wheels strikes, ``left`` or ``right``; None where the windows do not say."""
     sides = [window.quality.blows.side for window in found if window.quality.blows.side]
     if not sides or abs(sum(sides)) < SAME_SIDE * len(sides) or 2 * len(sides) < len(found):

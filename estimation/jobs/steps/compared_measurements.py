@@ -6,18 +6,16 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from estimation.accuracy.comparison import Comparison, compared
-from estimation.accuracy.estimate_of_date import baseline_at, estimate_of_date
+from estimation.accuracy.fleet_accuracy import Comparison, baseline_at, compared, estimate_of_date
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.jobs.steps.measured_wheelsets import measurement_name
 from estimation.jobs.steps.trend_steps import last_change
 from estimation.storage import UnitOfWork
-from estimation.values.evidence import evidence_of_measurement, evidence_of_version
 from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason
 from estimation.values.registry import WheelsetRecord
-from estimation.values.track import AlignmentSource, TrackSectionRecord
+from estimation.values.track import AlignmentSource, TrackSectionRecord, evidence_of_measurement, evidence_of_version
 from estimation.values.windows import WindowState
 
 ContactSearch = Callable[[WheelPair, Sequence[RailShare]], WheelContact | Reason]

@@ -12,10 +12,9 @@ from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.partition import Entry
-from estimation.track.profile_life import ProfileLife, profile_life
+from estimation.track.passes import ProfileLife, profile_life
 from estimation.values.registry import Mounting, WheelsetRecord
-from estimation.values.track import TrackSectionRecord
-from estimation.values.track_epochs import EpochMember, FoldState
+from estimation.values.track import EpochMember, FoldState, TrackSectionRecord
 from estimation.values.windows import WindowRecord
 
 

@@ -13,12 +13,11 @@ from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import load_window
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.checks import gate
-from estimation.motion.joined_windows import following, joined
 from estimation.motion.usable_samples import straight_part
 from estimation.storage import UnitOfWork
-from estimation.track.examination import examine
+from estimation.track.examination import examine, following, joined
+from estimation.track.gridded_pass import resampled
 from estimation.track.partition import Entry
-from estimation.track.pass_grid import resampled
 from estimation.track.passes import Pass
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackLayout

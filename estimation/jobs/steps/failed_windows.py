@@ -12,8 +12,8 @@ from estimation.errors import NotFoundError
 from estimation.failures import code_of_error, first_line
 from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext
-from estimation.values.quarantine import SubjectKind
 from estimation.values.reasons import Reason, code_of
+from estimation.values.runs import SubjectKind
 from estimation.values.windows import WindowRecord, WindowState, key_of_text, text_of_key
 
 T = TypeVar("T")

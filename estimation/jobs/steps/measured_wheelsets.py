@@ -11,7 +11,7 @@ from estimation.errors import ContactError, DamagedError, ProfileError
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
 from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import ProfileLife
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowRecord

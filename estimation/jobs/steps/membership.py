@@ -11,11 +11,11 @@ from estimation.jobs.steps.baselines import Baseline, baselines
 from estimation.jobs.steps.trend_steps import last_change
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.values.identity import IdentityChange
 from estimation.values.registry import Mounting
 from estimation.values.roll_up import Member, RollUp, RollUpKey, Side, TabledWindow
+from estimation.values.trend import IdentityChange
 
-ROLL_UP_VERSION = 1
+ROLL_UP_VERSION = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,13 +83,9 @@ class Membership:
         table = f"{window.parameter_key} {window.content_digest}"
         if any(m.from_ns <= at_ns and (m.to_ns is None or at_ns < m.to_ns) for m in self.turned):
             table = f"{table} reversed"
-        line = f"{at_ns} {record.content_digest} {table} {window.track_version} {mileage_km!r}"
-        digest = hashlib.sha256(line.encode()).hexdigest()
-        return Member(window, mileage_km, digest, self.forgetting(key, mileage_km))
-
-    def forgetting(self, key: RollUpKey, mileage_km: float) -> float:
-        """Return the weight of a window against the end of its interval."""
-        return float(0.5 ** ((self.end_km(key) - mileage_km) / self.half_life_km))
+        weight = float(0.5 ** ((self.end_km(key) - mileage_km) / self.half_life_km))
+        line = f"{at_ns} {record.content_digest} {table} {window.track_version} {mileage_km!r} {weight!r}"
+        return Member(window, mileage_km, hashlib.sha256(line.encode()).hexdigest(), weight)
 
     def of_its_baseline(self, roll_up: RollUp) -> bool:
         """Whether the time of a roll-up is of the baseline, and on the side of its last change, of its key."""

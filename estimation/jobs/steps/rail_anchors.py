@@ -9,22 +9,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.accuracy.estimate_of_date import baseline_at
+from estimation.accuracy.fleet_accuracy import baseline_at
 from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import RailsSettings
 from estimation.jobs.steps.trend_steps import last_change
-from estimation.rails.design import conicity_on_rails, designed_wheel
-from estimation.rails.parameters import Anchors, ReferenceWheel
+from estimation.rails.parameters import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
-from estimation.values.identity import on_one_side
 from estimation.values.rails import KnownWheel, RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import TrackSectionRecord
+from estimation.values.trend import on_one_side
 
 DAY_NS = 86_400_000_000_000
 SAME_GAUGE = 0.3e-3  # m, within which gauges count as alike
@@ -44,6 +43,7 @@ class MeasuredWheel:
     key: WheelKey
     at_ns: int
     digest: str  # of the profiles
+    wheels: WheelPair = field(compare=False, repr=False, metadata={"made_from": False})
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
     return AnchorInputs(sections, known, rails, profile, radius, measured, other, missing)
 
 
-def anchors(unit: UnitOfWork, inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
+def anchors(inputs: AnchorInputs, amplitude: FloatArray) -> Anchors:
     """Return what holds the level, with the conicities that follow from profiles.
 
     Args:
@@ -118,24 +118,17 @@ def anchors(unit: UnitOfWork, inputs: AnchorInputs, amplitude: FloatArray) -> An
     return Anchors(
         ReferenceWheel(inputs.profile, of_rails[inputs.rails], on_file),
         inputs.known,
-        tuple(_known_wheels(unit, inputs, inputs.rails, amplitude)),
+        tuple(_known_wheels(inputs, inputs.rails, amplitude)),
         tonnage={one.code: one.tonnage_mgt_per_year for one in inputs.sections if one.tonnage_mgt_per_year},
         refused=inputs.other,
         missing=inputs.missing,
     )
 
 
-def _known_wheels(unit: UnitOfWork, inputs: AnchorInputs, rails: RailShare, amplitude: FloatArray) -> list[KnownWheel]:
+def _known_wheels(inputs: AnchorInputs, rails: RailShare, amplitude: FloatArray) -> list[KnownWheel]:
     """Return the conicity of measured wheels on the reference rails; the newest measurement of an interval counts."""
-    found = {}
-    for measured in sorted(inputs.measured, key=lambda one: one.at_ns):
-        key = measured.key
-        wheelset = unit.registry.wheelset(key.wheelset)
-        for one in unit.registry.measured_profiles(key.wheelset):
-            if one.at_ns == measured.at_ns:
-                wheels = WheelPair(one.left, one.right, wheelset.nominal_radius_m, one.std)
-                found[key] = KnownWheel(key, *conicity_on_rails(wheels, rails, amplitude))
-    return list(found.values())
+    newest = {one.key: one.wheels for one in sorted(inputs.measured, key=lambda one: one.at_ns)}
+    return [KnownWheel(key, *conicity_on_rails(wheels, rails, amplitude)) for key, wheels in newest.items()]
 
 
 def _measured_wheels(
@@ -147,17 +140,19 @@ def _measured_wheels(
         if cell.usable is not None:
             seen[cell.wheel] = min(cell.usable.from_ns, seen.get(cell.wheel, cell.usable.from_ns))
     found = []
-    for wheelset in wheelsets:
+    of_profiles = unit.registry.measured_wheelsets()
+    for wheelset in (one for one in wheelsets if one.serial in of_profiles):
         try:
             measured = unit.registry.measured_profiles(wheelset.serial)
         except DamagedError:
             continue
-        change = last_change(unit, wheelset) if measured else None
+        change = last_change(unit, wheelset)
         for one in measured:
             baseline, begin_km = baseline_at(wheelset, one.at_ns)
             key = WheelKey(wheelset.serial, baseline, int((one.mileage_km - begin_km) // interval_km))
             if key in seen and on_one_side(change, one.at_ns, seen[key]):
-                found.append(MeasuredWheel(key, one.at_ns, _profiles_digest(one)))
+                wheels = WheelPair(one.left, one.right, wheelset.nominal_radius_m, one.std)
+                found.append(MeasuredWheel(key, one.at_ns, _profiles_digest(one), wheels))
     return tuple(sorted(found))
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from estimation.geometry.estimate import GeometryParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.membership import Membership, membership
@@ -16,7 +17,8 @@ from estimation.jobs.steps.rolling import Part, members, rolled
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.rails.cell import section_conicity
 from estimation.storage import UnitOfWork
-from estimation.tables.bin_table import bin_parameters, merge_all
+from estimation.tables.bin_table import BinParameters, bin_parameters, merge_all
+from estimation.values.geometry import BinTable
 from estimation.values.rails import RailKey, SectionConicity, StoredCell, WheelKey
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member, Side
@@ -29,44 +31,106 @@ LOST = "damaged, and its windows are purged"  # in the place of a digest
 
 
 @dataclass(frozen=True, slots=True)
-class CellsFound:
-    """The cells of a wheelset as they should be stored: those that are new or others, and those that are gone."""
+class CellWindows:
+    """What the windows of a cell together say, and how uncertain what they were found with is."""
 
-    changed: tuple[StoredCell, ...]
-    gone: tuple[CellKey, ...]
+    table: BinTable
+    bins: BinParameters
+    geometry: GeometryParameters
+    scale_std: float
 
 
-def cells_of(unit: UnitOfWork, serial: str, context: JobContext) -> CellsFound:
-    """Return what has changed of the cells of a wheelset.
+@dataclass(frozen=True, slots=True)
+class CellToMake:
+    """A cell that is another by now.
 
-    Of a mileage interval whose windows have been purged the cells stay as they are; where its geometry is refused by
-    now they are not used, until it is not any more.
-
-    Args:
-        unit: Roll-ups, tables, geometries, alignments and the registry are read.
+    Attributes:
+        before: With key, digest and extent; and the reason, where the whole interval is refused.
+        windows: None where it is refused; ``before.digest`` stands for it.
     """
-    stored = {(one.wheel, one.rail): one for one in unit.rails.cells(serial)}
-    rules = membership(unit, serial, ClassLookup(unit, context.settings.estimation))
+
+    before: StoredCell
+    windows: CellWindows | None = field(metadata={"made_from": False})
+
+    def made(self) -> StoredCell:
+        """Return the cell, or why its windows give none."""
+        if self.windows is None:
+            return self.before
+        found = section_conicity(
+            self.before.wheel,
+            self.before.rail,
+            self.windows.table,
+            self.windows.bins,
+            self.windows.geometry,
+            scale_std=self.windows.scale_std,
+            span_ns=(self.before.from_ns, self.before.to_ns),
+        )
+        if isinstance(found, Reason):
+            return replace(self.before, reason=found)
+        return replace(self.before, cell=found)
+
+
+@dataclass(frozen=True, slots=True)
+class WheelsetCells:
+    """What is other by now of the cells of a wheelset.
+
+    Attributes:
+        to_make: Cells with other windows.
+        moved: Cells of purged windows that are of another mileage interval, or refused or not, by now.
+        kept: Cells that are as they were, in an interval with other windows.
+        gone: Cells that there are no more.
+    """
+
+    to_make: tuple[CellToMake, ...] = ()
+    moved: tuple[StoredCell, ...] = ()
+    kept: tuple[StoredCell, ...] = ()
+    gone: tuple[CellKey, ...] = ()
+
+
+def wheelset_cells(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, WheelsetCells]:
+    """Return what is other by now of the cells of some wheelsets.
+
+    Windows are read of the mileage intervals that have changed. Of one whose windows have been purged the cells stay
+    as they are; where its geometry is refused by now they are not used, until it is not any more.
+    """
+    stored: dict[str, list[StoredCell]] = {serial: [] for serial in serials}
+    for one in unit.rails.cells(serials):
+        stored[one.wheel.wheelset].append(one)
+    classes = ClassLookup(unit, context.settings.estimation)
+    classes.look_up(serials)
+    return {
+        serial: _of_wheelset(unit, membership(unit, serial, classes), own, context) for serial, own in stored.items()
+    }
+
+
+def _of_wheelset(
+    unit: UnitOfWork, rules: Membership, cells: Sequence[StoredCell], context: JobContext
+) -> WheelsetCells:
+    stored = {(one.wheel, one.rail): one for one in cells}
+    intervals = unit.geometries.interval_digests(rules.wheelset)
     reader = _CellReader(unit, rules, context)
-    changed: list[StoredCell] = []
+    found = WheelsetCells()
     seen: set[CellKey] = set()
     for part in _chosen(rules, rolled(unit, rules).parts):
-        wheel = WheelKey(serial, part.roll_up.key.baseline, part.roll_up.key.interval)
-        refused = unit.geometries.reason(serial, wheel.baseline, wheel.interval)
-        own = _within(part, wheel, stored.values()) if part.roll_up.sealed else []
+        wheel = WheelKey(rules.wheelset, part.roll_up.key.baseline, part.roll_up.key.interval)
+        interval = intervals.get((wheel.baseline, wheel.interval))
+        refused = None if interval is None else interval.reason
+        own = _within(part, wheel, cells) if part.roll_up.sealed else []
         if own:
-            kept = [_sealed(replace(one, wheel=wheel), refused) for one in own]
-            seen |= {(one.wheel, one.rail) for one in kept}
-            changed += [one for one in kept if one != stored.get((one.wheel, one.rail))]
+            moved = [_sealed(replace(one, wheel=wheel), refused) for one in own]
+            seen |= {(one.wheel, one.rail) for one in moved}
+            changed = (one for one in moved if one != stored.get((one.wheel, one.rail)))
+            found = replace(found, moved=(*found.moved, *changed))
             continue
-        assumed = rules.assumed(part.roll_up)
-        assert assumed is not None  # parts of another class are not chosen
-        for rail, there in _by_rail(members(unit, rules, part), context.settings.rails.period_days).items():
-            digest = reader.digest(there, assumed, refused)
-            seen.add((wheel, rail))
-            if (wheel, rail) not in stored or stored[wheel, rail].digest != digest:
-                changed.append(reader.cell(wheel, rail, there, assumed, refused, digest))
-    return CellsFound(tuple(changed), tuple(sorted(set(stored) - seen)))
+        digest = reader.interval_digest(part, refused)
+        there = [one for one in cells if one.wheel == wheel]
+        if there and all(one.interval_digest == digest and not one.damaged for one in there):
+            seen |= {(one.wheel, one.rail) for one in there}
+            continue
+        to_make, kept, keys = reader.interval(part, wheel, refused, digest, stored)
+        seen |= keys
+        found = replace(found, to_make=(*found.to_make, *to_make), kept=(*found.kept, *kept))
+    return replace(found, gone=tuple(sorted(set(stored) - seen)))
 
 
 def _within(part: Part, wheel: WheelKey, stored: Iterable[StoredCell]) -> list[StoredCell]:
@@ -98,50 +162,64 @@ class _CellReader:
     rules: Membership
     context: JobContext
 
-    def digest(self, own: Sequence[Member], assumed: Assumed, refused: Reason | None) -> str:
-        """Return the digest of all that a cell is made from."""
+    def interval_digest(self, part: Part, refused: Reason | None) -> str:
+        """Return the digest of all that the cells of a mileage interval are made from."""
+        text = self._common(self._assumed(part), refused)
+        text.update(f"{self.context.settings.rails.period_days!r} {part.roll_up.content}".encode())
+        return text.hexdigest()
+
+    def interval(
+        self,
+        part: Part,
+        wheel: WheelKey,
+        refused: Reason | None,
+        interval_digest: str,
+        stored: Mapping[CellKey, StoredCell],
+    ) -> tuple[list[CellToMake], list[StoredCell], set[CellKey]]:
+        """Return the cells of an interval that are to be made, those that are as they were, and the keys of all."""
+        assumed, to_make, kept, keys = self._assumed(part), [], [], set()
+        windows = members(self.unit, self.rules, part)
+        for rail, there in _by_rail(windows, self.context.settings.rails.period_days).items():
+            digest, last = self._digest(there, assumed, refused), there[-1].window.record
+            before = stored.get((wheel, rail))
+            keys.add((wheel, rail))
+            if before is not None and before.digest == digest:
+                kept.append(replace(before, interval_digest=interval_digest))
+                continue
+            extent = len(there), there[0].start_ns, last.start_ns + last.length_ns
+            empty = StoredCell(wheel, rail, digest, None, refused, *extent, interval_digest)
+            to_make.append(CellToMake(empty, None if refused else self._windows(empty, there, assumed)))
+        return to_make, kept, keys
+
+    def _assumed(self, part: Part) -> Assumed:
+        assumed = self.rules.assumed(part.roll_up)
+        assert assumed is not None  # parts of another class are not chosen
+        return assumed
+
+    def _common(self, assumed: Assumed, refused: Reason | None) -> hashlib._Hash:
         code = "" if refused is None else refused.code
         settings = self.context.settings.estimation.as_json()
-        text = hashlib.sha256(
+        return hashlib.sha256(
             f"{CELL_VERSION} {self.context.code_version} {assumed.digest} {code} {settings!r}\n".encode()
         )
+
+    def _digest(self, own: Sequence[Member], assumed: Assumed, refused: Reason | None) -> str:
+        """Return the digest of all that a cell is made from."""
+        text = self._common(assumed, refused)
         for one in own:
             text.update(f"{one.line}\n".encode())
         return text.hexdigest()
 
-    def cell(
-        self,
-        wheel: WheelKey,
-        rail: RailKey,
-        own: Sequence[Member],
-        assumed: Assumed,
-        refused: Reason | None,
-        digest: str,
-    ) -> StoredCell:
-        """Return a cell, or why its windows give none: what contradicts the whole interval, or themselves."""
-        last = own[-1].window.record
-        extent = len(own), own[0].start_ns, last.start_ns + last.length_ns
-        if refused is not None:
-            return StoredCell(wheel, rail, digest, None, refused, *extent)
+    def _windows(self, cell: StoredCell, own: Sequence[Member], assumed: Assumed) -> CellWindows:
         bins, settings = bin_parameters(assumed.windows), self.context.settings.estimation
         starts = [one.start_ns for one in own]
-        table = merge_all((cells for _, cells in self.unit.tables.cells_of(wheel.wheelset, starts)), bins)
+        table = merge_all((cells for _, cells in self.unit.tables.cells_of(cell.wheel.wheelset, starts)), bins)
         versions = sorted({one.window.track_version for one in own if one.window.track_version is not None})
-        used = [self.unit.tracks.alignment(rail.section, version) for version in versions]
+        used = [self.unit.tracks.alignment(cell.rail.section, version) for version in versions]
         tracks = [at_own_gauge(track) for track in used if track is not None]
-        uncertainty = ParameterUncertainty.of(assumed.on_file.vehicle_class).on(tracks, wheel.wheelset)
-        found = section_conicity(
-            wheel,
-            rail,
-            table,
-            bins,
-            replace(settings.geometry, uncertainty=uncertainty),
-            scale_std=max((track.scale_std for track in tracks), default=0.0),
-            span_ns=extent[1:],
-        )
-        if isinstance(found, Reason):
-            return StoredCell(wheel, rail, digest, None, found, *extent)
-        return StoredCell(wheel, rail, digest, found, None, *extent)
+        uncertainty = ParameterUncertainty.of(assumed.on_file.vehicle_class).on(tracks, cell.wheel.wheelset)
+        geometry = replace(settings.geometry, uncertainty=uncertainty)
+        return CellWindows(table, bins, geometry, max((track.scale_std for track in tracks), default=0.0))
 
 
 def at_own_gauge(track: TrackAlignment) -> TrackAlignment:

@@ -19,17 +19,16 @@ from estimation.jobs.steps.rolling import Part, Rolled, sums
 from estimation.jobs.steps.rolling_radius import RadiusOnFile, former, remembered, stated
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
-from estimation.tables.weighted_tables import weighted_sum
-from estimation.values.exact_table import ExactTable
+from estimation.tables.bin_table import weighted_sum
 from estimation.values.geometry import LEFT_OUT, PASSED_OVER, BinTable, Contradiction, GeometryRecord
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.roll_up import MILLIMETRES, MOST_CHOSEN, RollUp, RollUpKey, Side
+from estimation.values.roll_up import MOST_CHOSEN, RollUp, RollUpKey, Side
 from estimation.values.windows import WindowRecord
 
 REMEMBERED_HALF_LIVES = 20.0  # a weight of one in a million
-SUMS_IN_MEMORY = 4  # roll-ups of a wheelset, 3 MB each
+SUMS_IN_MEMORY = 4  # roll-ups of a wheelset, 1.5 MB each
 Place = tuple[int, int]  # baseline and interval
 
 
@@ -54,21 +53,16 @@ class RolledGeometries:
     earlier: tuple[str, BinTable] | None = None
     _passed_over: PassedOverWindows = field(init=False)
     _refused: Sequence[WindowRecord] | None = None
-    _sums: dict[RollUpKey, tuple[ExactTable, ExactTable]] = field(default_factory=dict)
+    _sums: dict[RollUpKey, tuple[BinTable, BinTable]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.radius = RadiusOnFile(self.unit, self.rules.wheelset)
         self._passed_over = PassedOverWindows(self.unit, self.rules)
 
-    def sums(self, part: Part) -> tuple[ExactTable, ExactTable]:
-        """Return the sums of a roll-up; of those that have changed some are kept in memory.
-
-        Args:
-            part: With a class that is still the same.
-        """
-        found = self._sums.get(part.roll_up.key) or sums(self.unit, self.rules, part)
-        assert found is not None  # ``records`` asks for parts whose class is the same
-        if part.added or part.taken:
+    def sums(self, part: Part) -> tuple[BinTable, BinTable]:
+        """Return the sums of a roll-up; of those that have changed some are kept in memory."""
+        found = self._sums.get(part.roll_up.key) or sums(self.unit, self.rules.wheelset, part)
+        if part.added:
             if len(self._sums) >= SUMS_IN_MEMORY:
                 self._sums.pop(next(iter(self._sums)))
             self._sums[part.roll_up.key] = found
@@ -216,13 +210,13 @@ class RolledGeometries:
         of_class += f" {json.dumps(counts)}" if counts else ""
         text = hashlib.sha256(f"{self.context.code_version}{of_class}\n".encode())
         for one in roll_ups:
-            text.update(f"{one.key.interval} {int(one.key.side)} {one.windows} {one.content_digest}\n".encode())
+            text.update(f"{one.key.interval} {int(one.key.side)} {one.windows} {one.content}\n".encode())
         return text.hexdigest()
 
     def _record(self, parts: Sequence[Part], place: tuple[int, int | None], digest: str) -> GeometryRecord:
         roll_ups, used = [part.roll_up for part in parts], self.estimated_with(parts)
         current, last = place[1] is None, max(roll_ups, key=lambda one: one.last_ns)
-        table = self.forgetting(parts) if current else self.sums(parts[0])[0].table()
+        table = self.forgetting(parts) if current else self.sums(parts[0])[0]
         geometry, contradiction = used.estimated(table), None
         if geometry.status is not Status.MODEL_MISMATCH:
             contradiction = self.contradiction(parts, place)
@@ -284,19 +278,19 @@ class RolledGeometries:
         """
         newest_km = max((part.roll_up for part in parts), key=lambda one: one.last_ns).last_km
         *before, last = parts
-        tables = [(self._weight(last.roll_up, newest_km), self.sums(last)[1].table())]
+        tables = [(self._weight(last.roll_up, newest_km), self.sums(last)[1])]
         if before:
             tables.insert(0, (self._weight(before[-1].roll_up, newest_km), self._earlier(before)))
         return weighted_sum(tables)
 
     def _earlier(self, parts: Sequence[Part]) -> BinTable:
         """Return the sum of the intervals that are over with forgetting, weighted as at the end of the last of them."""
-        text = "".join(f"{one.roll_up.key} {one.roll_up.windows} {one.roll_up.content_digest}\n" for one in parts)
+        text = "".join(f"{one.roll_up.key} {one.roll_up.windows} {one.roll_up.content}\n" for one in parts)
         digest = hashlib.sha256(f"{self.rules.digest}\n{text}".encode()).hexdigest()
         stored = self.unit.roll_ups.earlier(self.rules.wheelset, digest)
         if stored is None:
             end_km = self.rules.end_km(parts[-1].roll_up.key)
-            stored = weighted_sum((self._weight(part.roll_up, end_km), self.sums(part)[1].table()) for part in parts)
+            stored = weighted_sum((self._weight(part.roll_up, end_km), self.sums(part)[1]) for part in parts)
             self.earlier = digest, stored
         return stored
 
@@ -307,8 +301,8 @@ class RolledGeometries:
         """Return the mean mileage with forgetting."""
         newest_km = max(one.last_km for one in roll_ups)
         weights = [self._weight(one, newest_km) for one in roll_ups]
-        total = sum(weight * one.weighted_mileage for weight, one in zip(weights, roll_ups, strict=True))
-        return total / sum(w * one.weight for w, one in zip(weights, roll_ups, strict=True)) / MILLIMETRES
+        total = sum(weight * one.weighted_km for weight, one in zip(weights, roll_ups, strict=True))
+        return total / sum(w * one.weight for w, one in zip(weights, roll_ups, strict=True))
 
     def _emptied(self, record: GeometryRecord) -> GeometryRecord:
         """Return what follows ``record`` when none of its windows is left."""

@@ -15,7 +15,7 @@ from estimation.values.geometry import RADIUS_DOUBTED, Contradiction, GeometryRe
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.rolling_sums import RollingSums, WindowRollingSums
+from estimation.values.roll_up import RollingSums, WindowRollingSums
 
 
 @dataclass(frozen=True, slots=True)

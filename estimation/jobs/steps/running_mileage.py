@@ -7,8 +7,7 @@ recording with a garbled mileage, makes a step that no vehicle runs: the mileage
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 
 from estimation.values.roll_up import Odometer
 from estimation.values.windows import WindowRecord
@@ -29,22 +28,22 @@ def running_mileage(windows: Sequence[WindowRecord]) -> list[float]:
     Args:
         windows: Of one wheelset between two reprofilings, oldest first.
     """
-    return [mileage_km for mileage_km, _ in running(windows, None)]
+    at, found = first_reading(windows), []
+    for window in windows:
+        at = read(at, window)
+        found.append(at.last_km)
+    return found
 
 
-def running(windows: Sequence[WindowRecord], before: Odometer | None) -> list[tuple[float, Odometer]]:
-    """Return the mileage of each window, km, and where the chain stands after it.
+def first_reading(windows: Iterable[WindowRecord]) -> Odometer:
+    """Return where the chain of mileages begins that has no window before these.
 
     Args:
-        windows: Of one wheelset between two reprofilings, oldest first.
-        before: Where the chain stands before the first of them; None where there is no earlier one.
+        windows: As in :func:`running_mileage`.
     """
-    at = before or _begin(windows)
-    found: list[tuple[float, Odometer]] = []
-    for window in windows:
-        at = _read(at, window)
-        found.append((at.last_km, at))
-    return found
+    known = (known_mileage(window.mileage_km) for window in windows)
+    first = next((value for value in known if math.isfinite(value)), 0.0)
+    return Odometer(last=first, last_km=first, last_ns=0)
 
 
 def known_mileage(stored_km: float) -> float:
@@ -52,26 +51,20 @@ def known_mileage(stored_km: float) -> float:
     return stored_km if abs(stored_km) <= MOST_KM else math.nan
 
 
-def plausible_step(first: WindowRecord, second: WindowRecord) -> bool:
-    """Whether the odometer made no impossible step from one window to a later one; both must have a reading."""
-    step = known_mileage(second.mileage_km) - known_mileage(first.mileage_km)
-    return 0.0 <= step <= most_km((second.start_ns - first.start_ns) / NANOSECONDS)
+def read(at: Odometer, window: WindowRecord) -> Odometer:
+    """Return where the chain of mileages stands after a window; without a reading it says nothing.
 
-
-def _begin(windows: Sequence[WindowRecord]) -> Odometer:
-    known = (known_mileage(window.mileage_km) for window in windows)
-    first = next((value for value in known if math.isfinite(value)), 0.0)
-    return Odometer(shift=0.0, last=first, last_km=first, last_ns=0, seen_ns=0)
-
-
-def _read(at: Odometer, window: WindowRecord) -> Odometer:
+    It depends on nothing but the last window with a reading, its mileage as stored and as run: so the chain goes on
+    from any window of which both are kept.
+    """
     stored = known_mileage(window.mileage_km)
-    if math.isnan(stored):  # it says nothing
-        return replace(at, seen_ns=window.start_ns)
-    most, shift = most_km((window.start_ns - at.last_ns) / NANOSECONDS), at.shift
-    if not 0.0 <= stored - at.last <= most:
-        shift = at.last_km + min(max(stored - at.last, 0.0), most) - stored
-    return Odometer(shift, stored, stored + shift, window.start_ns, window.start_ns)
+    if math.isnan(stored):
+        return at
+    step, most = stored - at.last, most_km((window.start_ns - at.last_ns) / NANOSECONDS)
+    if 0.0 <= step <= most:
+        # rounded twice where the odometer was exchanged once; it never goes back
+        return Odometer(stored, max(at.last_km, stored + (at.last_km - at.last)), window.start_ns)
+    return Odometer(stored, at.last_km + min(max(step, 0.0), most), window.start_ns)
 
 
 def most_km(seconds: float) -> float:

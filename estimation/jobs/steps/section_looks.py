@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from estimation.jobs.job import JobContext
 from estimation.storage import UnitOfWork
-from estimation.values.look import SectionLook
+from estimation.values.runs import SectionLook
 
 NO_SECTION = ""
 """Stands for the windows that are on no section."""

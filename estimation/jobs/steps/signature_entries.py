@@ -18,7 +18,7 @@ from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.signatures.parameters import SignatureParameters
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, extrapolated
-from estimation.values.interval_conicities import KnownConicity, interval_conicities
+from estimation.values.geometry import KnownConicity, interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.signatures import ConicitySource, DesignPair, KnownSignatures, LibraryEntry, Place

@@ -12,17 +12,25 @@ from estimation.jobs.steps.suspension import store_suspension
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_positions import Placing, Solved, place_windows
 from estimation.storage import UnitOfWork
-from estimation.track.journeys import Journey
 from estimation.track.partition import Entry
+from estimation.track.passes import Journey
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import AlignmentUpdate
 from estimation.track.versions import changed_vehicles, requires_reestimation
 from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.track import Correction, TrackAlignment, TrackReport, TrackSectionRecord
-from estimation.values.track_epochs import EpochMember, FoldState, FoundOfVehicles, TrackEpoch
+from estimation.values.track import (
+    Correction,
+    EpochMember,
+    FoldState,
+    FoundOfVehicles,
+    TrackAlignment,
+    TrackEpoch,
+    TrackReport,
+    TrackSectionRecord,
+)
 from estimation.values.windows import WindowRecord
-from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.vehicle.vehicle_class import ClassOnFile
 
 _UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
 

@@ -11,7 +11,7 @@ from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import bin_parameters
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
-from estimation.vehicle.class_on_file import ClassOnFile
+from estimation.vehicle.vehicle_class import ClassOnFile
 
 
 @dataclass(frozen=True, slots=True)

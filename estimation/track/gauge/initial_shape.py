@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimation.track.gauge.least_squares_step import GaugePrior, gauge_step, with_gauge_effect
+from estimation.track.gauge.search import GaugePrior, gauge_step, with_gauge_effect
 from estimation.track.gridded_pass import GriddedPass, grid_pass
 from estimation.track.panel.basis import Panel, basis_functions, pass_residual
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, residual_of_passes, result
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
 from estimation.values.arrays import FloatArray
 
 CLIPPED = 1e-3  # m of residual
@@ -39,7 +38,6 @@ def initial_gauge_effect(
 
     Args:
         solution, panel: As solved without gauge.
-        prior: What is known of the gauge deviation.
     """
     vectors = _leading_vectors(passes, solution, panel)
     candidates = []

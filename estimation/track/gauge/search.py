@@ -3,23 +3,176 @@
 With h(R, e) of every wheelset known, each gauge deviation puts every pass at a place on the track; at the right one all
 passes agree on the alignment there. Their disagreement has several minima over e, so all of a grid are looked
 at, and the best smooth way through them along the section is found by dynamic programming.
+
+Gauge deviation as a second latent function of the place, from the passes alone.
+
+Gauge moves each wheel against its own rail: a wheelset of difference R sits at h(R, e) = h0(R) + e h1(R) + e^2 h2(R).
+Over R, unlike over y - d, this is smooth: contact jumps are steps of R and flats of h. For given h it is linear in
+the small change of e, and for given e it is linear in h: the two are solved in turn, each exactly, d eliminated. One
+place is seen by all passes, so 48 passes separate d and e where two would not.
+
+That needs h1 beforehand (``initial_shape``), and ends near where it starts; a search goes on from there (``search``).
+h1 and e have a common factor that this leaves open, with its sign; the wheels' own functions (``wheel_functions``) fix
+it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, cg
 
 from estimation.filters.local_cubic import high_pass
-from estimation.track.gauge.least_squares_step import FEWEST_PASSES
 from estimation.track.gridded_pass import GriddedPass
-from estimation.track.panel.basis import Panel, gauge_at
+from estimation.track.panel.basis import Panel, gauge_at, gauge_curves, pass_residual
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.profile_life import ProfileLife
-from estimation.values.arrays import FloatArray, IntArray
+from estimation.track.passes import ProfileLife
+from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.track import GaugeShift
+
+FEWEST_PASSES = 6  # at a place, to separate two functions of it
+MAX_CG_STEPS = 14
+CG_TOLERANCE = 1e-3  # of the residual's norm, relative to the right side
+
+
+@dataclass(frozen=True, slots=True)
+class GaugePrior:
+    """What is known of the gauge deviation beforehand."""
+
+    std: float = 2e-3  # m
+    smooth: float = 5.0  # m along the track
+    noise: float = 0.15e-3  # m of y - d - h(R, e) of a pass
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeStep:
+    """The gauge deviation after a step, and how its conjugate gradients ended."""
+
+    gauge: FloatArray  # (n,) m
+    converged: bool  # within ``CG_TOLERANCE``
+    steps: int
+
+
+@dataclass(frozen=True, slots=True)
+class _LinearisedPass:
+    """One pass: residual of y and its derivative by e before the filter, on its own grid."""
+
+    points: IntArray  # (m,) clipped to the section
+    on: BoolArray  # (m,) on the section
+    inside: BoolArray  # (m,) where the residual can be used
+    residual: FloatArray  # (m,) times ``root``
+    slope: FloatArray  # (m,) dh/de, times ``root``
+    root: float  # of the weight of the pass
+
+
+def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: Panel) -> PanelSolution:
+    """Return a solution without gauge with h1 put in.
+
+    Args:
+        solution: Solved without gauge.
+        effect: (w, gauge_basis_count) h1, m for ``gauge_unit`` of gauge.
+    """
+    h0, stiffness_term = solution.curves[:, :, : panel.parameters.basis_count], solution.curves[:, :, -1:]
+    h1 = np.broadcast_to(effect, (len(h0), *effect.shape))
+    return replace(solution, curves=np.concatenate([h0, h1, np.zeros_like(h1), stiffness_term], axis=2))
+
+
+def gauge_step(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior) -> GaugeStep:
+    """Return the gauge deviation after one Gauss-Newton step from the gauge of ``panel``, with mean zero."""
+    assert panel.gauge is not None
+    rows = [one for item in passes if (one := _linearised(item, solution, panel)) is not None]
+    count, weight = np.zeros((2, panel.grid.points))
+    for one in rows:
+        count[one.points[one.inside]] += 1
+        weight[one.points[one.inside]] += one.root**2
+    share = np.where(count >= FEWEST_PASSES, 1.0 / np.where(weight > 0.0, weight, 1.0), 0.0)
+    system = _GaugeSystem(rows, share, _smooth_kernel(prior.smooth, panel.grid.step), panel.grid.kernel)
+    change, converged, steps = system.solve((prior.noise / prior.std) ** 2)
+    gauge = panel.gauge + change
+    known = share > 0
+    if not known.any():
+        return GaugeStep(panel.gauge, converged, steps)
+    return GaugeStep(np.where(known, gauge - gauge[known].mean(), 0.0), converged, steps)
+
+
+def _smooth_kernel(smooth: float, step: float) -> FloatArray:
+    """Return the kernel (2 m + 1,) of a smooth process of unit variance driven by white noise."""
+    reach = int(np.ceil(2 * smooth / step))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) * step * 2.5 / smooth) ** 2)
+    return np.asarray(kernel / np.sqrt((kernel**2).sum()))
+
+
+def _linearised(item: GriddedPass, solution: PanelSolution, panel: Panel) -> _LinearisedPass | None:
+    curve = solution.curve_of(item.life)
+    if item.empty or curve is None:
+        return None
+    on = panel.grid.contains(item.points)
+    root = float(np.sqrt(panel.known.weight_of(item.life)))
+    return _LinearisedPass(
+        points=np.clip(item.points, 0, panel.grid.points - 1),
+        on=on,
+        inside=item.inside,
+        residual=np.where(item.inside, root * pass_residual(item, curve, panel), 0.0),
+        slope=np.where(on, root * item.side * _slope(item, curve, panel), 0.0),
+        root=root,
+    )
+
+
+def _slope(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
+    """Return dh/de (m,) = h1 + 2 e h2."""
+    p = panel.parameters
+    R = np.clip(item.difference, -p.reach, p.reach)
+    first, second = (np.interp(R, p.gauge_knots, values) for values in gauge_curves(curve, panel))
+    return np.asarray((first + 2 * gauge_at(item.points, panel) / p.gauge_unit * second) / p.gauge_unit)
+
+
+@dataclass(frozen=True, slots=True)
+class _GaugeSystem:
+    """Minimise |residual - F[dh/de K u]|^2 + ridge |u|^2 with d free: F is the filter, K u the change of the gauge."""
+
+    rows: Sequence[_LinearisedPass]
+    share: FloatArray  # (n,) one over the weights of the passes, zero where there are too few
+    smooth: FloatArray  # kernel of K
+    kernel: FloatArray  # of F
+
+    def solve(self, ridge: float) -> tuple[FloatArray, bool, int]:
+        """Return K u (n,), whether conjugate gradients converged, and their steps."""
+        n, steps = len(self.share), 0
+
+        def count(_: FloatArray) -> None:
+            nonlocal steps
+            steps += 1
+
+        operator = LinearOperator((n, n), matvec=lambda u: self._normal(u) + ridge * u, dtype=np.float64)
+        right = self._smoothed(self._adjoint(self._without_alignment([one.residual for one in self.rows])))
+        u, failed = cg(operator, right, rtol=CG_TOLERANCE, atol=0.0, maxiter=MAX_CG_STEPS, callback=count)
+        return self._smoothed(np.asarray(u)), failed == 0, steps
+
+    def _normal(self, u: FloatArray) -> FloatArray:
+        gauge = self._smoothed(u)
+        rows = [np.where(one.inside, high_pass(one.slope * gauge[one.points], self.kernel), 0.0) for one in self.rows]
+        return self._smoothed(self._adjoint(self._without_alignment(rows)))
+
+    def _smoothed(self, values: FloatArray) -> FloatArray:
+        return np.convolve(values, self.smooth, "same")
+
+    def _without_alignment(self, rows: Sequence[FloatArray]) -> list[FloatArray]:
+        mean = np.zeros(len(self.share))
+        for one, row in zip(self.rows, rows, strict=True):
+            mean[one.points[one.inside]] += one.root * row[one.inside]
+        mean *= self.share
+        return [
+            np.where(one.inside & (self.share[one.points] > 0), row - one.root * mean[one.points], 0.0)
+            for one, row in zip(self.rows, rows, strict=True)
+        ]
+
+    def _adjoint(self, rows: Sequence[FloatArray]) -> FloatArray:
+        total = np.zeros(len(self.share))
+        for one, row in zip(self.rows, rows, strict=True):
+            np.add.at(total, one.points[one.on], (one.slope * high_pass(row, self.kernel))[one.on])
+        return total
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,24 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from estimation.track.gridded_pass import GriddedPass
-from estimation.track.panel.basis import (
-    Panel,
-    curve_displacement,
-    gauge_at,
-    gauge_curves,
-    known_shift,
-    pass_residual,
-)
+from estimation.track.panel.basis import Panel, curve_displacement, gauge_at, gauge_curves, known_shift, pass_residual
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.profile_life import ProfileLife
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
-from estimation.values.intervals import jackknife_std
+from estimation.track.passes import ProfileLife
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
+from estimation.values.quantities import jackknife_std
 from estimation.values.track import GaugeShift
 
 KNOT_STEP = 0.125e-3  # m
@@ -44,16 +38,12 @@ FAR = 0.8  # quantile of |R|
 
 
 @dataclass(frozen=True, slots=True)
-class WheelFunctions:
+class WheelFunctions(FrozenArrays):
     """Radius of each wheel against its own lateral position, positive towards the flange, up to a constant."""
 
-    knots: FloatArray  # (k,) m, increasing
-    left: FloatArray  # (k,) m
-    right: FloatArray  # (k,) m
-
-    def __post_init__(self) -> None:
-        for name in ("knots", "left", "right"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.knots),), name=name))
+    knots: Annotated[FloatArray, "n"]  # m, increasing
+    left: Annotated[FloatArray, "n"]  # m
+    right: Annotated[FloatArray, "n"]  # m
 
     def difference(self, displacement: FloatArray, gauge_deviation: FloatArray) -> FloatArray:
         """Return rL - rR, m, at y - d and gauge deviation, m; arrays of one shape."""
@@ -147,19 +137,12 @@ def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
     """Return what estimated gauge deviations are to be multiplied with: by the wheels that fit best.
 
     h1 and e have a common factor that the panel leaves open, a wheel does not.
-
-    Args:
-        seen: Contact samples by profile life.
     """
     return _best_factor(_misfits_by_factor(seen).sum(axis=0))
 
 
 def gauge_factor_with_std(seen: Mapping[ProfileLife, ContactSamples]) -> tuple[float, float]:
-    """Return ``gauge_factor`` and the std of its logarithm, by leaving out each wheelset; NaN of a single one.
-
-    Args:
-        seen: Contact samples by profile life.
-    """
+    """Return ``gauge_factor`` and the std of its logarithm, by leaving out each wheelset; NaN of a single one."""
     misfits = _misfits_by_factor(seen)
     whole = _best_factor(misfits.sum(axis=0))
     without = [_best_factor(np.delete(misfits, row, axis=0).sum(axis=0)) for row in range(len(misfits))]
@@ -187,9 +170,6 @@ def gauge_sign(seen: Mapping[ProfileLife, ContactSamples], shifts: Mapping[Profi
 
     It is not in the passes: left and right wheel of opposite shape fit as well with the opposite sign. It is taken from
     what wheels are, steeper towards the flange: far from the centre a wheelset runs further out in wide gauge.
-
-    Args:
-        seen: Contact samples by profile life.
     """
     return 1 if sum(_outwards(one, shifts[name]) for name, one in seen.items()) >= 0 else -1
 

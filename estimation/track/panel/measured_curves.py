@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.geometry import WheelsetOnTrack
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.contact.radius_difference import radius_difference_curve
-from estimation.contact.table import ContactMethod
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 
 REACH = 8e-3  # m of lateral displacement
 STEP = 0.05e-3  # m
@@ -18,21 +18,16 @@ ROOM = 0.2e-3  # m beyond the contact table within which a measured profile has 
 
 
 @dataclass(frozen=True, slots=True)
-class MeasuredCurve:
+class MeasuredCurve(FrozenArrays):
     """The lateral displacement relative to the track over rL - rR, as it follows from measured profiles.
 
     Zero at rL = rR: band-limited signals carry no offset.
     """
 
     name: str  # of what was measured, for reports
-    difference: FloatArray  # (n,) rL - rR, m, increasing
-    displacement: FloatArray  # (n,) y - d, m
+    difference: Annotated[FloatArray, "n"]  # rL - rR, m, increasing
+    displacement: Annotated[FloatArray, "n"]  # y - d, m
     std: float  # m, of the displacement
-
-    def __post_init__(self) -> None:
-        n = len(self.difference)
-        for axis in ("difference", "displacement"):
-            object.__setattr__(self, axis, frozen_array(getattr(self, axis), (n,), name=axis))
 
     def at(self, knots: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the displacement (k,), m, at some rL - rR (k,), m, and 1 where the profiles reach it, else 0 (k,)."""
@@ -59,7 +54,6 @@ def measured_curve(
     """Return the curve of the measured profiles of a wheelset on a track.
 
     Args:
-        left, right: Wheels, in the axes of ``estimation.contact.profiles``.
         std: Of the displacement that follows, m.
         rail, inclination, gauge: Name of the rail's profile; tangent; nominal gauge, m.
         at_rails: Whether passes have their displacement at rail level, as EN 15302, or that of the axle, which rolls.

@@ -87,9 +87,6 @@ def fleet_step(state: PanelState, solution: PanelSolution, known: PriorAlignment
 
     Journeys move towards the alignment of all, most of which they have made themselves: as a whole they would come
     nearer by the share of the evidence in it, round by round, while stiffness ratios make up for what is left.
-
-    Args:
-        state: Sums over the passes without the evidence.
     """
     weight = solution.passes - state.passes
     observed = (weight > 0) & (state.passes > 0) & np.isfinite(solution.alignment)

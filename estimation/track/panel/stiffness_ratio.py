@@ -16,7 +16,7 @@ import numpy as np
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.solution import PanelSolution
-from estimation.values.intervals import jackknife_std
+from estimation.values.quantities import jackknife_std
 
 PRIOR_STD = 0.15  # of the ratio, relative
 SYSTEMATIC_STD = 0.02  # of the ratio, relative: a model of small terms is left, blocks of data cannot show it

@@ -8,16 +8,71 @@ that of Wilks' lambda with the number of independent samples that their autocorr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from estimation.compiled import compiled
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.track.passes import Pass, gridded
-from estimation.track.screening.correlations import cross_products, own_products
+from estimation.track.passes import Pass, PositionParameters, gridded
 from estimation.values.arrays import FloatArray, runs
-from estimation.values.chance import log10_chance
+from estimation.values.quantities import log10_chance
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
+
+
+@dataclass(frozen=True, slots=True)
+class ScreeningParameters:
+    """When a pass agrees with the others of its section."""
+
+    cutoff_wavelength: float = 30.0  # m
+    step: float = 1.0  # m
+    positions: PositionParameters = field(default_factory=PositionParameters)
+    log10_chance: float = -6.0  # of an agreement by chance
+    least_samples: float = 50.0  # independent ones, below which a low correlation is no contradiction
+    least_factor: float = 0.4  # of y against the y of others, and its inverse the most
+    peers: int = 6  # that a pass is compared with
+    misplaced: float = 4.0  # m that a position may jump
+
+
+@compiled(nogil=True)
+def cross_products(first: FloatArray, second: FloatArray, reach: int) -> FloatArray:
+    """Return the sums (2 reach + 1, p, q) over i of first(i) second(i + lag), for lags from -reach to reach.
+
+    Args:
+        first, second: (p, n) and (q, n) in any unit.
+    """
+    p, n = first.shape
+    q = second.shape[0]
+    found = np.zeros((p, q, 2 * reach + 1))
+    for a in range(p):
+        for b in range(q):
+            sums, other = found[a, b], second[b]
+            for i in range(n):
+                value = first[a, i]
+                start = i - reach
+                for k in range(max(0, -start), min(2 * reach + 1, n - start)):
+                    sums[k] += value * other[start + k]
+    return np.ascontiguousarray(found.transpose(2, 0, 1))
+
+
+@compiled(nogil=True)
+def own_products(signals: FloatArray, reach: int) -> FloatArray:
+    """Return the sums (m, reach + 1) over i of signal(i) signal(i + lag), for lags from 0 to reach.
+
+    Args:
+        signals: (m, n) in any unit.
+    """
+    m, n = signals.shape
+    found = np.zeros((m, reach + 1))
+    for a in range(m):
+        sums, own = found[a], signals[a]
+        for i in range(n):
+            value = own[i]
+            for k in range(min(reach + 1, n - i)):
+                sums[k] += value * own[i + k]
+    return found
+
 
 CORRELATION_LENGTH = 60.0  # m: over which samples of a high-passed signal are correlated
 PIECE = 1000.0  # m
@@ -59,11 +114,7 @@ NOTHING = Agreement(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def filter_pass(item: Pass, cutoff_wavelength: float, step: float) -> FilteredPass | None:
-    """Return the high-passed signals of a pass; None where it is shorter than the filter reaches.
-
-    Args:
-        cutoff_wavelength, step: Of the filter and of the grid, m.
-    """
+    """Return the high-passed signals of a pass; None where it is shorter than the filter reaches."""
     weights = local_cubic_kernel(cutoff_wavelength, step)
     reach = len(weights) // 2
     first, y, R = gridded(item, step)
@@ -76,11 +127,7 @@ def filter_pass(item: Pass, cutoff_wavelength: float, step: float) -> FilteredPa
 def alignment_segment(
     track: TrackAlignment, first: int, last: int, cutoff_wavelength: float, step: float
 ) -> FilteredPass | None:
-    """Return the longest known stretch of an alignment between two grid points, high-passed unless it is already.
-
-    Args:
-        cutoff_wavelength, step: Of the filter and of the grid, m.
-    """
+    """Return the longest known stretch of an alignment between two grid points, high-passed unless it is already."""
     grid = np.arange(first, last + 1) * step
     known = np.isfinite(track.alignment)
     if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between
@@ -194,3 +241,21 @@ def _independent(X: FloatArray, Z: FloatArray, step: float) -> tuple[float, floa
     widths = [1.0 + 2.0 * float((a[1:] * b[1:]).sum()) for a in own[: len(X)] for b in own[len(X) :]]
     width = max([*widths, 1.0])
     return n / width, width * step
+
+
+def disagreement(found: Agreement, usual: float, p: ScreeningParameters, other: str) -> Reason | None:
+    """Return why two signals do not agree; None where they do."""
+    if found.log10_chance > p.log10_chance:
+        return Reason(
+            ReasonCode.OTHER_SECTION,
+            f"not of this section: agrees with {other} no more than by chance"
+            f" (correlation {found.correlation:.2f} over {found.samples:.0f} independent samples)",
+        )
+    factor = found.factor / usual
+    if factor < 0.0:
+        return Reason(
+            ReasonCode.MIRRORED, f"the mirror image of {other}: the axes of its sensors, or its direction, are reversed"
+        )
+    if not p.least_factor <= factor <= 1.0 / p.least_factor:
+        return Reason(ReasonCode.SCALE_DIFFERS, f"its lateral displacement is {factor:.2g} times that of {other}")
+    return None

@@ -4,6 +4,11 @@ First by itself: long enough for the filter. Then against what is known of the p
 journeys: two vehicles that ran over the same track have measured the same alignment, whatever their wear. Where passes
 contradict each other, those of more journeys are used; where as many stand on both sides, none is. One pass never
 changes what is done with passes that agree with each other.
+
+Relative positions of passes, from the shifts at which they agree; and which are displaced within their journey.
+
+The passes of a journey share one odometer, whose error grows slowly. Where the position of a vehicle jumped, the passes
+behind the jump are displaced against those before it; the longer part is used.
 """
 
 from __future__ import annotations
@@ -13,17 +18,101 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.sparse.linalg import spsolve
 
-from estimation.track.journeys import journeys
-from estimation.track.passes import Pass
-from estimation.track.screening.agreement import Agreement, FilteredPass, agreement, alignment_segment, filter_pass
-from estimation.track.screening.disagreement import disagreement
-from estimation.track.screening.parameters import ScreeningParameters
-from estimation.track.screening.position_jumps import Link, misplaced
-from estimation.values.arrays import IntArray
+from estimation.track.passes import Pass, journeys
+from estimation.track.screening.agreement import (
+    Agreement,
+    FilteredPass,
+    ScreeningParameters,
+    agreement,
+    alignment_segment,
+    disagreement,
+    filter_pass,
+)
+from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
+
+ROUNDS = 12
+SCALE = 1.2e-3  # by which an odometer may differ from the fleet's
+RESOLUTION = 0.3  # m: shifts that fit better than this fit
+LOOSE = 1e-6  # weight of keeping every pass where it is: what links leave open
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """Two passes, by index, that agree where the first is displaced by ``shift`` m against the second."""
+
+    first: int
+    second: int
+    shift: float  # m
+
+
+def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, tolerance: float) -> Mapping[int, float]:
+    """Return by pass how far it is from the rest of its journey, m, where its position jumped.
+
+    Args:
+        journey_of: (n,) number of each pass's journey.
+        middle: (n,) m along the section.
+        tolerance: m by which neighbours in a journey may differ, besides the scale of an odometer.
+    """
+    if not links:
+        return {}
+    offset, group = _offsets(links, len(journey_of))
+    linked = np.unique([(link.first, link.second) for link in links])
+    found: dict[int, float] = {}
+    for journey, together in sorted({(int(journey_of[i]), int(group[i])) for i in linked}):
+        members = [int(i) for i in linked if journey_of[i] == journey and group[i] == together]
+        parts = _parts(sorted(members, key=lambda i: (middle[i], i)), offset, middle, tolerance)
+        main = max(parts, key=len)
+        for part in parts:
+            if part is not main:
+                found |= {i: float(offset[i] - np.median(offset[main])) for i in part}
+    return found
+
+
+def _offsets(links: Sequence[Link], count: int) -> tuple[FloatArray, IntArray]:
+    """Return the displacement of each pass (count,) along the section, m, and its group.
+
+    Fitted by least absolute values. Groups are what links join; offsets of different groups cannot be compared.
+    """
+    rows = np.arange(len(links))
+    first, second = np.array([link.first for link in links]), np.array([link.second for link in links])
+    shift = np.array([link.shift for link in links])
+    ones = np.ones(len(links))
+    design = sparse.csr_matrix(
+        (np.concatenate([ones, -ones]), (np.concatenate([rows, rows]), np.concatenate([first, second]))),
+        shape=(len(links), count),
+    )
+    joined = sparse.csr_matrix((ones, (first, second)), shape=(count, count))
+    group = np.asarray(csgraph.connected_components(joined)[1], dtype=np.int64)
+    weights = ones
+    offset = np.zeros(count)
+    for _ in range(ROUNDS):
+        weighted = sparse.diags(weights) @ design
+        normal = (weighted.T @ design + LOOSE * sparse.identity(count)).tocsc()
+        offset = np.asarray(spsolve(normal, weighted.T @ shift))
+        weights = np.reciprocal(np.maximum(np.abs(shift - design @ offset), RESOLUTION))
+    return offset, group
+
+
+def _parts(ordered: Sequence[int], offset: FloatArray, middle: FloatArray, tolerance: float) -> list[list[int]]:
+    """Return the passes of a journey, in order along the section, in parts within which nothing jumps."""
+    parts: list[list[int]] = []
+    for i in ordered:
+        for part in reversed(parts):
+            allowed = tolerance + SCALE * abs(middle[i] - middle[part[-1]])
+            if abs(offset[i] - float(np.median(offset[part[-5:]]))) <= allowed:
+                part.append(i)
+                break
+        else:
+            parts.append([i])
+    return parts
+
 
 OVERLAP_RESOLUTION = 20  # grid points: overlaps that differ less count as equal
 MIN_CHAIN_OVERLAP = 10  # of these, of overlap with a pass that continues along the section
@@ -51,7 +140,6 @@ def compare_pairs(
     """Return the comparisons of every pass with up to ``p.peers`` that overlap it most, of as many other journeys.
 
     Args:
-        filtered: Passes by index.
         journey_of: (n,) number of each pass's journey; those of one journey share their errors and are not compared.
         p: Limits, and how many peers; the cost is linear in the number of passes.
     """
@@ -84,11 +172,7 @@ def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, w
         chosen.setdefault(int(journey_of[others[k]]), int(others[k]))
     chosen.pop(int(journey_of[i]), None)
     best = list(chosen.values())[:wanted]
-    beyond = np.where(
-        (journey_of[others] != journey_of[i]) & (shared >= MIN_CHAIN_OVERLAP),
-        last - filtered[i].last,
-        0,
-    )
+    beyond = np.where((journey_of[others] != journey_of[i]) & (shared >= MIN_CHAIN_OVERLAP), last - filtered[i].last, 0)
     following = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[:CHAIN_NEIGHBOURS] if beyond[k] > 0]
     return list(dict.fromkeys([*best, *following]))
 
@@ -173,12 +257,7 @@ class Screened:
 def screen(
     passes: Sequence[Pass], known: TrackAlignment | None = None, parameters: ScreeningParameters | None = None
 ) -> Screened:
-    """Return which of the passes of a section may be used.
-
-    Args:
-        passes: Of one section, at the positions that were measured.
-        known: What is known of its alignment.
-    """
+    """Return which of the passes of a section may be used."""
     p = parameters or ScreeningParameters()
     signals = [filter_pass(item, p.cutoff_wavelength, p.step) for item in passes]
     refused = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from estimation.accuracy.coverage import CoverageCount, covers
+from estimation.accuracy.fleet_accuracy import CoverageCount, covers
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.accuracy.curve_origin import curve_origin
+from estimation.accuracy.fleet_accuracy import curve_origin
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status

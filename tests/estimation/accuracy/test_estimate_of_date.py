@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.accuracy.estimate_of_date import EstimateOfDate, estimate_of_date
+from estimation.accuracy.fleet_accuracy import EstimateOfDate, estimate_of_date
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
-from estimation.values.identity import IdentityChange
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Reprofiling, WheelsetRecord
+from estimation.values.trend import IdentityChange
 
 DAY = 86_400 * 10**9
 TURNED = 100 * DAY  # at 50,000 km

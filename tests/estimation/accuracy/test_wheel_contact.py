@@ -13,11 +13,9 @@ from estimation.accuracy.wheel_contact import (
     conicity_of,
     wheel_contact,
 )
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import profile_from_points, rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
-from estimation.values.intervals import NORMAL_95
-from estimation.values.quantities import Status
+from estimation.values.quantities import NORMAL_95, Status
 from estimation.values.reasons import Reason, ReasonCode
 
 STEEP, FLAT = RailShare("60E1", 1 / 20, 1.435, 0.25), RailShare("60E1", 1 / 40, 1.435, 0.75)

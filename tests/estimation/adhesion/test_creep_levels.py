@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_friction import a_pass
 
-from estimation.adhesion.creep_levels import MEDIAN_ERROR, ROBUST, CreepLevels, RailsBefore, creep_levels
+from estimation.adhesion.along_track import MEDIAN_ERROR, ROBUST, CreepLevels, RailsBefore, creep_levels
 from estimation.adhesion.pass_sums import pass_sums
 from estimation.values.adhesion import WindowAdhesion
 from estimation.values.arrays import BoolArray

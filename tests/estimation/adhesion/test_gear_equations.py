@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from estimation.adhesion.gear_equations import AXLE, gear_equations
+from estimation.adhesion.stationary_filter import AXLE, gear_equations
 from estimation.vehicle.equations_of_motion import (
     VehicleParameters,
     WheelsetState,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from oracles.creep_excess import creep_excess, saturated_sums
 
-from estimation.adhesion.saturation_kernels import add_saturated, excess_at, excess_table
+from estimation.adhesion.window_adhesion import add_saturated, excess_at, excess_table
 from ingest.simulator.creep_laws import Creep, CreepLaw, share_of_linear
 
 TABLE = excess_table()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from test_friction import a_pass
 
+from estimation.adhesion.friction import LEAST_SUPPORT, MOST_CREEP, slippery_throughout
 from estimation.adhesion.pass_sums import pass_sums
-from estimation.adhesion.slippery_section import LEAST_SUPPORT, MOST_CREEP, slippery_throughout
 
 
 def slippery(friction: float, error: float, common: float) -> bool:

@@ -12,8 +12,7 @@ from scipy.linalg import block_diag, expm
 
 from estimation.adhesion import stationary_filter as module
 from estimation.adhesion.creep_forces import smoothed_states
-from estimation.adhesion.gear_equations import gear_equations
-from estimation.adhesion.stationary_filter import FilterParameters, stationary_filter
+from estimation.adhesion.stationary_filter import FilterParameters, gear_equations, stationary_filter
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.vehicle_class import VehicleClass
 

@@ -22,8 +22,7 @@ from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule
 from estimation.trend.points import conicity_points
 from estimation.trend.trend import refresh
 from estimation.values.alerts import Alert, Finding, Severity
-from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.interval_conicities import interval_conicities
+from estimation.values.geometry import GeometryRecord, WheelsetGeometry, interval_conicities
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord

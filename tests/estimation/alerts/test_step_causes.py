@@ -7,10 +7,9 @@ from dataclasses import replace
 import pytest
 
 from estimation.alerts.step_causes import TOGETHER_NS, StepSurroundings, explanations
-from estimation.values.interval_conicities import KnownConicity
+from estimation.values.geometry import KnownConicity
 from estimation.values.quantities import Estimate, Status
-from estimation.values.step_causes import StepCause, StepExplanation
-from estimation.values.trend import TrendStep
+from estimation.values.trend import StepCause, StepExplanation, TrendStep
 
 DAY_NS = 86_400 * 10**9
 DESIGNED = {2e-3: 0.07, 2.5e-3: 0.08, 3e-3: 0.1}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from estimation.contact.profiles import Profile, ProfileKind, rail_profile, wheel_profile
-from estimation.contact.thinning import MOST_POINTS, thinned
+from estimation.contact.smoothed_profile import MOST_POINTS, thinned
 from estimation.errors import ProfileError
 from ingest.profiles.files import read_measured_profile, read_profile
 from ingest.profiles.points import MOST_ROWS

@@ -10,11 +10,9 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.radius_difference import refined_curve
-from estimation.contact.rail_wear import DEEPEST_BAND, RailWear, worn_rail
-from estimation.contact.wear import WearFamily, wear_course, worn
+from estimation.contact.wear import DEEPEST_BAND, RailWear, WearFamily, wear_course, worn, worn_rail
 from estimation.errors import ParameterError, ProfileError
-from estimation.rails.design import conicity_on_rails, designed_wheel
-from estimation.rails.parameters import RailsParameters
+from estimation.rails.parameters import RailsParameters, conicity_on_rails, designed_wheel
 from estimation.values.arrays import FloatArray
 
 WEAR = RailWear(0.6e-3, -2e-3, 24e-3)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from estimation.contact.profiles import Profile, profile_from_points, wheel_profile
-from estimation.contact.wear import TreadWear, worn
-from estimation.contact.wear_measures import wear_measures
+from estimation.contact.wear import TreadWear, wear_measures, worn
 
 SLOPE = 2.5  # of the flange face: 2.5 mm down a millimetre towards the tip
 

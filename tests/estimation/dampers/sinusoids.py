@@ -13,9 +13,15 @@ from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.dampers import WindowDamper
 from estimation.values.windows import Window
-from estimation.vehicle.class_on_file import ClassOnFile
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorChannel, SensorLayout, VehicleClass
+from estimation.vehicle.vehicle_class import (
+    Arrangement,
+    BogieParameters,
+    ClassOnFile,
+    SensorChannel,
+    SensorLayout,
+    VehicleClass,
+)
 
 DT, WINDOW_S, DENSITY = 0.004, 60.0, 1e-3
 SENSORS = SensorLayout(lateral=SensorChannel(DENSITY), yaw=SensorChannel(DENSITY), mass_lateral=SensorChannel(DENSITY))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sinusoids import BOGIE, SINGLE, SOFT, following
 
-from estimation.adhesion.gear_equations import AXLE, gear_equations
+from estimation.adhesion.stationary_filter import AXLE, gear_equations
 from estimation.dampers.suspension_equations import mass_std, suspension_equations, uncertain_parameters
 from estimation.vehicle.vehicle_class import VehicleClass
 

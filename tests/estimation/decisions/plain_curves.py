@@ -14,8 +14,7 @@ from estimation.geometry.conicity import (
 )
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
-from estimation.values.intervals import NORMAL_95
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import NORMAL_95, Estimate
 
 WIDTH = 0.25e-3
 EDGES = (np.arange(-28, 30) - 0.5) * WIDTH

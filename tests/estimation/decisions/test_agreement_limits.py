@@ -10,20 +10,19 @@ import pytest
 from scipy.stats import chi2
 
 from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
 from estimation.track.screening.agreement import (
     NOTHING,
     Agreement,
     FilteredPass,
+    ScreeningParameters,
     _canonical,
     _pieces,
     agreement,
     alignment_segment,
+    disagreement,
     filter_pass,
 )
-from estimation.track.screening.disagreement import disagreement
-from estimation.track.screening.parameters import ScreeningParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode

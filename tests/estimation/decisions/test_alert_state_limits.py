@@ -26,15 +26,10 @@ from wheelset_life import DAY_NS, geometry_of, known, quality, window_record
 from estimation.alerts.identity import IdentityEvent, Mistake
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.evaluation import findings, superseded
+from estimation.alerts.rules.evidence import estimate_evidence, forecast_evidence, number_evidence
 from estimation.alerts.rules.identity import IdentityRule, identity_finding, mounting_corrected
 from estimation.alerts.rules.no_data import NoDataRule, no_data_finding
-from estimation.alerts.rules.rule import (
-    AlertDelays,
-    WheelsetFacts,
-    estimate_evidence,
-    forecast_evidence,
-    number_evidence,
-)
+from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
 from estimation.alerts.rules.sensor_fault import SensorFaultRule, faulty, sensor_fault_finding
 from estimation.values.alerts import CloseReason, Finding, Severity
 from estimation.values.quantities import Estimate, Forecast, Status

@@ -38,7 +38,7 @@ from estimation.geometry.sharpening import jumps_displaced, sharpen
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import CentreOrigin
-from estimation.values.intervals import jackknife_std
+from estimation.values.quantities import jackknife_std
 
 
 def test_a_cone_has_its_conicity_at_every_amplitude_and_no_width() -> None:

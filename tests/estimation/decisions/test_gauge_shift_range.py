@@ -10,9 +10,8 @@ from plain_windows import DT, SPEED, plain_track, plain_window
 
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
-from estimation.motion.fusion_parameters import FusionParameters
 from estimation.motion.integration import integrate
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.parameters import FusionParameters, SignalParameters
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
 from estimation.motion.track_lookup import gauge_shift
 from estimation.values.arrays import FloatArray

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from estimation.values.intervals import NORMAL_95, jackknife_std, normal_equivalent, with_interval
-from estimation.values.quantities import Status
+from estimation.values.quantities import NORMAL_95, Status, jackknife_std, normal_equivalent, with_interval
 
 
 @pytest.mark.parametrize("groups", [2, 3, 16])

@@ -14,10 +14,9 @@ from estimation.motion.integration import segments
 from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.window_motion import NO_ALIGNMENT, motion, window_motion
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, GaugeShift, TrackAlignment, TrackFindings
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 from estimation.vehicle.vehicle_class import SensorChannel
 
 SIGNALS = SignalParameters()

@@ -15,12 +15,10 @@ from estimation.track.panel.normal_equations import init
 from estimation.track.panel.prior_alignment import PriorAlignment
 from estimation.track.panel.solution import result
 from estimation.track.panel.stiffness_ratio import Ratio
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
 from estimation.track.results import SectionResults, nothing
 from estimation.track.section import Residuals, _find_outliers, _MeanSquare, residuals
-from estimation.track.section_parameters import SectionParameters
-from estimation.track.settings import AlignmentSettings
+from estimation.track.settings import AlignmentSettings, SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackFindings

@@ -11,7 +11,7 @@ from estimation.track.panel.basis import KnownBeforehand, Panel, PanelParameters
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, init
 from estimation.track.panel.solution import PanelSolution, between_pass_std_ratio, result
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of

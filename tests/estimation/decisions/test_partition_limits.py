@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import pytest
 
 from estimation.track.partition import Entry, Group, PartitionParameters, first_epoch, newest_within
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import ProfileLife
 from estimation.track.settings import AlignmentSettings
-from estimation.values.track_epochs import OPEN_NS
+from estimation.values.track import OPEN_NS
 from estimation.values.windows import WindowQuality, WindowRecord, WindowState
 
 SECOND_NS = 10**9

@@ -12,16 +12,15 @@ from smooth_wheelset import ideal, run
 from estimation.estimators import block_filters, known_irregularity
 from estimation.estimators.block_filters import Inputs, Posterior, Prior, filtered, start
 from estimation.estimators.contact_jumps import stepped
-from estimation.estimators.coverage import CELLS, WIDTH, beside, covered_range
-from estimation.estimators.interface import EstimatorParameters
+from estimation.estimators.interface import CELLS, WIDTH, EstimatorParameters, beside, covered_range
 from estimation.estimators.known_irregularity import KnownIrregularity, RecursionState
 from estimation.estimators.paper_algorithm import GROUPS as OF_CELLS
 from estimation.estimators.paper_algorithm import CellMeans, PaperAlgorithm, PaperState
 from estimation.estimators.replicates import Replicates, curve_estimate
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
+from estimation.values.windows import Motion
 
 SURE = EstimatorParameters(uncertainty=ParameterUncertainty(0.0, 0.0, 0.0, inverse_friction=0.0))
 PRIOR = Prior(np.zeros(2), np.ones(2))

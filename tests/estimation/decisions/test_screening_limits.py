@@ -9,12 +9,18 @@ import numpy as np
 import pytest
 from test_agreement_limits import pair, smooth
 
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
-from estimation.track.screening.agreement import FilteredPass, agreement
-from estimation.track.screening.parameters import ScreeningParameters
-from estimation.track.screening.position_jumps import Link, misplaced
-from estimation.track.screening.screen import Comparison, PassStatus, _peers, compare_pairs, minority, screen
+from estimation.track.passes import Pass, ProfileLife
+from estimation.track.screening.agreement import FilteredPass, ScreeningParameters, agreement
+from estimation.track.screening.screen import (
+    Comparison,
+    Link,
+    PassStatus,
+    _peers,
+    compare_pairs,
+    minority,
+    misplaced,
+    screen,
+)
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

@@ -13,16 +13,14 @@ from estimation.track.alignment_std import merged_alignment
 from estimation.track.convergence import Convergence, Iterated
 from estimation.track.gridded_pass import PlacedJourney, grid_pass
 from estimation.track.iteration import IterationResult
-from estimation.track.journeys import Journey, journeys
 from estimation.track.panel.basis import KnownBeforehand, Panel, PanelParameters
-from estimation.track.panel.errors_in_variables import SlopeCorrection
+from estimation.track.panel.instrumental_slope import SlopeCorrection
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import init
 from estimation.track.panel.prior_alignment import prior_on_grid
 from estimation.track.panel.solution import PanelReport, result
 from estimation.track.panel.stiffness_ratio import Ratio
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Journey, Pass, ProfileLife, journeys
 from estimation.track.section import (
     SectionEstimate,
     _Accepted,
@@ -32,7 +30,7 @@ from estimation.track.section import (
     _too_few_passes,
     estimate_section,
 )
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of

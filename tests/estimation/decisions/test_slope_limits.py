@@ -10,7 +10,7 @@ from test_section_limits import P, a_pass
 
 from estimation.track.gridded_pass import GriddedPass, grid_pass
 from estimation.track.panel.basis import Panel
-from estimation.track.panel.errors_in_variables import (
+from estimation.track.panel.instrumental_slope import (
     EXCESS_SHARE,
     EXCESS_STD,
     SlopeCorrection,
@@ -18,8 +18,7 @@ from estimation.track.panel.errors_in_variables import (
     corrected,
     slope_correction,
 )
-from estimation.track.panel.normal_equations import PanelState, init, update
-from estimation.track.panel.pass_rows import pass_rows
+from estimation.track.panel.normal_equations import PanelState, init, pass_rows, update
 from estimation.track.panel.solution import PanelSolution, result
 from estimation.values.arrays import FloatArray
 

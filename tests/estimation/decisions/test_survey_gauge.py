@@ -14,11 +14,10 @@ from test_update_limits import CERTAIN, FLEET, OFF, RIGHT, SETTINGS, SHIFT, WRON
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import ProfileLife
 from estimation.track.section import SectionEstimate
-from estimation.track.section_parameters import SectionParameters
-from estimation.track.settings import AlignmentSettings
-from estimation.track.survey_gauge import GaugeLimits, judge_gauge
+from estimation.track.settings import AlignmentSettings, SectionParameters
+from estimation.track.survey_check import GaugeLimits, judge_gauge
 from estimation.track.survey_verdict import SurveyVerdict
 from estimation.track.update import (
     AlignmentUpdate,
@@ -159,7 +158,7 @@ def test_a_scale_is_refused_from_1_3_and_three_stds_on(factor: float, monkeypatc
         (1.5, np.nan, None),
     ):
         found = (factor * beyond if factor > 1.0 else factor / beyond, std)
-        monkeypatch.setattr("estimation.track.survey_gauge.gauge_factor_with_std", lambda _, found=found: found)
+        monkeypatch.setattr("estimation.track.survey_check.gauge_factor_with_std", lambda _, found=found: found)
         assert judged() is code
 
 

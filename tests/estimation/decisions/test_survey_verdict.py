@@ -11,8 +11,15 @@ from test_section_limits import ELSEWHERE, LENGTH, P, a_pass, estimated, prior
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
 from estimation.track.screening.screen import Screened
-from estimation.track.survey_fit import SurveyFit, fit_survey
-from estimation.track.survey_verdict import MIRRORED, SurveyVerdict, Witnesses, is_mirrored, survey_verdict
+from estimation.track.survey_verdict import (
+    MIRRORED,
+    SurveyFit,
+    SurveyVerdict,
+    Witnesses,
+    fit_survey,
+    is_mirrored,
+    survey_verdict,
+)
 from estimation.track.update import _Epoch
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.track import Correction, TrackAlignment

@@ -12,11 +12,9 @@ from test_version_limits import shift_of
 from estimation.track.results import nothing
 from estimation.track.screening.screen import Screened
 from estimation.track.section import SectionEstimate
-from estimation.track.section_parameters import SectionParameters
-from estimation.track.settings import AlignmentSettings
-from estimation.track.survey_bands import EDGES, Band, SurveyBands
+from estimation.track.settings import AlignmentSettings, SectionParameters
 from estimation.track.survey_check import worth_more
-from estimation.track.survey_posterior import SurveyPosterior
+from estimation.track.survey_posterior import EDGES, Band, SurveyBands, SurveyPosterior
 from estimation.track.survey_verdict import CONFIRMED, SurveyVerdict
 from estimation.track.update import (
     AlignmentUpdate,

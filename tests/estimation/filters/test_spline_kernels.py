@@ -8,8 +8,16 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from oracles.sparse_smoothing_spline import sparse_smoothing_spline
 
-from estimation.filters.smoothing_spline import PIECES, remove_wander, subtract_smoothing_spline
-from estimation.filters.spline_kernels import add_roughness, factorise, multiply, place, solve
+from estimation.filters.smoothing_spline import (
+    PIECES,
+    add_roughness,
+    factorise,
+    multiply,
+    place,
+    remove_wander,
+    solve,
+    subtract_smoothing_spline,
+)
 from estimation.values.arrays import BoolArray, FloatArray
 
 

@@ -12,7 +12,7 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve, refined_curve
 from estimation.contact.wear import TreadWear, worn
-from estimation.geometry.contact_roll import ContactRoll, standard_curve
+from estimation.geometry.rolling_line import ContactRoll, standard_curve
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
 from estimation.motion.cross_level import standard_displacement
 from estimation.values.arrays import FloatArray

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from paper_class import PAPER_CLASS
 
-from estimation.geometry.shared_scale import solve_with_shared_scales
+from estimation.geometry.model_fit import solve_with_shared_scales
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.tables.least_squares import collect
 from estimation.values.arrays import FloatArray, IntArray

@@ -4,31 +4,82 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import product
 from typing import Any
 
 import pytest
 from one_database import on_sqlite
-from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
+from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, sample_window, wear
 
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.jobs.job import JobContext
 from estimation.jobs.made_from import made_from
+from estimation.jobs.refresh_trends import TREND, trend_of
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import AnyStage
 from estimation.jobs.stages import ALL_STAGES
 from estimation.storage import Storage, UnitOfWork
+from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
-from estimation.values.identity import AFTER, BEFORE, IDENTITY
+from estimation.values.geometry import GEOMETRY
+from estimation.values.quantities import with_interval
+from estimation.values.rails import CELLS
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
-from estimation.values.subjects import Facet, Mark
+from estimation.values.results import Result
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import EVERYTHING, Facet, Mark
+from estimation.values.track import TrackSectionRecord
+from estimation.values.trend import (
+    AFTER,
+    BEFORE,
+    IDENTITY,
+    SUSPENSION,
+    SuspensionFinding,
+    SuspensionShown,
+    TrendRecord,
+    TrendStep,
+)
 
 READS: Mapping[str, str] = {
     "registry.wheelsets_of": Facet.REGISTRY,
     "registry.mountings_of": Facet.REGISTRY,
     "registry.vehicles_of": Facet.REGISTRY,
     "alerts.of_kind": Facet.RESTARTS,
-    "geometries.conicities": Facet.GEOMETRY,
+    "geometries.conicities_of": GEOMETRY.stage,
+    "geometries.conicities": GEOMETRY.stage,
+    "registry.mountings": Facet.REGISTRY,
+    "registry.wheelsets": Facet.REGISTRY,
+    "registry.measured_wheelsets": Facet.REGISTRY,
+    "tracks.sections": Facet.REGISTRY,
+    "alerts.page": Facet.RESTARTS,
+    "trends.latest": TREND.name,
+    "geometries.interval_digests": GEOMETRY.stage,
+    "roll_ups.state": GEOMETRY.stage,
+    "roll_ups.of": GEOMETRY.stage,
+    "due.of_wheelset": GEOMETRY.stage,
+    "tables.tabled": GEOMETRY.stage,
+    "tables.last_reading": GEOMETRY.stage,
+    "rails.cells": CELLS,
+    "geometries.newest_numbers": GEOMETRY.stage,
+    "geometries.interval_numbers": GEOMETRY.stage,
+    "geometries.intervals": GEOMETRY.stage,
+    "geometries.current": GEOMETRY.stage,
+    "registry.vehicles": Facet.REGISTRY,
+    "registry.mounted_on": Facet.REGISTRY,
+    "registry.newest_measurement_of": Facet.REGISTRY,
+    "sensor_changes.newest": Facet.REGISTRY,
+    "suspensions.newest": Facet.STIFFNESS,
+    "trends.of": TREND.name,
+    "alerts.open_of": Facet.ALERTS,
+    "windows.in_service": Facet.WINDOWS,
+    "windows.hunted": Facet.BESIDE,
+    "dampers.of_vehicles": Facet.BESIDE,
+    "plausibility.rejected": Facet.BESIDE,
+    "results.identity_jump": "identity_jump",
+    "results.identity": "identity",
+    "results.suspension": Facet.BESIDE,
 }
 """The facet that is raised with what a method reads; a stage calls no other."""
 
@@ -40,16 +91,22 @@ BY_NAME = {stage.name: stage for stage in ALL_STAGES}
 class Recorded:
     """A unit of work, or a store of it, that notes which methods are called."""
 
-    of: Any
+    recorded: Any
     name: str = ""
     called: set[str] = field(default_factory=set)
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever the store has
-        found = getattr(self.of, name)
+        found = getattr(self.recorded, name)
+        if self.name == "results":
+            return partial(self._of_kind, found)
         if self.name:
             self.called.add(f"{self.name}.{name}")
             return found
         return Recorded(found, name, self.called)
+
+    def _of_kind(self, found: Any, kind: Any, *rest: Any) -> Any:  # noqa: ANN401 - the same
+        self.called.add(f"results.{kind.stage}")
+        return found(kind, *rest)
 
 
 def context_of(storage: Storage, settings: JobSettings | None = None, code: str = "test") -> JobContext:
@@ -61,6 +118,15 @@ def lived(storage: Storage) -> None:
     for serial in WHEELSETS:
         wear(storage, serial, 40)
         run_windows(storage, serial, 39.5, 3)
+    with storage.write() as unit:
+        unit.trends.put(trend_with_step("W1", 20))
+
+
+def trend_with_step(wheelset: str, day: int) -> TrendRecord:
+    """Return a trend with a step at the end of a day: what is beside the wheelset may have caused it."""
+    times = (START_NS + day * DAY_NS, START_NS + (day + 1) * DAY_NS)
+    step = TrendStep(day, day + 1.0, *times, times[1], with_interval(0.1, 0.01), 0.2, 3e-3, 0.99, 5, 5)
+    return TrendRecord(wheelset, 0, replace(trend_of((), 0.4, TrendParameters()), step=step), f"{day}", "test", 1)
 
 
 def identity_alert(wheelset: str) -> Alert:
@@ -79,7 +145,7 @@ def test_every_read_is_declared(storage: Storage, stage: AnyStage) -> None:
         recorded = Recorded(unit)
         stage.load(recorded, WHEELSETS, context_of(storage))  # type: ignore[arg-type] - it answers as the unit does
     assert recorded.called <= set(READS), "give every method that is read its facet"
-    assert {READS[name] for name in recorded.called} <= {*stage.facets, *stage.frozen}
+    assert {READS[name] for name in recorded.called} <= {*stage.facets, *stage.frozen, stage.name}
 
 
 def a_geometry(unit: UnitOfWork) -> None:
@@ -114,6 +180,35 @@ CHANGES: tuple[Callable[[Any], None], ...] = (
 OF_TREND = {change.__name__ for change in CHANGES}
 
 
+def a_window(unit: Any) -> None:  # noqa: ANN401 - the same
+    unit.windows.put(sample_window("W2", START_NS + 41 * DAY_NS), 41_000.0, 1)
+
+
+def a_step_beside(unit: UnitOfWork) -> None:
+    unit.trends.put(trend_with_step("W3", 21))
+
+
+def a_section(unit: Any) -> None:  # noqa: ANN401 - the same
+    unit.tracks.add_section(TrackSectionRecord("S9", 9, "", "60E1", 0.05, 1.435, 5000.0))
+
+
+def a_stiffness(unit: Any) -> None:  # noqa: ANN401 - the same
+    a_section(unit)
+    unit.suspensions.put(SuspensionFinding("V1", "S9", START_NS, START_NS + DAY_NS, 1.0, 0.03, 0.34, "v", 1))
+
+
+def a_suspension(unit: UnitOfWork) -> None:
+    shown = SuspensionShown(None, stands=True)
+    unit.results.put_all(SUSPENSION, [Result("V1", "another", "test", 1, shown)])
+
+
+OF_ALERTS = {
+    change.__name__: wheelset
+    for change, wheelset in ((a_window, "W2"), (a_step_beside, "W1"), (a_section, "W1"), (a_suspension, "W1"))
+}
+CHANGES += (a_window, a_step_beside, a_section, a_stiffness, a_suspension)
+
+
 def digests(storage: Storage, stage: AnyStage, context: JobContext) -> dict[str, str]:
     with storage.read() as unit:
         loaded = stage.load(unit, WHEELSETS, context)
@@ -138,6 +233,8 @@ def test_what_has_other_inputs_is_due(storage: Storage, change: Callable[[Any], 
         assert changed <= due(storage, BY_NAME[name], context), name
         if name == "trend":
             assert bool(changed) == (change.__name__ in OF_TREND)
+        if name == "alerts" and change.__name__ in OF_ALERTS:
+            assert OF_ALERTS[change.__name__] in changed
 
 
 @on_sqlite
@@ -145,7 +242,10 @@ def test_what_has_other_inputs_is_due(storage: Storage, change: Callable[[Any], 
 def test_settings_that_are_read_make_all_due(storage: Storage, stage: AnyStage) -> None:
     lived(storage)
     context, shipped = context_of(storage), JobSettings()
-    before = digests(storage, stage, context)
+    before, everybody = digests(storage, stage, context), {EVERYTHING} if stage.together else set(WHEELSETS)
+    with storage.write() as unit:
+        for subject, facet in product(WHEELSETS, stage.facets):
+            unit.subjects.raised(SubjectKind.WHEELSET, subject, facet)  # type: ignore[attr-defined] - of fleet_db
     seen_all(storage, stage, context)
     others = (
         replace(shipped, trend=replace(shipped.trend, horizon_km=99_000.0)),
@@ -154,8 +254,8 @@ def test_settings_that_are_read_make_all_due(storage: Storage, stage: AnyStage) 
     for settings in others:
         other = context_of(storage, settings)
         if digests(storage, stage, other) != before:
-            assert due(storage, stage, other) == set(WHEELSETS)
-    assert due(storage, stage, context_of(storage, code="another")) == set(WHEELSETS)
+            assert due(storage, stage, other) == everybody
+    assert due(storage, stage, context_of(storage, code="another")) == everybody
 
 
 def seen_all(storage: Storage, stage: AnyStage, context: JobContext) -> None:

@@ -13,8 +13,7 @@ from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.likely_chosen import likely_chosen
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.rolling_sums import rolling_sums
-from estimation.values.roll_up import MOST_CHOSEN
-from estimation.values.rolling_sums import RollingSums, WindowRollingSums
+from estimation.values.roll_up import MOST_CHOSEN, RollingSums, WindowRollingSums
 from estimation.values.windows import Hunting
 from fleet_db.storage import SqlStorage
 

@@ -15,21 +15,30 @@ from sqlalchemy import update
 
 from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
-from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
-from estimation.jobs.refresh_rails import STAGE, _refresh_found
+from estimation.jobs.refresh_rails import OF_ALL, OF_WHEELSETS, make_cells, store_cells
+from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps import rail_anchors, rail_cells
 from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
-from estimation.jobs.steps.rail_cells import LOST, CellsFound, cells_of
+from estimation.jobs.steps.rail_cells import LOST, wheelset_cells
 from estimation.jobs.steps.rolling import Part
-from estimation.values.identity import IdentityChange
-from estimation.values.quarantine import SubjectKind
-from estimation.values.rails import RailKey, SectionRailsRecord, StoredCell, WheelKey, WheelsetRailsRecord
+from estimation.values.geometry import IntervalDigest
+from estimation.values.rails import (
+    SECTION_RAILS,
+    WHEELSET_RAILS,
+    RailKey,
+    RailsFinding,
+    StoredCell,
+    WheelKey,
+    WheelsFinding,
+)
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.roll_up import RollUp, RollUpKey, Side
+from estimation.values.subjects import EVERYTHING, Mark
 from estimation.values.track import TrackSectionRecord
+from estimation.values.trend import IdentityChange
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.rails import CELLS
 
@@ -67,22 +76,23 @@ def found(storage: SqlStorage, cells: Sequence[StoredCell], *known: KnownSection
     with storage.write() as unit:
         unit.rails.drop_cells([(one.wheel, one.rail) for one in unit.rails.cells()])
         unit.rails.put_cells(cells)
-    at = context(storage, *known)
-    _refresh_found(at, Isolation(at, STAGE))
+    run(OF_ALL, context(storage, *known))
 
 
-def section(storage: SqlStorage, code: str) -> SectionRailsRecord:
+def section(storage: SqlStorage, code: str) -> RailsFinding:
     with storage.read() as unit:
-        record = unit.rails.of_section(code)
-    assert record is not None
-    return record
+        result = unit.results.latest(SECTION_RAILS, code)
+    assert result is not None
+    assert result.value is not None
+    return result.value
 
 
-def wheelset(storage: SqlStorage, serial: str) -> WheelsetRailsRecord:
+def wheelset(storage: SqlStorage, serial: str) -> WheelsFinding:
     with storage.read() as unit:
-        record = unit.rails.of_wheelset(serial)
-    assert record is not None
-    return record
+        result = unit.results.latest(WHEELSET_RAILS, serial)
+    assert result is not None
+    assert result.value is not None
+    return result.value
 
 
 def inputs(storage: SqlStorage, cells: Sequence[StoredCell], *known: KnownSection) -> AnchorInputs:
@@ -129,20 +139,24 @@ def test_the_limit_is_that_of_the_newest_period_or_not_known(registered: SqlStor
 def test_a_damaged_cell_is_said_and_its_wheelset_is_looked_at_again(registered: SqlStorage) -> None:
     alone = stored(wheel("W4", 1), "S3", 0.3)
     found(registered, [*fleet(), alone], KnownSection("S1", 0))
+    at = context(registered, KnownSection("S1", 0))
+    looked = OF_WHEELSETS.inputs(at)
     for damage in ({"scalars": {}, "arrays": {"conicity": [1]}}, {"reason": [1]}, []):
         with registered.write() as unit:
             wanted = update(CELLS).where(CELLS.c.section == "S3").values(document=damage)
             unit.connection.execute(wanted)
-        at = context(registered, KnownSection("S1", 0))
-        isolation = Isolation(at, STAGE)
-        _refresh_found(at, isolation)
-        assert [item.key for item in isolation.held(SubjectKind.WHEELSET)] == ["W4"]
+            due = unit.marks.due(looked, 0)
+            unit.marks.note(looked, {serial: Mark(one.seen, "") for serial, one in due.items()})
+            unit.marks.forget(OF_ALL.name, [EVERYTHING])
+        run(OF_ALL, at)
+        with registered.read() as unit:
+            assert set(unit.marks.due(looked, 0)) == {"W4"}
         why = section(registered, "S3").periods[0].part[0].reason
         assert why is not None
         assert why.code is ReasonCode.CELL_DAMAGED
         assert section(registered, "S2").periods[0].part[0].value == pytest.approx(0.05, abs=2e-3)
         with registered.read() as unit:
-            assert [one.damaged for one in unit.rails.cells("W4")] == [False, False, True]
+            assert [one.damaged for one in unit.rails.cells(["W4"])] == [False, False, True]
 
 
 def sealed(baseline: int, first_ns: int, end_ns: int) -> Part:
@@ -150,17 +164,21 @@ def sealed(baseline: int, first_ns: int, end_ns: int) -> Part:
     return Part(RollUp(key, 1, windows=6, first_ns=first_ns, end_ns=end_ns, vehicles=("V0",), sealed=True))
 
 
-def by_now(storage: SqlStorage, monkeypatch: pytest.MonkeyPatch, reason: Reason | None, *parts: Part) -> CellsFound:
+def by_now(
+    storage: SqlStorage, monkeypatch: pytest.MonkeyPatch, reason: Reason | None, *parts: Part
+) -> tuple[StoredCell, ...]:
     """Return what has changed of the cells of W0, whose windows are purged."""
+    place_of = {(part.roll_up.key.baseline, part.roll_up.key.interval): part for part in parts}
+    intervals = {place: IntervalDigest("", 6, reason) for place in place_of}
     monkeypatch.setattr(rail_cells, "rolled", lambda *_: SimpleNamespace(parts=parts))
     monkeypatch.setattr(rail_cells, "_chosen", lambda _, given: given)
-    monkeypatch.setattr("fleet_db.stores.geometries.GeometryStore.reason", lambda *_: reason)
+    monkeypatch.setattr("fleet_db.stores.geometries.GeometryStore.interval_digests", lambda *_: intervals)
+    at = context(storage)
     with storage.read() as unit:
-        changes = cells_of(unit, "W0", context(storage))
+        changes = wheelset_cells(unit, ["W0"], at)["W0"]
     with storage.write() as unit:
-        unit.rails.put_cells(changes.changed)
-        unit.rails.drop_cells(changes.gone)
-    return changes
+        store_cells(unit, at, {"W0": (changes, make_cells(changes))})
+    return changes.moved
 
 
 @on_sqlite
@@ -170,11 +188,11 @@ def test_a_cell_of_purged_windows_follows_what_is_said_of_its_geometry(
     known, part = stored(wheel("W0"), "S1", 0.2), sealed(0, 0, DAY_NS)
     with registered.write() as unit:
         unit.rails.put_cells([known])
-    assert by_now(registered, monkeypatch, None, part) == CellsFound((), ())
-    (refused,) = by_now(registered, monkeypatch, WHY, part).changed
+    assert by_now(registered, monkeypatch, None, part) == ()
+    (refused,) = by_now(registered, monkeypatch, WHY, part)
     assert (refused.reason, refused.usable) == (WHY, None)
-    assert by_now(registered, monkeypatch, WHY, part) == CellsFound((), ())
-    (again,) = by_now(registered, monkeypatch, None, part).changed
+    assert by_now(registered, monkeypatch, WHY, part) == ()
+    (again,) = by_now(registered, monkeypatch, None, part)
     assert again.usable is not None
 
 
@@ -185,7 +203,7 @@ def test_a_damaged_cell_of_purged_windows_stays_damaged(
     with registered.write() as unit:
         unit.rails.put_cells([stored(wheel("W0"), "S1", 0.2)])
         unit.connection.execute(update(CELLS).values(document={"arrays": 1}))
-    (lost,) = by_now(registered, monkeypatch, None, sealed(0, 0, DAY_NS)).changed
+    (lost,) = by_now(registered, monkeypatch, None, sealed(0, 0, DAY_NS))
     assert (lost.digest, lost.damaged) == (LOST, False)
     assert lost.reason is not None
     assert lost.reason.code is ReasonCode.CELL_DAMAGED
@@ -203,7 +221,7 @@ def test_cells_of_purged_windows_go_with_their_profile_where_a_lathe_was_registe
     parts = [sealed(n + 1, begin, begin + DAY_NS) for n, begin in enumerate(begins)]
     by_now(registered, monkeypatch, None, *parts)
     with registered.read() as unit:
-        found = {one.wheel.baseline: one.usable for one in unit.rails.cells("W0")}
+        found = {one.wheel.baseline: one.usable for one in unit.rails.cells(["W0"])}
     assert {number: one and (one.wheel.baseline, one.conicity[0]) for number, one in found.items()} == {
         1: (1, 0.2),
         2: (2, pytest.approx(0.3)),
@@ -215,7 +233,7 @@ def test_a_refused_cell_of_purged_windows_is_stored_with_its_numbers(registered:
     refused = replace(stored(wheel("W0"), "S1", 0.2), reason=WHY)
     with registered.write() as unit:
         unit.rails.put_cells([refused])
-        (back,) = unit.rails.cells("W0")
+        (back,) = unit.rails.cells(["W0"])
     assert back.reason == WHY
     assert back.cell is not None
     assert back.cell.conicity.tolist() == [0.2, 0.2]
@@ -255,8 +273,7 @@ def test_the_gauge_on_file_of_a_known_section_counts(registered: SqlStorage) -> 
     known = inputs(registered, fleet(), KnownSection("S1", 0))
     assert known.rails is not None
     assert known.rails.gauge == pytest.approx(1.434)
-    with registered.read() as unit:
-        held = anchors(unit, known, AMPLITUDE)
+    held = anchors(known, AMPLITUDE)
     on_file, here = held.wheel.of("S1"), held.wheel.on_reference
     assert np.abs(here - on_file).max() > 0.02
     found(registered, fleet(), KnownSection("S1", 0))

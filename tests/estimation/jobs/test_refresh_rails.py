@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,17 +21,19 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps import rail_cells
+from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
-from estimation.jobs.steps.rail_cells import CellsFound, cells_of
+from estimation.jobs.steps.rolling import Rolled, rolled
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.quantities import Estimate
-from estimation.values.rails import RailPart, RailsReference, WheelsetRailsRecord
+from estimation.values.rails import SECTION_RAILS, WHEELSET_RAILS, RailPart, RailsReference, WheelsFinding
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Window
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.rails import RailsStore
 
 WEAR = 0.04  # what the rails of S2 add to every conicity
@@ -93,24 +94,27 @@ def refresh(storage: Storage, settings: JobSettings = KNOWN) -> Mapping[str, int
 
 def newest(storage: Storage, section: str) -> RailPart:
     with storage.read() as unit:
-        found = unit.rails.of_section(section)
+        found = unit.results.latest(SECTION_RAILS, section)
     assert found is not None
-    return found.periods[-1]
+    assert found.value is not None
+    return found.value.periods[-1]
 
 
-def wheels(storage: Storage, number: int) -> WheelsetRailsRecord:
+def wheels(storage: Storage, number: int) -> WheelsFinding:
     with storage.read() as unit:
-        found = unit.rails.of_wheelset(NAMES[number])
+        found = unit.results.latest(WHEELSET_RAILS, NAMES[number])
     assert found is not None
-    return found
+    assert found.value is not None
+    return found.value
 
 
 def reason_of(storage: Storage, section: str) -> ReasonCode | None:
     """Return why a section holds no level though it is named as known."""
     with storage.read() as unit:
-        found = unit.rails.of_section(section)
+        found = unit.results.latest(SECTION_RAILS, section)
     assert found is not None
-    return None if found.refused is None else found.refused.code
+    assert found.value is not None
+    return None if found.value.refused is None else found.value.refused.code
 
 
 def named(*sections: str) -> JobSettings:
@@ -148,15 +152,15 @@ def test_worn_rails_are_a_finding_of_the_section_and_not_of_the_wheelsets(receiv
 def test_a_repeat_reads_no_table_and_stores_nothing(received: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
     refresh(received)
     with received.read() as unit:
-        before = unit.rails.of_section("S2")
+        before, _ = unit.results.version(SECTION_RAILS, "S2")
 
     def refused(*_: object) -> None:
         raise AssertionError("the cells of a wheelset without news were looked at")
 
-    monkeypatch.setattr("estimation.jobs.refresh_rails.cells_of", refused)
+    monkeypatch.setattr(rail_cells, "rolled", refused)
     assert set(refresh(received).values()) == {0}
     with received.read() as unit:
-        assert unit.rails.of_section("S2") == before
+        assert unit.results.version(SECTION_RAILS, "S2")[0] == before
 
 
 @on_sqlite
@@ -180,15 +184,15 @@ def test_a_run_without_news_goes_by_counters_alone(received: Storage, monkeypatc
 def test_wheelsets_are_parted_again_as_soon_as_one_that_failed_is_read(
     received: Storage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def failing(unit: UnitOfWork, serial: str, *rest: Any) -> CellsFound:  # noqa: ANN401 - passed on
-        if serial == "W1":
+    def failing(unit: UnitOfWork, rules: Membership) -> Rolled:
+        if rules.wheelset == "W1":
             raise DamagedError("cells of W1")
-        return cells_of(unit, serial, *rest)
+        return rolled(unit, rules)
 
     with monkeypatch.context() as patched:
-        patched.setattr("estimation.jobs.refresh_rails.cells_of", failing)
+        patched.setattr(rail_cells, "rolled", failing)
         assert refresh(received)["quarantined"] == 1
-    assert refresh_rails.run(JobContext(received, StandingClock(10**18), "test", KNOWN))["cells"] == 2
+    assert refresh_rails.JOB.run(JobContext(received, StandingClock(10**18), "test", KNOWN))["cells"] == 2
     assert wheels(received, 1).part.sections == ("S1", "S2")
 
 
@@ -263,7 +267,12 @@ def test_measured_profiles_hold_the_level(received: Storage) -> None:
 @on_sqlite
 def test_what_contradicts_the_class_gives_no_cell(received: Storage, monkeypatch: pytest.MonkeyPatch) -> None:
     why = rail_cells.Reason(ReasonCode.YAW_SPRING_DIFFERS, "another spring")
-    monkeypatch.setattr("fleet_db.stores.geometries.GeometryStore.reason", lambda *_: why)
+    digests = GeometryStore.interval_digests
+    monkeypatch.setattr(
+        GeometryStore,
+        "interval_digests",
+        lambda *given: {place: replace(one, reason=why) for place, one in digests(*given).items()},
+    )
     refresh(received)
     with received.read() as unit:
         cells = unit.rails.cells()
@@ -278,9 +287,10 @@ def test_the_limit_of_the_settings_makes_the_finding(received: Storage) -> None:
         rails = replace(KNOWN.rails, model=replace(RailsParameters(), limit=limit))
         refresh(received, replace(KNOWN, rails=rails))
         with received.read() as unit:
-            record = unit.rails.of_section("S2")
+            record = unit.results.latest(SECTION_RAILS, "S2")
         assert record is not None
-        found[limit] = (record.limit, record.exceeded)
+        assert record.value is not None
+        found[limit] = (record.value.limit, record.value.exceeded)
     assert found[0.3][0] == 0.3
     assert found[0.3][1] is not True
 
@@ -355,5 +365,5 @@ def test_the_traffic_on_file_is_what_the_trend_is_given_by(received: Storage) ->
     context = JobContext(received, StandingClock(10**15), "test", KNOWN)
     with received.read() as unit:
         inputs = anchor_inputs(unit, unit.rails.cells(), context)
-        assert anchors(unit, inputs, np.array([3e-3])).tonnage == {"S2": 40.0}
+    assert anchors(inputs, np.array([3e-3])).tonnage == {"S2": 40.0}
     assert refresh(received)["sections"] == 2  # it is solved again

@@ -19,11 +19,11 @@ from estimation.errors import DamagedError
 from estimation.jobs import refresh_signatures
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import JobContext
-from estimation.values.identity import IdentityChange
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.signatures import Basis, Signature, SignatureRecord, WindowSignatures
+from estimation.values.trend import IdentityChange
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage

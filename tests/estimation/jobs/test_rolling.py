@@ -1,10 +1,10 @@
-"""Roll-ups: whatever happens to windows, they hold the sum of the tables that are there, bit for bit."""
+"""Roll-ups: whatever happens to windows, they hold the sum of their tables in the order of time, bit for bit."""
 
 from __future__ import annotations
 
 import random
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,13 +18,11 @@ from smooth_wheelset import alignment, track
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.jobs.steps import rolling
 from estimation.jobs.steps.membership import Membership, membership
-from estimation.jobs.steps.rolling import Part, rolled, sums
+from estimation.jobs.steps.rolling import rolled, sums
 from estimation.jobs.steps.running_mileage import running_mileage
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.tables.bin_table import BinParameters, TableSum, bin_parameters, init, tabulate_window
-from estimation.tables.exact_sum import ExactSum, nothing
-from estimation.values.exact_table import ExactTable
+from estimation.tables.bin_table import TableSum, bin_parameters, init, tabulate_window
 from estimation.values.geometry import BinTable, FilledCells
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import (
@@ -36,8 +34,8 @@ from estimation.values.registry import (
 )
 from estimation.values.roll_up import RollUpState
 from estimation.values.track import TrackSectionRecord
-from estimation.values.windows import Window, WindowState
-from fleet_db.packed_values import pack_bin_table, pack_exact_table, unpack_filled_cells
+from estimation.values.windows import DueStage, Window, WindowState
+from fleet_db.packed_values import pack_bin_table
 from fleet_db.storage import SqlStorage
 
 SETTINGS = JobSettings(estimation=EstimationSettings(interval_km=20.0, half_life_km=30.0))
@@ -153,19 +151,11 @@ def rules_of(unit: UnitOfWork) -> Membership:
 def exact(storage: SqlStorage) -> dict[object, tuple[object, ...]]:
     """Return every roll-up as it is now, with what waits added, by its key."""
     with storage.read() as unit:
-        rules = rules_of(unit)
-        found = rolled(unit, rules)
-        return {part.roll_up.key: (*known(part), *packed(unit, rules, part)) for part in found.parts}
-
-
-def known(part: Part) -> tuple[object, ...]:
-    return replace(part.roll_up, number=None), len(part.roll_up.chosen)
-
-
-def packed(unit: UnitOfWork, rules: Membership, part: Part) -> Iterator[bytes]:
-    found = sums(unit, rules, part)
-    assert found is not None
-    return map(pack_exact_table, found)
+        parts = rolled(unit, rules_of(unit)).parts
+        return {
+            part.roll_up.key: (replace(part.roll_up, number=None), *map(pack_bin_table, sums(unit, "W1", part)))
+            for part in parts
+        }
 
 
 def by_the_book(storage: SqlStorage) -> dict[tuple[int, int], tuple[BinTable, BinTable, list[float]]]:
@@ -185,21 +175,14 @@ def by_the_book(storage: SqlStorage) -> dict[tuple[int, int], tuple[BinTable, Bi
         for km, table in members:
             plain.add(table)
             w = 0.5 ** ((ends[place] - km) / 30.0)
-            forgetting.add(replace(table, weight=w * table.weight, lateral=w * table.lateral, yaw=w * table.yaw))
+            forgetting.add(table, w)
         summed[place] = plain.table(), forgetting.table(), [km for km, _ in members]
     return summed
 
 
-def close(first: BinTable, second: BinTable) -> bool:
-    return all(
-        np.allclose(getattr(first, name), getattr(second, name), rtol=1e-9, atol=1e-3)
-        for name in ("weight", "lateral", "yaw")
-    ) and (first.samples, first.windows) == (second.samples, second.windows)
-
-
 def made_again(storage: SqlStorage) -> None:
     with storage.write() as unit:
-        unit.roll_ups.put_state("W1", RollUpState("", {}, {}))
+        unit.roll_ups.put_state("W1", RollUpState("", {}))
         unit.changes.note("W1")
 
 
@@ -220,10 +203,9 @@ def test_after_anything_the_sums_are_those_of_the_tables_that_are_there(
             rules = rules_of(unit)
             for part in rolled(unit, rules).parts:
                 plain, forgetting, mileages = expected[part.roll_up.key.baseline, part.roll_up.key.interval]
-                found = sums(unit, rules, part)
-                assert found is not None
-                assert close(found[0].table(), plain)
-                assert close(found[1].table(), forgetting)
+                found = sums(unit, "W1", part)
+                assert pack_bin_table(found[0]) == pack_bin_table(plain)
+                assert pack_bin_table(found[1]) == pack_bin_table(forgetting)
                 assert part.roll_up.windows == len(mileages)
                 assert part.roll_up.mean_km == pytest.approx(np.mean(mileages))
                 assert part.roll_up.last_km == max(mileages)
@@ -235,7 +217,10 @@ def test_after_anything_the_sums_are_those_of_the_tables_that_are_there(
 def test_one_more_window_costs_itself(
     sqlite_storage: SqlStorage, tables: list[BinTable], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Tables read and statements executed are the same after 60 windows and after 300; so is a late one."""
+    """Tables added and statements executed are the same after 70 windows and after 300; a late one costs its interval.
+
+    An interval of 20 km has 17 windows at most.
+    """
     monkeypatch.setattr(rolling, "KEPT_WAITING", 1)
     register(sqlite_storage)
     life = Life(sqlite_storage, tables, random.Random(1))  # noqa: S311
@@ -255,20 +240,20 @@ def test_one_more_window_costs_itself(
         costs.append((spent, cost(sqlite_storage, monkeypatch)))
     assert costs[0][0] == costs[1][0]
     assert costs[0][0][0] == 1
-    assert costs[1][1][0] == 1
+    assert all(15 <= late[0] <= 17 for _, late in costs)
 
 
 def cost(storage: SqlStorage, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int]:
     """Return how many tables were added and how many statements executed by a run."""
     added = [0]
-    original = ExactSum.add
+    original = TableSum.add
 
-    def add(self: ExactSum, cells: FilledCells, weight: float = 1.0) -> None:
+    def add(self: TableSum, table: BinTable | FilledCells, weight: float = 1.0) -> None:
         added[0] += 1
-        original(self, cells, weight)
+        original(self, table, weight)
 
     with monkeypatch.context() as patch, executed_statements() as executed:
-        patch.setattr(ExactSum, "add", add)
+        patch.setattr(TableSum, "add", add)
         counts(storage, "refresh_geometry", SETTINGS)
     return added[0] // 2, len(executed)
 
@@ -282,54 +267,8 @@ def test_few_windows_wait_before_their_sums_are_written(sqlite_storage: SqlStora
             life.put(unit, step)
         counts(sqlite_storage, "refresh_geometry", SETTINGS)
         with sqlite_storage.read() as unit:
-            waiting.append(len(unit.tables.waiting("W1")))
+            waiting.append(len(unit.due.of_wheelset(DueStage.SUMS, "W1")))
             geometry = unit.geometries.current("W1")
         assert geometry is not None
         assert geometry.geometry.windows == step + 1
     assert waiting == [0, *range(1, 32), 0, *range(1, 8)]
-
-
-def cells(tables: list[BinTable]) -> list[FilledCells]:
-    return [unpack_filled_cells(pack_bin_table(table), where="here") for table in tables]
-
-
-def start() -> ExactSum:
-    return ExactSum(nothing(init(BINS), BINS))
-
-
-def bits(table: ExactTable) -> tuple[bytes, bytes, int, int]:
-    return table.upper.tobytes(), table.lower.tobytes(), table.samples, table.windows
-
-
-@pytest.mark.parametrize("weight", [1.0, 0.3, 1e-6])
-def test_an_exact_sum_does_not_depend_on_the_order_and_forgets_what_is_taken_away(
-    tables: list[BinTable], weight: float
-) -> None:
-    found = cells(tables)
-    first, second = start(), start()
-    for one in found:
-        first.add(one, weight)
-    for one in reversed([*found, found[2]]):
-        second.add(one, weight)
-    second.take(found[2], weight)
-    assert bits(first.result()) == bits(second.result())
-    for one in found:
-        second.take(one, weight)
-    assert bits(second.result()) == bits(start().result())
-
-
-def test_the_unit_of_a_sum_follows_from_the_axle_load() -> None:
-    """A unit that is too coarse loses small moments, one that is too fine overflows."""
-    assert nothing(init(BINS), BINS).exponent == 2 * 16 - 76  # 91 kN
-    heavy = BinParameters(vehicle=replace(BINS.vehicle, suspended_mass=4 * BINS.vehicle.suspended_mass))
-    assert nothing(init(heavy), heavy).exponent == 2 * 18 - 76
-
-
-def test_what_cannot_be_held_or_does_not_belong_is_refused(tables: list[BinTable]) -> None:
-    one = cells(tables)[0]
-    with pytest.raises(OverflowError, match="128 bits"):
-        start().add(replace(one, weight=one.weight * 1e60))
-    with pytest.raises(OverflowError, match="not finite"):
-        start().add(replace(one, yaw=one.yaw * np.nan))
-    with pytest.raises(ValueError, match="do not merge"):
-        start().add(replace(one, parameter_key="other"))

@@ -14,13 +14,12 @@ from test_rolling import MINUTE, SETTINGS, Life, exact, made_again, register, ta
 
 from estimation.errors import ConflictError
 from estimation.jobs.steps import rolling
-from estimation.values.exact_table import ExactTable, RolledPart
 from estimation.values.geometry import PASSED_OVER, BinTable, GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
-from estimation.values.roll_up import RollUp
-from estimation.values.track_epochs import EpochMember, EpochNews, FoldState, TrackEpoch
+from estimation.values.roll_up import RolledPart
+from estimation.values.track import EpochMember, EpochNews, FoldState, TrackEpoch
 from estimation.values.windows import PassedOver, WindowPosition, WindowState
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.purge import purge
@@ -110,7 +109,7 @@ def test_sums_without_tables_give_the_same_geometry_bit_for_bit(life: Life) -> N
     made_again(sqlite_storage)
     assert refresh(sqlite_storage) == 0
     found = exact(sqlite_storage)
-    assert [value[2:] for value in found.values()] == [value[2:] for value in sums.values()]
+    assert [value[1:] for value in found.values()] == [value[1:] for value in sums.values()]
     with sqlite_storage.write() as unit:
         unit.geometries.put(replace(before[0], input_digest="0" * 64))
         unit.changes.note("W1")
@@ -145,6 +144,25 @@ def test_late_windows_are_added_to_sums_without_tables(
     refresh(sqlite_storage)
     assert exact(sqlite_storage) == kept
     assert not passed_over(sqlite_storage)
+
+
+def test_a_window_that_is_late_for_sums_without_tables_is_in_them_once(
+    sqlite_storage: SqlStorage, tables: list[BinTable]
+) -> None:
+    life = begin(sqlite_storage, tables, [step for step in range(130) if step != 40])
+    purged(sqlite_storage)
+    for table in tables[:2]:  # the second time it is estimated again, as long as it has samples
+        with sqlite_storage.write() as unit:
+            if table is tables[0]:
+                life.put(unit, 40)
+            record = unit.windows.get("W1", 40 * MINUTE)
+            assert record is not None
+            unit.tables.put("W1", 40 * MINUTE, table, 2, record.content_digest)
+        refresh(sqlite_storage)
+        with sqlite_storage.read() as unit:
+            assert sum(one.windows for one in unit.roll_ups.of("W1")) == 130
+            assert 40 * MINUTE not in {one.start_ns for one in unit.tables.tabled("W1")}
+    assert purged(sqlite_storage) == {"window_samples": 1, "window_bin_tables": 0}
 
 
 def test_a_fuller_recording_replaces_a_window_until_its_table_is_purged(life: Life) -> None:
@@ -313,15 +331,10 @@ def test_a_roll_up_that_was_sealed_meanwhile_is_not_overwritten(life: Life) -> N
     with sqlite_storage.read() as unit:
         assert seen.number is not None
         kept = unit.roll_ups.sums(seen.number)
-    assert kept is not None
-    part = rolling_part(seen, kept)
+    part = RolledPart(seen, seen.content, *kept, ())
     with pytest.raises(ConflictError), sqlite_storage.write() as unit:
-        unit.roll_ups.put("W1", [part])
+        unit.roll_ups.put("W1", [part], 1)
     assert life.there
-
-
-def rolling_part(roll_up: RollUp, kept: tuple[ExactTable, ExactTable]) -> RolledPart:
-    return RolledPart(roll_up, roll_up.content_digest, *kept, ())
 
 
 def test_sums_with_forgetting_go_when_they_have_no_weight(life: Life) -> None:
@@ -333,7 +346,7 @@ def test_sums_with_forgetting_go_when_they_have_no_weight(life: Life) -> None:
         with sqlite_storage.read() as unit:
             numbers = [(one.number, one.key.interval) for one in unit.roll_ups.of("W1")]
             sums = {interval: unit.roll_ups.sums(number or 0) for number, interval in numbers}
-        return {interval for interval, found in sums.items() if found is not None and found[1].windows}
+        return {interval for interval, found in sums.items() if found[1].windows}
 
     assert kept() == set(range(8))
     with sqlite_storage.write() as unit:

@@ -19,8 +19,7 @@ from estimation.jobs.steps.store_dampers import store_dampers
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, Condition
 from estimation.values.dampers import GearDamper, WindowDamper
-from estimation.values.intervals import with_interval
-from estimation.values.quantities import Estimate
+from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
 from estimation.values.runs import JobTrigger

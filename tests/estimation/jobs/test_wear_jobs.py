@@ -20,8 +20,8 @@ from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, CloseRea
 from estimation.values.quantities import Status
 from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.runs import JobRun, JobTrigger
-from estimation.values.suspension import SuspensionFinding
 from estimation.values.track import TrackSectionRecord
+from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import Hunting
 
 RAISED, UPDATED, CLEARED, CLOSED = (

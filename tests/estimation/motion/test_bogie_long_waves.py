@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from estimation.motion.fusion_parameters import FusionParameters
+from estimation.motion.parameters import FusionParameters
 from estimation.motion.rolling_radius_difference import BogieYaws, long_waves_in_bogie
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters

@@ -18,10 +18,9 @@ from estimation.motion.integration import integrate, mirrored
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.window_motion import motion
 from estimation.values.arrays import FloatArray
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 
 DT, SPEED, RADIUS, SECONDS = 4e-3, 20.0, 0.45, 60.0
 CONTACT_ROLL = 0.1  # rad/m

@@ -14,9 +14,8 @@ from estimation.motion.parameters import SignalParameters
 from estimation.motion.track_lookup import gauge_shift
 from estimation.motion.window_motion import motion
 from estimation.values.arrays import FloatArray
-from estimation.values.motion import Motion
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import WheelsetMotion
 

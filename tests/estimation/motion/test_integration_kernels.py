@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimation.motion.integration_kernels import integrate_once, integrate_twice, take_out_mean
+from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
 from estimation.values.arrays import FloatArray
 
 DT = 4e-3

@@ -9,11 +9,10 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import butter, sosfilt
 from smooth_wheelset import mems_windows, run
+from whole_runs import whole_runs
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.motion.fusion_parameters import FusionParameters
-from estimation.motion.joined_windows import whole_runs
-from estimation.motion.parameters import SignalParameters
+from estimation.motion.parameters import FusionParameters, SignalParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, _sampled, _shortest
 from estimation.track.passes import Pass, passes
 from estimation.values.arrays import FloatArray

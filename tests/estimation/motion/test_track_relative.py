@@ -13,8 +13,8 @@ from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.cross_level import standard_displacement
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.window_motion import motion
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason
+from estimation.values.windows import Motion
 
 PARAMETERS = SignalParameters()
 

@@ -9,20 +9,18 @@ import pytest
 from bogie_run import COACH, SOFT, WHEELBASE, joined, of_bogie, parameters, windows
 from paper_class import PAPER_CLASS
 from smooth_wheelset import alignment, mems_windows, run, track
+from whole_runs import whole_runs
 
 from estimation.geometry.rolling_radius import rolling_radius
-from estimation.motion.axle_distance import check_axle_distance
+from estimation.motion.axle_distance import bogie_runs_backwards, check_axle_distance, runs_backwards, turned_over
 from estimation.motion.bogie_frame import with_frame_yaw
-from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
-from estimation.motion.travel import bogie_runs_backwards, runs_backwards, turned_over
 from estimation.motion.window_motion import window_motion
 from estimation.signatures.window_signatures import axle_position
 from estimation.track.examination import examine
-from estimation.values.motion import Motion
 from estimation.values.signatures import AxlePosition
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 
 
 def rear_first(window: Window) -> Window:

@@ -11,10 +11,9 @@ from smooth_wheelset import alignment, mems_windows, run, track
 from estimation.motion.parameters import SignalParameters
 from estimation.motion.usable_samples import check_upright, straight_part
 from estimation.motion.window_motion import motion
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackLayout
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 
 STRAIGHT = TrackLayout("S1", 1, np.array([0.0, 1e5]), np.zeros(2), np.zeros(2))
 CHANNELS = ("lateral_acceleration", "mass_lateral_acceleration")

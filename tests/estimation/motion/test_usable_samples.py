@@ -15,10 +15,9 @@ from estimation.motion.parameters import CurveLimits, SignalParameters
 from estimation.motion.track_lookup import deconvolved
 from estimation.motion.usable_samples import straight, straight_part
 from estimation.motion.window_motion import motion
-from estimation.values.motion import Motion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackLayout
-from estimation.values.windows import Window
+from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.curves import Curve
 from ingest.simulator.motion import simulate_wheelset

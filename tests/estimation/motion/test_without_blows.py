@@ -9,8 +9,7 @@ import pytest
 from striking import INTERVAL, Struck, once_a_turn, struck_at
 
 from estimation.motion.checks import high_pass_running_mean
-from estimation.motion.turn_blows import find_turn_blows
-from estimation.motion.without_blows import without_blows
+from estimation.motion.without_blows import find_turn_blows, without_blows
 from estimation.values.windows import Window, WindowQuality
 
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from estimation.plans.reprofiling import turning_plan
-from estimation.plans.values import Candidate, Cause, DiameterLimits, PlanLine, Radii
+from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from estimation.values.reasons import Reason, ReasonCode
 
 DAY = 86_400_000_000_000

@@ -9,8 +9,8 @@ import pytest
 from drawn_cells import DESIGN, anchors, cell, wheel
 
 from estimation.rails.apart import init, result, update
-from estimation.rails.contact_jumps import next_to_jump, on_rise
 from estimation.rails.parameters import Anchors, RailsParameters
+from estimation.rails.published import next_to_jump, on_rise
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Estimate
 from estimation.values.rails import RailsApart, SectionConicity

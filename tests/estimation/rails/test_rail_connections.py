@@ -9,7 +9,7 @@ import pytest
 from drawn_cells import AMPLITUDE, anchors, cell, wheel
 
 from estimation.rails.apart import init, result, update
-from estimation.rails.connections import Runs, connected
+from estimation.rails.component import Runs, connected
 from estimation.rails.parameters import RailsParameters
 from estimation.values.rails import RailsApart, SectionConicity
 from estimation.values.reasons import ReasonCode

@@ -11,11 +11,10 @@ from signature_draws import PARAMETERS, Draw
 
 from estimation.signatures import calibration
 from estimation.signatures.answer import judged
-from estimation.signatures.calibration import NORMAL, Calibration, differences
-from estimation.signatures.families import sharers
+from estimation.signatures.calibration import NORMAL, SHARES, Calibration, differences, judged_by, unjudged
 from estimation.signatures.library import Library, library, rows_of
 from estimation.signatures.mixed_model import CONICITY, LARGEST_SHARE, Likelihood, _less, fitted
-from estimation.signatures.on_file import SHARES, judged_by, unjudged
+from estimation.signatures.parameters import sharers
 from estimation.values.arrays import FloatArray
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 

@@ -9,9 +9,9 @@ import pytest
 from signature_draws import PARAMETERS, Draw, signature
 
 from estimation.signatures import calibration, retirement
-from estimation.signatures.admission import Libraries, Subject
 from estimation.signatures.answer import compared, judged, most_likely, states
 from estimation.signatures.library import Library, library
+from estimation.signatures.retirement import Libraries, Subject
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from signature_draws import Draw
 
-from estimation.signatures.on_file import (
+from estimation.signatures.calibration import (
     ANSWER_SPREAD,
     ANSWER_STD,
     NEAR,

@@ -14,9 +14,8 @@ from same_values import same_values
 from estimation.tables import bin_kernels, bin_table, least_squares
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
 from estimation.values.arrays import FloatArray, IntArray
-from estimation.values.motion import OF_FRAME, Motion
-from estimation.vehicle.regression_kernels import Signals
-from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGETS, regression
+from estimation.values.windows import OF_FRAME, Motion
+from estimation.vehicle.regressors import LATERAL_TARGETS, YAW_TARGETS, Signals, regression
 from fleet_db.packed_values import pack_bin_table
 
 SINGLE = BinParameters(difference_noise=1e-9)

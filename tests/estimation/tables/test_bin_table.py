@@ -17,7 +17,7 @@ from estimation.tables import bin_table
 from estimation.tables.least_squares import solve
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinTable, FilledCells
-from estimation.values.motion import Motion
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 

@@ -11,10 +11,9 @@ from gauge_passes import LENGTH, Wheels, passes, section
 from estimation.filters.local_cubic import high_pass
 from estimation.track.gauge.wheel_functions import total_gauge_shifts
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
-from estimation.track.journeys import PositionParameters, journeys
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.prior_alignment import PriorAlignment
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import PositionParameters, ProfileLife, journeys
 from estimation.track.results import SectionResults, findings
 from estimation.values.arrays import FloatArray
 

@@ -10,18 +10,16 @@ import pytest
 from smooth_wheelset import SmoothTable, track
 from test_panel import PARAMETERS, fleet_passes
 
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.radius_difference import radius_difference_curve
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
 from estimation.track.section import SectionEstimate, estimate_section
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 

@@ -10,18 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from smooth_wheelset import SmoothTable, mems_windows, run, track
+from whole_runs import whole_runs
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
-from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.gridded_pass import grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters, basis_functions
 from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.solution import PanelSolution, result
-from estimation.track.passes import Pass, gridded, passes
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife, gridded, passes
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.vehicle.equations_of_motion import VehicleParameters

@@ -11,10 +11,9 @@ from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, PanelParameters, basis_functions, gauge_at
-from estimation.track.panel.pass_rows import pass_rows
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
-from estimation.track.screening.correlations import cross_products, own_products
+from estimation.track.panel.normal_equations import pass_rows
+from estimation.track.passes import Pass, ProfileLife
+from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import BoolArray, FloatArray, as_slice
 
 PARAMETERS = PanelParameters(length=600.0, basis_count=21, gauge_basis_count=7)

@@ -9,10 +9,9 @@ import pytest
 from test_panel import PANEL, fleet_passes
 
 from estimation.track.gridded_pass import all_passes, place
-from estimation.track.journeys import Journey, PositionParameters, journeys
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import result
-from estimation.track.passes import Pass
+from estimation.track.passes import Journey, Pass, PositionParameters, journeys
 from estimation.track.positions import correlate_positions, refine
 from estimation.values.track import Correction
 

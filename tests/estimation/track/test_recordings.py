@@ -9,9 +9,8 @@ import numpy as np
 from gauge_passes import LENGTH, Section, Wheels, passes, section
 
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.profile_life import ProfileLife
-from estimation.track.section_parameters import SectionParameters
-from estimation.track.settings import AlignmentSettings
+from estimation.track.passes import ProfileLife
+from estimation.track.settings import AlignmentSettings, SectionParameters
 from estimation.track.update import AlignmentUpdate, UpdateOutcome, update_alignment
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord

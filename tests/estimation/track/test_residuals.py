@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from smooth_wheelset import SmoothTable, mems_windows, track
 from test_panel import PARAMETERS
+from whole_runs import whole_runs
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
-from estimation.track.passes import Pass, passes
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife, passes
 from estimation.track.section import LEAST_USUAL, USUAL_FACTOR, Residuals, SectionEstimate, estimate_section
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.simulator.motion import simulate_wheelset
 

@@ -18,8 +18,7 @@ from estimation.track.gridded_pass import grid_pass
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, result
-from estimation.track.passes import Pass
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
 from estimation.track.screening.agreement import agreement as agree
 from estimation.track.screening.agreement import alignment_segment, filter_pass
 from estimation.track.screening.screen import PassStatus, screen

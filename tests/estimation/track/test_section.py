@@ -17,7 +17,7 @@ from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.convergence import Iterated
 from estimation.track.passes import Pass
 from estimation.track.section import SectionEstimate, estimate_section
-from estimation.track.section_parameters import SectionParameters
+from estimation.track.settings import SectionParameters
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.track import AlignmentSource, TrackAlignment

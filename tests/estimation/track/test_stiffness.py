@@ -8,15 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 from smooth_wheelset import mems_windows, run
+from whole_runs import whole_runs
 
-from estimation.motion.joined_windows import whole_runs
 from estimation.motion.parameters import SignalParameters
 from estimation.track.gridded_pass import grid_pass, with_ratio
 from estimation.track.iteration import IterationParameters, IterationResult, iterate
-from estimation.track.journeys import PositionParameters, journeys
 from estimation.track.panel.basis import Panel, PanelParameters
 from estimation.track.panel.stiffness_ratio import PRIOR_STD, SYSTEMATIC_STD, Ratio, with_ratio_std
-from estimation.track.passes import Pass, passes
+from estimation.track.passes import Pass, PositionParameters, journeys, passes
 from estimation.track.results import findings
 from estimation.vehicle.equations_of_motion import VehicleParameters
 

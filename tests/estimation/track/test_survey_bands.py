@@ -10,23 +10,23 @@ import pytest
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.passes import Pass
-from estimation.track.position_std import position_std, shrunk
-from estimation.track.profile_life import ProfileLife
+from estimation.track.passes import Pass, ProfileLife
+from estimation.track.placing import CORRELATED, REPORTED_STD, position_std, shrunk
 from estimation.track.section import SectionEstimate, estimate_section
-from estimation.track.section_parameters import SectionParameters
-from estimation.track.survey_bands import (
+from estimation.track.settings import SectionParameters
+from estimation.track.survey_posterior import (
     EDGES,
     FILED_SAMPLES,
     LOCAL,
     LOCAL_STDS,
+    SurveyPosterior,
     _bands_of,
     _learnt,
     _local_excess,
     survey_bands,
+    survey_posterior,
     total_variance,
 )
-from estimation.track.survey_posterior import SurveyPosterior, survey_posterior
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment
@@ -199,12 +199,10 @@ def test_positions_are_shrunk_to_what_was_reported_as_far_as_they_are_not_known(
 
 
 def test_the_shipped_figures() -> None:
-    from estimation.track import position_std as positions  # noqa: PLC0415 - its figures
-    from estimation.track import survey_bands as of_bands  # noqa: PLC0415
-    from estimation.track import survey_posterior as of_posterior  # noqa: PLC0415
+    from estimation.track import survey_posterior as shipped  # noqa: PLC0415 - its figures
 
-    assert of_bands.EDGES == (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)
-    assert (of_bands.SHORTEST, of_bands.FILED_SAMPLES, of_bands.LOCAL, of_bands.LOCAL_STDS) == (2.5, 6.0, 100.0, 4.0)
-    assert (of_bands.MODEL_SHARE, of_bands.NEIGHBOUR, of_bands.NEXT) == (2.0, 0.48, 0.06)
-    assert (positions.CORRELATED, positions.REPORTED_STD) == (20.0, 1.0)
-    assert (of_posterior.STATED, of_posterior.INDEPENDENT, of_posterior.MOST_DIFFERENCE_ERROR) == (60.0, 5.0, 0.08)
+    assert shipped.EDGES == (120.0, 60.0, 30.0, 15.0, 7.5, 4.0)
+    assert (shipped.SHORTEST, shipped.FILED_SAMPLES, shipped.LOCAL, shipped.LOCAL_STDS) == (2.5, 6.0, 100.0, 4.0)
+    assert (shipped.MODEL_SHARE, shipped.NEIGHBOUR, shipped.NEXT) == (2.0, 0.48, 0.06)
+    assert (CORRELATED, REPORTED_STD) == (20.0, 1.0)
+    assert (shipped.STATED, shipped.INDEPENDENT, shipped.MOST_DIFFERENCE_ERROR) == (60.0, 5.0, 0.08)

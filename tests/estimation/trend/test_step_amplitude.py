@@ -7,7 +7,7 @@ import pytest
 
 from estimation.trend.change_point import DAY_NS
 from estimation.trend.steps import newest_step
-from estimation.values.interval_conicities import IntervalConicities, KnownConicity
+from estimation.values.geometry import IntervalConicities, KnownConicity
 
 KM = 33_000.0
 

@@ -13,7 +13,7 @@ from estimation.alerts.rules.suspension_change import SuspensionChangeRule, susp
 from estimation.trend.suspension import SuspensionParameters, suspension_changes, suspension_histories
 from estimation.values.alerts import Alert
 from estimation.values.registry import Mounting, WheelsetRecord
-from estimation.values.suspension import SuspensionChange, SuspensionFinding, SuspensionShown
+from estimation.values.trend import SuspensionChange, SuspensionFinding, SuspensionShown
 
 DAY = 86_400_000_000_000
 RULE = SuspensionChangeRule()

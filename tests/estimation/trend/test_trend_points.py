@@ -8,8 +8,14 @@ import numpy as np
 import pytest
 
 from estimation.trend.points import conicity_points
-from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
-from estimation.values.interval_conicities import IntervalConicities, interval_conicities
+from estimation.values.geometry import (
+    BinStatus,
+    BinValues,
+    GeometryRecord,
+    IntervalConicities,
+    WheelsetGeometry,
+    interval_conicities,
+)
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 

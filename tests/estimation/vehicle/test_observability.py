@@ -9,9 +9,15 @@ import pytest
 
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.linear_model import linear_model
+from estimation.vehicle.linear_model import (
+    combinations,
+    equations,
+    filtered,
+    linear_model,
+    sensor_filters,
+    true_signals,
+)
 from estimation.vehicle.linear_wheelset import ComplexArray, LinearContact
-from estimation.vehicle.measurement_equations import combinations, equations, filtered, sensor_filters, true_signals
 from estimation.vehicle.observability import CAUSES, Observed, Running, conicity_shifts, observability
 from estimation.vehicle.vehicle_class import SensorChannel, SensorLayout, VehicleClass
 from ingest.vehicle_class_file import shipped_class, shipped_classes

@@ -12,9 +12,9 @@ from bogie_run import COACH, SOFT, WHEELBASE, ideal_in_bogie, motions, wheelset
 from smooth_wheelset import SmoothTable, ideal, run, track
 
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.motion import Motion
 from estimation.values.quantities import Status
 from estimation.values.track import AlignmentSource, GaugeShift, TrackAlignment, TrackFindings
+from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset

@@ -8,7 +8,7 @@ from estimation.values.alerts import Condition, Severity
 from estimation.values.quantities import Forecast
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.worklist import OpenAlert, Urgency
-from estimation.worklist.urgency import DUE_WITHIN_KM, TURN, Ahead, Verdict, judged
+from estimation.worklist.row import DUE_WITHIN_KM, TURN, Ahead, Verdict, judged
 
 NOWHERE = Forecast(None, None, None)
 UNKNOWN = Ahead(NOWHERE, None, Reason(ReasonCode.CONICITY_OPEN, "the data leave it open"))
