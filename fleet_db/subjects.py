@@ -96,6 +96,12 @@ class Subjects:
             self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
         return self._sections(WINDOWS.c.vehicle == code, MEMBERS.c.vehicle == code)
 
+    def section_on_file(self, code: str) -> None:
+        """Something on file of a section has changed, or its layout: the signatures of all wheelsets rest on that."""
+        self.raised(SubjectKind.SECTION, code, Facet.REGISTRY)
+        for serial in self.connection.scalars(select(MOUNTINGS.c.wheelset).distinct()):
+            self.raised(SubjectKind.WHEELSET, serial, Facet.LAYOUTS)
+
     def flush(self) -> None:
         """Write the versions, in one order in all transactions: they wait for each other and never in a circle."""
         self._follow()

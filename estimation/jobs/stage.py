@@ -56,12 +56,14 @@ class Outcome(Generic[V]):
         counted: Name under which the subject is counted; None is by whether a result changed.
         rests: Whether the stage has nothing more to say before another of its inputs changes. What it raises of its
             own inputs makes it look again otherwise.
+        failed: Of a stage that looks at all together: of what it could not be done, by kind and key.
     """
 
     parts: Sequence[Part[V]] = ()
     again_ns: int | None = None
     counted: str | None = None
     rests: bool = True
+    failed: Mapping[tuple[SubjectKind, str], Exception] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,14 @@ from typing import Annotated
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason
+from estimation.values.results import History, ResultKind
+from estimation.values.runs import SubjectKind
 from estimation.values.served import Served
 
 SHARES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2, 1.5, 2.0)
 """Particles: shares of the damping on file at which sums are kept; between them innovations are interpolated."""
 
-GEAR = tuple[str, int]
-"""A running gear: code of its vehicle, and its first axle, from 1."""
+GEAR = tuple[str, int]  # a running gear: code of its vehicle, and its first axle, from 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,3 +78,11 @@ class GearDamper:
     to_ns: Annotated[int, Served("Start of the last window that counts.")]
     from_km: Annotated[float, Served("Odometer of the vehicle at the first window.", "odometer_from_km")]
     to_km: Annotated[float, Served("Odometer of the vehicle at the last window.", "odometer_to_km")]
+
+
+GEAR_DAMPERS = ResultKind("damper", SubjectKind.VEHICLE, GearDamper, History.NEWEST)
+
+
+def part_of_gear(first_axle: int) -> str:
+    """Return the part of the results of a vehicle that a running gear is."""
+    return f"{first_axle:04d}"

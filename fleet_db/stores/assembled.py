@@ -10,6 +10,7 @@ from sqlalchemy import Connection, and_, case, delete, exists, func, select, tup
 from estimation.errors import DamagedError
 from estimation.values.windows import HUNTING_SHARE, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.changes import Changes
+from fleet_db.due import samples_changed
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.window_marks import list_for_sums, pass_over
@@ -101,15 +102,19 @@ class AssembledWindowStore:
         What that one has stored stays.
         """
         rows = [self._row(each, recorded_ns) for each in windows]
-        return insert_all_new(self.connection, WINDOWS, rows) == len(rows)
+        count = insert_all_new(self.connection, WINDOWS, rows)
+        samples_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
+        return count == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
         """Replace windows without bin tables by what they are now; they wait to be estimated."""
         not_purged = {"judged": False, "samples_purged_ns": None, "passed_over": None}
         rows = [self._row(each, recorded_ns) | not_purged for each in windows]
         if rows:
-            self._touch([(each.window.wheelset, each.window.start_ns) for each in windows])
+            keys = [(each.window.wheelset, each.window.start_ns) for each in windows]
+            self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
+            samples_changed(self.connection, keys)
 
     def forget_positions(self, keys: Sequence[WindowKey]) -> None:
         """Let it be found again where windows were."""

@@ -77,6 +77,10 @@ class GeometryStore:
         number, recorded_ns = self.results.version(GEOMETRY, wheelset, CURRENT)
         return None if number is None or recorded_ns is None else (number, recorded_ns)
 
+    def having(self, wheelsets: Collection[str]) -> frozenset[str]:
+        """Return which of some wheelsets have a geometry."""
+        return self.results.having(GEOMETRY, wheelsets, CURRENT)
+
     def newest_numbers(self, wheelsets: Collection[str]) -> Mapping[str, int]:
         """Return by wheelset what changes whenever a geometry of it is another: the number of the one put last."""
         of_wheelset = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.subject == WHEELSETS.c.serial)

@@ -84,6 +84,12 @@ class ResultStore:
         found = _chosen(kind, subjects, None, parts).with_only_columns(RESULTS.c.subject)
         return frozenset(self.connection.scalars(found))
 
+    def made_from(self, kind: ResultKind[Any]) -> Mapping[str, tuple[str, str]]:
+        """Return by subject what the results in force are made from, and by which version of the numerics."""
+        columns = (RESULTS.c.subject, RESULTS.c.made_from, RESULTS.c.numerics)
+        statement = select(*columns).where(RESULTS.c.stage == kind.stage, RESULTS.c.superseded_ns.is_(None))
+        return {row.subject: (row.made_from, row.numerics) for row in self.connection.execute(statement)}
+
     def put_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Sequence[AnyResult]:
         """Put results in force; return those that are not made from what the ones before were made from.
 

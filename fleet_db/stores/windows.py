@@ -39,6 +39,7 @@ from estimation.values.windows import (
     WindowState,
 )
 from fleet_db.changes import Changes
+from fleet_db.due import samples_changed
 from fleet_db.rows import (
     insert_new,
     key_given,
@@ -130,9 +131,12 @@ class WindowStore:
         self.changes.subjects.windows(window.wheelset, window.vehicle if hunts else None)
         self.changes.on_section(window.track_section)
         if found.content_digest is None:
-            # another transaction may have stored it since the look-up
-            return insert_new(self.connection, WINDOWS, values) or self.put(window, mileage_km, recorded_ns)
+            if not insert_new(self.connection, WINDOWS, values):  # another transaction has stored it meanwhile
+                return self.put(window, mileage_km, recorded_ns)
+            samples_changed(self.connection, [(window.wheelset, window.start_ns)])
+            return True
         replace(self.connection, WINDOWS, values)
+        samples_changed(self.connection, [(window.wheelset, window.start_ns)])
         self.changes.on_section(found.track_section)
         remove_tables(self.connection, self.changes, [(window.wheelset, window.start_ns)])
         return True
@@ -225,6 +229,7 @@ class WindowStore:
         ).one()
         same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
         self.changes.on_section(standing.track_section)
+        samples_changed(self.connection, [(wheelset, start_ns)])
         if standing.state == WindowState.ESTIMATED.value:
             damaged = POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value
             self.connection.execute(delete(POSITIONS).where(*same, damaged))

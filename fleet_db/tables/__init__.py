@@ -12,7 +12,6 @@ from fleet_db.tables.alerts import (
 )
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
-    JobOwnerRow,
     JobRunRow,
     LookRow,
     SectionChangeRow,
@@ -24,10 +23,8 @@ from fleet_db.tables.jobs import (
     WorkLeaseRow,
 )
 from fleet_db.tables.opinions import (
-    GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
-    SignatureAnswerRow,
     WearSignatureRow,
     WindowAdhesionRow,
     WindowDamperRow,
@@ -85,9 +82,7 @@ __all__ = [
     "ChunkRow",
     "FeedBranchRow",
     "FleetRow",
-    "GearDamperRow",
     "IdempotencyRow",
-    "JobOwnerRow",
     "JobRunRow",
     "LookRow",
     "MeasuredProfilesRow",
@@ -108,7 +103,6 @@ __all__ = [
     "SectionChangeRow",
     "SectionLookRow",
     "SensorChangeRow",
-    "SignatureAnswerRow",
     "StageMarkRow",
     "StaleSpanRow",
     "StoredSettingRow",

@@ -87,6 +87,7 @@ sa.Table(
     sa.Column("to_ns", BIG, primary_key=True),
     required("from_ns", BIG),
     required("code_version", TEXT),
+    required("made_with", CODE),
     required("packed", BLOB),
     sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
 )
@@ -296,15 +297,6 @@ sa.Table(
     required("packed", BLOB),
     sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
 )
-sa.Table(
-    "gear_dampers",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("first_axle", INTEGER, primary_key=True),
-    required("code_version", TEXT),
-    required("packed", BLOB),
-    sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
-)
 feed_branches = sa.Table(
     "feed_branches",
     TABLES,
@@ -328,17 +320,6 @@ sa.Table(
     required("status_code", INTEGER),
     required("body", TEXT),
     required("recorded_ns", BIG),
-)
-sa.Table(
-    "job_owners",
-    TABLES,
-    sa.Column("token", SERIAL, primary_key=True),
-    required("kind", sa.String(16)),
-    required("holder", TEXT),
-    required("since_ns", BIG),
-    one_of("kind", ("schedule", "api", "cli")),
-    sa.Index("ix_job_owners_one_scheduler", "kind", unique=True, **where("kind = 'schedule'")),
-    sqlite_autoincrement=True,
 )
 sa.Table(
     "job_runs",
@@ -603,14 +584,6 @@ sa.Table(
     sa.Column("reason_code", CODE),
     required("packed", BLOB),
     sa.CheckConstraint("places >= 0", name="places_counted"),
-)
-sa.Table(
-    "signature_answers",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("packed", BLOB),
 )
 sa.Table(
     "stale_spans",
@@ -973,7 +946,8 @@ sa.Table(
     TABLES,
     sa.Column("lease_id", SERIAL, primary_key=True),
     required("holder", TEXT),
-    sa.Column("owner", BIG),
+    sa.Column("owner", BIG, sa.ForeignKey("work_leases.lease_id", ondelete="CASCADE")),
+    sa.Column("unit", sa.String(32)),
     required("length_ns", BIG),
     required("until_ns", BIG),
     sa.CheckConstraint("length_ns > 0", name="length_positive"),

@@ -17,9 +17,8 @@ from estimation.contact.profiles import (
     rail_profile,
     wheel_profile,
 )
-from estimation.contact.segments import evaluate
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, wear_measures, worn
-from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, evaluate
 from estimation.errors import ParameterError, ProfileError
 
 DEFINITIONS = [*WHEEL_DEFINITIONS.items(), *RAIL_DEFINITIONS.items()]
