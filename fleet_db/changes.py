@@ -1,7 +1,4 @@
-"""Which wheelsets changed in a transaction: counted once each, in a fixed order, when it ends.
-
-What the worklist shows of them is made again then, too (``fleet_db.stores.worklist``).
-"""
+"""Which wheelsets changed in a transaction: counted once each, in a fixed order, when it ends."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ MOUNTINGS = table_of(MountingRow)
 
 @dataclass(slots=True)
 class Changes:
-    """Serials whose geometry is behind what it is computed from, and those of which the worklist shows something.
+    """Serials whose geometry is behind what it is computed from, and those that jobs look at.
 
     They are written in the order of the serial at the end of the transaction, and the sections behind them in the order
     of their codes, so that two transactions that touched the same wait for each other and never in a circle.
@@ -28,24 +25,16 @@ class Changes:
     connection: Connection
     subjects: Subjects
     noted: set[str] = field(default_factory=set)
-    shown: set[str] = field(default_factory=set)
-    touched: set[str] = field(default_factory=set)  # noted or shown since they were written last
+    touched: set[str] = field(default_factory=set)  # since they were written last
     sections: set[str] = field(default_factory=set)  # on which something has happened since they were written last
 
-    def note(self, wheelset: str, *, shown: bool = True) -> None:
+    def note(self, wheelset: str) -> None:
         """Something that the geometry of a wheelset is computed from has changed."""
         self.noted.add(wheelset)
         self.touched.add(wheelset)
-        if shown:
-            self.show(wheelset)
-
-    def show(self, wheelset: str) -> None:
-        """Something that the worklist shows of ``wheelset`` has changed."""
-        self.shown.add(wheelset)
-        self.touched.add(wheelset)
 
     def touch(self, wheelset: str) -> None:
-        """Something has happened to ``wheelset`` that jobs look at, and the worklist does not show."""
+        """Something has happened to ``wheelset`` that jobs look at."""
         self.touched.add(wheelset)
 
     def on_section(self, section: str | None) -> None:
@@ -61,17 +50,11 @@ class Changes:
         self.sections.update(self.subjects.wheelset_on_file(wheelset))
 
     def refile_vehicle(self, vehicle: str) -> None:
-        """Something on file of ``vehicle`` has changed that its windows rest on, and the worklist shows."""
+        """Something on file of ``vehicle`` has changed that its windows rest on."""
         self.sections.update(self.subjects.vehicle_on_file(vehicle))
         mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.to_ns.is_(None))
         for serial in self.connection.scalars(mounted):
-            self.show(serial)
-
-    def take_shown(self) -> list[str]:
-        """Return the serials whose row of the worklist is to be made again, in their order; they are forgotten here."""
-        taken = sorted(self.shown)
-        self.shown.clear()
-        return taken
+            self.touch(serial)
 
     def flush(self) -> None:
         """Write what was noted."""

@@ -139,7 +139,6 @@ RULES: Mapping[str, Rule] = {
     "track_epoch_windows": _of_both,
     "reprofilings": _of_wheelset,
     "measured_profiles": _of_wheelset,
-    "geometry_estimates": _of_wheelset,
     "results": _of_result,
     "wheelset_changes": _of_wheelset,
     "wheelset_bins": _of_wheelset,
@@ -147,7 +146,6 @@ RULES: Mapping[str, Rule] = {
     "window_positions": _of_wheelset,
     "window_adhesion": _of_wheelset,
     "window_dampers": _of_vehicle,
-    "gear_dampers": _of_vehicle,
     "webhooks": _of_webhook,
     "webhook_fleets": _of_webhook,
     "webhook_deliveries": _of_webhook,
@@ -157,7 +155,6 @@ RULES: Mapping[str, Rule] = {
     "roll_up_states": _of_wheelset,
     "rolling_sums": _of_wheelset,
     "wear_signatures": _of_wheelset,
-    "signature_answers": _of_wheelset,
     "worklist_entries": _of_fleet,
     "worklist_alerts": _of_wheelset,
 }
@@ -165,7 +162,6 @@ SHARED = frozenset(
     {
         "feed_branches",
         "idempotency_keys",
-        "job_owners",
         "job_runs",
         "purges",
         "section_adhesion",
@@ -177,6 +173,7 @@ SHARED = frozenset(
         "track_sections",
         "track_versions",
         "vehicle_classes",
+        "work_leases",
         "alembic_version",
     }
 )
@@ -194,7 +191,6 @@ HIDDEN = frozenset(
         "webhook_secrets",
         "window_due",
         "work_claims",
-        "work_leases",
     }
 )
 """Tables that a bound caller does not see at all."""

@@ -77,7 +77,7 @@ def plan_reprofiling(
         made_at=to_rfc3339(now_ns),
         horizon_days=horizon_days,
         together_days=together_days,
-        limits=worklist.turning_limits(limits),
+        limits=worklist.TurningLimits.made(limits),
         items=[worklist.turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
         links=worklist.plan_links(fleet, vehicle),
     )

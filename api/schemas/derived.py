@@ -15,6 +15,7 @@ from functools import cache, partial
 from typing import Annotated, Any, ClassVar, Self, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
+import pydantic
 from pydantic import Field
 
 from api.schemas.common import Representation, Uncertain, finite, finite_list, uncertain
@@ -62,16 +63,14 @@ def fields_of(kind: type) -> tuple[FieldOf, ...]:
 
 def field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
     """Return what a type with its metadata says of a field."""
-    served = PLAIN
-    if get_origin(hint) is Annotated:
-        hint, *metadata = get_args(hint)
-        served = next((one for one in metadata if isinstance(one, Served)), PLAIN)
-    nullable = False
-    if get_origin(hint) in {Union, types.UnionType}:
-        parts = [part for part in get_args(hint) if part is not types.NoneType]
-        nullable, hint = True, parts[0]
-    if get_origin(hint) is Annotated:  # metadata of files inside of a type that may be None
-        hint = get_args(hint)[0]
+    served, nullable = PLAIN, False
+    while get_origin(hint) in {Annotated, Union, types.UnionType}:
+        if get_origin(hint) is Annotated:
+            hint, *metadata = get_args(hint)
+            served = next((one for one in metadata if isinstance(one, Served)), served)
+        else:
+            (hint,) = (part for part in get_args(hint) if part is not types.NoneType)
+            nullable = True
     return FieldOf(key, hint, nullable, served)
 
 
@@ -96,7 +95,8 @@ def served_type(field: FieldOf) -> tuple[Any, Convert]:
         kind, convert = served_type(field_of("", parts[0]))
         return list[kind], lambda items: [convert(item) for item in items]  # type: ignore[valid-type]  # a type all the same
     if origin is not None and issubclass(origin, Mapping):
-        return dict[parts[0], parts[1]], dict  # type: ignore[valid-type]  # as the value declares it
+        of = parts[1] if isinstance(parts[1], type) else pydantic.JsonValue
+        return dict[parts[0], of], dict  # type: ignore[valid-type]  # as the value declares it
     return _single(hint, field)
 
 

@@ -35,8 +35,7 @@ from estimation.vehicle.regressors import (
     coefficients,
     signals_of,
 )
-from estimation.vehicle.sensor_noise import difference_noise
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, difference_noise
 
 
 @dataclass(slots=True)
@@ -65,9 +64,6 @@ class TableSum:
 
         Args:
             table: Whole, or its filled cells.
-
-        Raises:
-            ValueError: It was made with other parameters.
         """
         if table.parameter_key != self.start.parameter_key:
             both = f"{self.start.parameter_key} and {table.parameter_key}"
@@ -171,12 +167,7 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
-    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`.
-
-    Args:
-        motion: Motion of one wheelset relative to the track, (n,) samples.
-        parameters: Bins, groups, and the vehicle of Eq. 1 and Eq. 2.
-    """
+    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`."""
     return fill_cells(motion, parameters).table()
 
 
@@ -245,10 +236,6 @@ def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameter
 
     Args:
         tables: Of the same parameters; one is in memory at a time where they come one by one.
-        parameters: Those of the tables; of the empty table where there are none.
-
-    Raises:
-        ValueError: A table was made with other parameters.
     """
     merged = TableSum(init(parameters))
     for table in tables:
@@ -261,15 +248,11 @@ def tabulate_window(
     track: TrackAlignment | None,
     parameters: WindowParameters,
     correction: Correction | None = None,
-    misplaced: Reason | None = None,
     *,
     mounted_reversed: bool = False,
-    layout: TrackLayout | None = None,
 ) -> BinTable | Reason:
     """Return the bin table of ``window`` on ``track``, or why the window is refused."""
-    filled = cells_of_window(
-        window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
-    )
+    filled = cells_of_window(window, track, parameters, correction, mounted_reversed=mounted_reversed)
     return filled if isinstance(filled, Reason) else filled.table()
 
 
@@ -294,11 +277,7 @@ def cells_of_window(
 
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:
-    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion.
-
-    Args:
-        parameters: Class of the vehicle and filters, which go into the key of the tables.
-    """
+    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion."""
     bogie = parameters.vehicle_class.bogie
     return BinParameters(
         source=parameters.signals.source,
@@ -320,9 +299,6 @@ def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
 
     Args:
         tables: Weight and table, at least one; all of the same parameters.
-
-    Raises:
-        ValueError: The tables were made with different parameters.
     """
     total: TableSum | None = None
     for weight, table in tables:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, delete, select
+from sqlalchemy import Connection, delete, func, select
 
 from estimation.errors import ConflictError, ParameterError
+from estimation.values.quantities import utc_text
 from estimation.values.registry import SensorChange, SensorWork
-from estimation.values.utc_text import utc_text
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordKind
@@ -34,10 +34,11 @@ class SensorChangeStore:
         statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle).order_by(CHANGES.c.at_ns)
         return [sensor_change_of(row) for row in self.connection.execute(statement).mappings()]
 
-    def at_axle(self, vehicle: str, axle: int) -> Sequence[int]:
-        """Return when something was done to the sensors of an axle, ns UTC, oldest first."""
-        chosen = (CHANGES.c.vehicle == vehicle, CHANGES.c.axle == axle)
-        return list(self.connection.scalars(select(CHANGES.c.at_ns).where(*chosen).order_by(CHANGES.c.at_ns)))
+    def newest(self, vehicles: Collection[str]) -> Mapping[tuple[str, int], int]:
+        """Return by vehicle and axle when something was done last to the sensors, ns UTC."""
+        axle = (CHANGES.c.vehicle, CHANGES.c.axle)
+        statement = select(*axle, func.max(CHANGES.c.at_ns)).where(CHANGES.c.vehicle.in_(vehicles)).group_by(*axle)
+        return {(vehicle, axle): at_ns for vehicle, axle, at_ns in self.connection.execute(statement)}
 
     def add(self, record: SensorChange, axles: int, decision: Decision) -> bool:
         """Add a record, or change the one of the same vehicle, axle and time; return whether anything changed.

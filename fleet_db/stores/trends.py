@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from estimation.values.results import Result
@@ -23,7 +24,12 @@ class TrendStore:
 
     def version(self, wheelset: str) -> tuple[int | None, ...]:
         """Return what changes whenever the newest trend or the current geometry does; None for none."""
-        return *self.results.version(TREND, wheelset), *(self.geometries.version(wheelset) or (None, None))[:2]
+        return *self.results.version(TREND, wheelset), *(self.geometries.version(wheelset) or (None, None))
+
+    def of(self, wheelsets: Collection[str]) -> Mapping[str, TrendRecord]:
+        """Return the newest trend of each of some wheelsets that has one, by serial."""
+        newest_first = self.results.in_force(TREND, wheelsets)
+        return {result.subject: _record(result) for result in reversed(newest_first)}
 
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
         """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""
@@ -42,6 +48,7 @@ def result_of_trend(record: TrendRecord) -> Result[WearTrend]:
         value=record.trend,
         status=record.trend.status,
         reason=record.trend.reason,
+        head=record.trend.head,
         parameters=record.parameters,
     )
 

@@ -5,30 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, exists, select
+from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, select
 
 from estimation.errors import DamagedError
 from estimation.failures import code_of_error, first_line
 from estimation.values.alerts import Condition, Severity
-from estimation.values.geometry import GeometryRecord
+from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.trend import TREND, TrendRecord
+from estimation.values.trend import TrendRecord
 from estimation.values.windows import WindowState
 from estimation.values.worklist import MileageNow, OpenAlert
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
-from fleet_db.stores.geometries import GeometryStore
+from fleet_db.stores.geometries import CURRENT, GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.window_reasons import refused_by_code
-from fleet_db.tables import AlertRow, GeometryRow, WheelsetRow, WindowRow
+from fleet_db.tables import AlertRow, WheelsetRow, WindowRow
 
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
-GEOMETRIES = table_of(GeometryRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,25 +48,27 @@ class WorklistReader:
             serials: Some hundreds at most.
         """
         alerts, windows = self._alerts(serials), self._windows(serials)
-        with_geometry = self._having(serials, GEOMETRIES.c.wheelset)
-        with_trend = self.trends.results.having(TREND, serials)
-        found = []
-        for record in self.registry.wheelsets_of(serials):
+        with_geometry, trends = self.trends.results.having(GEOMETRY, serials, CURRENT), self._trends(serials)
+        found, records = [], self.registry.wheelsets_of(serials)
+        vehicles = {record.mounting.vehicle for record in records if record.mounting is not None}
+        self.vehicles.update(self.registry.vehicles_of(vehicles - self.vehicles.keys()))
+        for record in records:
             serial, mounting = record.serial, record.mounting
-            vehicle = None if mounting is None else self._vehicle(mounting.vehicle)
+            vehicle = None if mounting is None else self.vehicles[mounting.vehicle]
             last_ns, mileage = windows[serial]
             if mileage is None and mounting is not None:
                 mileage = MileageNow(mounting.wheelset_mileage_km, mounting.from_ns)
-            current, latest, failure = self._results(
-                serial, geometry=serial in with_geometry, trend=serial in with_trend
-            )
+            trend = trends.get(serial)
+            current, failure = self._current(serial) if serial in with_geometry else (None, None)
+            if isinstance(trend, Reason):
+                current, trend, failure = None, None, trend
             found.append(
                 WorklistInputs(
                     wheelset=record,
                     vehicle=vehicle,
                     vehicle_class=None if vehicle is None else self._class(vehicle.vehicle_class),
                     geometry=current,
-                    trend=latest,
+                    trend=None if failure is not None else trend,
                     last_window_ns=last_ns,
                     mileage=mileage,
                     alerts=alerts.get(serial, ()),
@@ -85,20 +86,21 @@ class WorklistReader:
         since_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
         return refused_by_code(self.connection, wheelset.serial, since_ns)
 
-    def _results(
-        self, serial: str, *, geometry: bool, trend: bool
-    ) -> tuple[GeometryRecord | None, TrendRecord | None, Reason | None]:
-        """Return current geometry and latest trend, where there are any, or why they cannot be read."""
+    def _trends(self, serials: Sequence[str]) -> Mapping[str, TrendRecord | Reason]:
+        """Return the newest trend of each wheelset that has one, or why it cannot be read."""
         try:
-            current = self.geometries.current(serial) if geometry else None
-            return current, self.trends.latest(serial) if trend else None, None
+            return self.trends.of(serials)
         except DamagedError as error:
-            return None, None, Reason(code_of_error(error), first_line(error))
+            if len(serials) == 1:
+                return {serials[0]: _why(error)}
+            return {serial: trend for one in serials for serial, trend in self._trends([one]).items()}
 
-    def _vehicle(self, code: str) -> VehicleRecord:
-        if code not in self.vehicles:
-            self.vehicles[code] = self.registry.vehicle(code)
-        return self.vehicles[code]
+    def _current(self, serial: str) -> tuple[GeometryRecord | None, Reason | None]:
+        """Return the current geometry, where there is one, or why it cannot be read."""
+        try:
+            return self.geometries.current(serial), None
+        except DamagedError as error:
+            return None, _why(error)
 
     def _class(self, code: str) -> VehicleClass | None:
         """Return a class; None where it is not on file or damaged, which stops nobody from storing."""
@@ -109,12 +111,6 @@ class WorklistReader:
                 found = None
             self.classes[code] = None if found is None else found.vehicle_class
         return self.classes[code]
-
-    def _having(self, serials: Sequence[str], wheelset: Column[str]) -> frozenset[str]:
-        statement = select(WHEELSETS.c.serial).where(
-            WHEELSETS.c.serial.in_(serials), exists().where(wheelset == WHEELSETS.c.serial)
-        )
-        return frozenset(self.connection.scalars(statement))
 
     def _alerts(self, serials: Sequence[str]) -> Mapping[str, Sequence[OpenAlert]]:
         columns = [ALERTS.c[name] for name in ("wheelset", "alert_id", "kind", "severity", "condition", "opened_ns")]
@@ -153,6 +149,10 @@ class WorklistReader:
             )
             for row in self.connection.execute(statement)
         }
+
+
+def _why(error: DamagedError) -> Reason:
+    return Reason(code_of_error(error), first_line(error))
 
 
 def _newest(column: Column[int] | Column[float], chosen: ColumnElement[bool]) -> ScalarSelect[float]:

@@ -12,7 +12,6 @@ from fleet_db.tables.alerts import (
 )
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
-    JobOwnerRow,
     JobRunRow,
     LookRow,
     SectionChangeRow,
@@ -24,10 +23,8 @@ from fleet_db.tables.jobs import (
     WorkLeaseRow,
 )
 from fleet_db.tables.opinions import (
-    GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
-    SignatureAnswerRow,
     WearSignatureRow,
     WindowAdhesionRow,
     WindowDamperRow,
@@ -53,7 +50,7 @@ from fleet_db.tables.registry import (
     WheelsetChangeRow,
     WheelsetRow,
 )
-from fleet_db.tables.results import GeometryRow, ResultRow, WorklistAlertRow, WorklistEntryRow
+from fleet_db.tables.results import ResultRow, WorklistAlertRow, WorklistEntryRow
 from fleet_db.tables.track import (
     SuspensionFindingRow,
     TrackAlignmentRow,
@@ -85,10 +82,7 @@ __all__ = [
     "ChunkRow",
     "FeedBranchRow",
     "FleetRow",
-    "GearDamperRow",
-    "GeometryRow",
     "IdempotencyRow",
-    "JobOwnerRow",
     "JobRunRow",
     "LookRow",
     "MeasuredProfilesRow",
@@ -109,7 +103,6 @@ __all__ = [
     "SectionChangeRow",
     "SectionLookRow",
     "SensorChangeRow",
-    "SignatureAnswerRow",
     "StageMarkRow",
     "StaleSpanRow",
     "StoredSettingRow",

@@ -87,6 +87,7 @@ sa.Table(
     sa.Column("to_ns", BIG, primary_key=True),
     required("from_ns", BIG),
     required("code_version", TEXT),
+    required("made_with", CODE),
     required("packed", BLOB),
     sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
 )
@@ -193,7 +194,7 @@ sa.Table(
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
     sa.Column("bin", INTEGER, primary_key=True),
-    required("geometry_id", BIG, sa.ForeignKey("geometry_estimates.geometry_id")),
+    required("geometry_id", BIG, sa.ForeignKey("results.result_id")),
     required("lateral_displacement_low_m", REAL),
     required("lateral_displacement_high_m", REAL),
     sa.Column("samples", REAL),
@@ -296,15 +297,6 @@ sa.Table(
     required("packed", BLOB),
     sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
 )
-sa.Table(
-    "gear_dampers",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("first_axle", INTEGER, primary_key=True),
-    required("code_version", TEXT),
-    required("packed", BLOB),
-    sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
-)
 feed_branches = sa.Table(
     "feed_branches",
     TABLES,
@@ -321,42 +313,6 @@ sa.Table(
     required("name", TEXT),
 )
 sa.Table(
-    "geometry_estimates",
-    TABLES,
-    sa.Column("geometry_id", SERIAL, primary_key=True),
-    required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("baseline", INTEGER),
-    sa.Column("baseline_interval", INTEGER),
-    sa.Column("mileage_km", REAL),
-    required("from_ns", BIG),
-    required("to_ns", BIG),
-    required("input_digest", CODE),
-    required("track_versions", JSON),
-    required("parameters", JSON),
-    required("code_version", TEXT),
-    required("recorded_ns", BIG),
-    required("status", sa.String(16)),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    required("windows", BIG),
-    sa.Column("conicities", TEXT),
-    required("packed", BLOB),
-    sa.CheckConstraint("baseline >= 0", name="baseline_counted"),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
-    sa.Index(
-        "ix_geometry_current_baseline",
-        "wheelset",
-        "baseline",
-        "geometry_id",
-        "recorded_ns",
-        **where("baseline_interval IS NULL"),
-    ),
-    sa.Index(None, "recorded_ns"),
-    sa.Index(None, "wheelset", "geometry_id"),
-    sa.Index("ix_geometry_interval", "wheelset", "baseline", "baseline_interval", "geometry_id", "recorded_ns"),
-    sqlite_autoincrement=True,
-)
-sa.Table(
     "idempotency_keys",
     TABLES,
     sa.Column("key", sa.String(255), primary_key=True),
@@ -364,17 +320,6 @@ sa.Table(
     required("status_code", INTEGER),
     required("body", TEXT),
     required("recorded_ns", BIG),
-)
-sa.Table(
-    "job_owners",
-    TABLES,
-    sa.Column("token", SERIAL, primary_key=True),
-    required("kind", sa.String(16)),
-    required("holder", TEXT),
-    required("since_ns", BIG),
-    one_of("kind", ("schedule", "api", "cli")),
-    sa.Index("ix_job_owners_one_scheduler", "kind", unique=True, **where("kind = 'schedule'")),
-    sqlite_autoincrement=True,
 )
 sa.Table(
     "job_runs",
@@ -641,14 +586,6 @@ sa.Table(
     sa.CheckConstraint("places >= 0", name="places_counted"),
 )
 sa.Table(
-    "signature_answers",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("packed", BLOB),
-)
-sa.Table(
     "stale_spans",
     TABLES,
     sa.Column("id", SERIAL, primary_key=True),
@@ -829,9 +766,14 @@ sa.Table(
     required("recorded_ns", BIG),
     sa.Column("superseded_ns", BIG),
     one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
+    sa.Index("ix_results_put_last", "stage", "subject", "result_id", **where("superseded_ns IS NULL")),
     sa.Index("ix_results_in_force", "stage", "subject", "part", unique=True, **where("superseded_ns IS NULL")),
     sa.Index(None, "recorded_ns"),
-    sa.Index(None, "stage", "subject", "part", "recorded_ns", "result_id"),
+    sa.Index(
+        "ix_results_superseded",
+        *("stage", "subject", "part", "recorded_ns", "result_id"),
+        **where("superseded_ns IS NOT NULL"),
+    ),
     sa.Index(None, "superseded_ns"),
     sqlite_autoincrement=True,
 )
@@ -1004,7 +946,8 @@ sa.Table(
     TABLES,
     sa.Column("lease_id", SERIAL, primary_key=True),
     required("holder", TEXT),
-    sa.Column("owner", BIG),
+    sa.Column("owner", BIG, sa.ForeignKey("work_leases.lease_id", ondelete="CASCADE")),
+    sa.Column("unit", sa.String(32)),
     required("length_ns", BIG),
     required("until_ns", BIG),
     sa.CheckConstraint("length_ns > 0", name="length_positive"),
@@ -1038,7 +981,6 @@ sa.Table(
     sa.Column("trend_key", REAL),
     sa.Column("mileage_key", REAL),
     sa.Column("last_data_ns", BIG),
-    required("form", BIG),
     required("document", TEXT),
     one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
     one_of("urgency", ("over_limit", "critical_alert", "due", "warning_alert", "unknown", "not_due", "not_mounted")),
