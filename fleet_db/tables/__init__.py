@@ -13,7 +13,6 @@ from fleet_db.tables.alerts import (
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
     JobRunRow,
-    LookRow,
     SectionChangeRow,
     SectionLookRow,
     StageMarkRow,
@@ -84,7 +83,6 @@ __all__ = [
     "FleetRow",
     "IdempotencyRow",
     "JobRunRow",
-    "LookRow",
     "MeasuredProfilesRow",
     "MountingRow",
     "PurgeRow",
