@@ -14,13 +14,8 @@ from api import estimator_kernel_runs, ingest_kernel_runs
 from estimation.adhesion.creep_forces import filter_forward, smooth_back
 from estimation.adhesion.window_adhesion import add_saturated, excess_table
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
-from estimation.contact.geometry import (
-    ContactMethod,
-    ContactTable,
-    WheelsetOnTrack,
-    contact_table,
-    radius_difference_curve,
-)
+from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, radius_difference_curve
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters

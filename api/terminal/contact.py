@@ -18,13 +18,13 @@ from api.plots.contact import save_contact_figure
 from api.plots.contact_summary import AMPLITUDE_MM, ContactSummary, contact_summary
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity, nonlinearity_parameter
 from estimation.contact.geometry import (
-    ContactMethod,
     ContactTable,
     RadiusDifferenceCurve,
     WheelsetOnTrack,
     contact_table,
     radius_difference_curve,
 )
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import TREAD_DATUM, ProfileKind, is_design, rail_profile, wheel_profile
 from estimation.contact.smoothed_profile import SmoothedProfile, exact
 from estimation.errors import InputError, ParameterError

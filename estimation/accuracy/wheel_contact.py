@@ -10,13 +10,13 @@ import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.contact.geometry import (
-    ContactMethod,
     ContactTable,
     RadiusDifferenceCurve,
     WheelsetOnTrack,
     contact_table,
     refined_curve,
 )
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays

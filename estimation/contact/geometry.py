@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from estimation.contact import kernels
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.contact.surface import Surface, rail_surface, wheel_surface
 from estimation.errors import ContactError
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, freeze, frozen_array
-
-
-class ContactMethod(StrEnum):
-    """How the contact points are found."""
-
-    EN15302 = "en15302"  # no roll, smallest vertical gap on each side separately
-    RIGID = "rigid"  # the wheelset rolls until both wheels touch
 
 
 @dataclass(frozen=True, slots=True)

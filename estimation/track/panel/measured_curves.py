@@ -7,7 +7,8 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, radius_difference_curve
+from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
 from estimation.values.arrays import FloatArray, FrozenArrays
 

@@ -10,13 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import (
-    ContactMethod,
-    WheelsetOnTrack,
-    contact_table,
-    radius_difference_curve,
-    refined_curve,
-)
+from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
 from estimation.contact.surface import rail_surface
 from estimation.contact.wear import TreadWear, worn

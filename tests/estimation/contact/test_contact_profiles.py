@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import (
     Profile,
     profile_from_points,
