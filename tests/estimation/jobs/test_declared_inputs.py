@@ -67,7 +67,7 @@ READS: Mapping[str, str] = {
     "tracks.standings": Facet.LAYOUTS,
     "signatures.vehicles": Facet.LAYOUTS,
     "signatures.known": SIGNATURES,
-    "results.made_from": ANSWERS.stage,
+    "results.answers": ANSWERS.stage,
     "geometries.having": Facet.GEOMETRY,
     "dampers.gears": CREEP,
     "adhesion.made_with": FRICTION,
@@ -256,7 +256,7 @@ def test_settings_that_are_read_make_all_due(storage: Storage, stage: AnyStage) 
     before, everybody = digests(storage, stage, context), {EVERYTHING} if stage.together else set(WHEELSETS)
     with storage.write() as unit:
         for subject, facet in product(WHEELSETS, stage.facets):
-            unit.subjects.raised(SubjectKind.WHEELSET, subject, facet)  # type: ignore[attr-defined] - of fleet_db
+            unit.subjects.raised(stage.kind, subject, facet)  # type: ignore[attr-defined] - of fleet_db
     seen_all(storage, stage, context)
     others = (
         replace(shipped, trend=replace(shipped.trend, horizon_km=99_000.0)),
