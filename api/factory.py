@@ -39,7 +39,7 @@ from ingest.catalogue import default_catalogue
 from ingest.intake.backlog import BacklogLimits, BacklogWatch
 from ingest.intake.store import ChunkStorage
 from ingest.live.backoff import Backoff
-from ingest.own_bus.choice import bus_choice
+from ingest.own_bus.bus import bus_choice
 from ingest.own_bus.loading import load_own_bus
 from ingest.receipts import Announce, to_nobody
 from ingest.receiver import Receiver

@@ -31,7 +31,6 @@ from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.tables import (
     ChunkRow,
-    GeometryRow,
     MountingRow,
     ResultRow,
     RollingSumsRow,
@@ -60,7 +59,7 @@ SUMS |= {"roll_ups": ("plain", "forgetting")}
 WINDOWS, POSITIONS, TABLES = table_of(WindowRow), table_of(WindowPositionRow), table_of(WindowBinTableRow)
 ROLL_UPS, MEMBERS, EPOCHS = table_of(RollUpRow), table_of(TrackEpochWindowRow), table_of(TrackEpochRow)
 MOUNTINGS, CHUNKS = table_of(MountingRow), table_of(ChunkRow)
-OF_WHEELSET = (table_of(RollUpStateRow), table_of(RollingSumsRow), table_of(GeometryRow), table_of(ResultRow))
+OF_WHEELSET = (table_of(RollUpStateRow), table_of(RollingSumsRow), table_of(ResultRow))
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,8 +167,7 @@ def _copy(table: Table, serial: str, own: dict[str, object] | None = None) -> In
     cut = {name: func.substr(table.c[name], 1, KEPT_BYTES) for name in SUMS.get(table.name, ())}
     owner = "subject" if table.name == "results" else "wheelset"
     values = {owner: literal(serial), **cut, **(own or {})}
-    numbered = {column.name for column in table.primary_key if column.autoincrement is True} | {"number"}
-    numbered |= {"geometry_id", "result_id"}
+    numbered = {column.name for column in table.primary_key if column.autoincrement is True} | {"number", "result_id"}
     names = [column.name for column in table.columns if column.name not in numbered]
     chosen = select(*(values.get(name, table.c[name]) for name in names)).where(table.c[owner] == SERIAL)
     return insert(table).from_select(names, chosen)

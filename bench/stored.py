@@ -32,15 +32,14 @@ DAYS, ALL_A_DAY = 365, 960
 DAYS_AFTER = 10  # of them, after the purge
 MB = 1e6
 REACH_MB = 200.0
-GEOMETRIES_A_RUN = 2  # the current one, and that of the newest interval
-JOB_S = {"geometries": 900.0, "results": 900.0}  # a trend follows a geometry
+RESULTS_A_RUN = 3  # the current geometry, that of the newest interval, and the trend
+JOB_S = 900.0
 PER_WINDOW = {
     "samples of windows": (),
     "bin tables": ("window_bin_tables",),
     "windows": ("windows", "window_positions", "track_epoch_windows"),
 }
 PER_INTERVAL = {"roll-ups": ("roll_ups", "roll_up_states", "rolling_sums", "window_due")}
-VERSIONS = {"geometries": "geometry_estimates", "results": "results"}
 Bytes = Mapping[str, float]
 
 
@@ -102,12 +101,8 @@ def _bytes(storage: SqlStorage, retention: Retention) -> dict[str, float]:
     found["samples of windows"] = scale * sum(path.stat().st_size for path in storage.data_dir.rglob("*.window"))
     found |= {kind: sum(size[name] for name in names) for kind, names in PER_INTERVAL.items()}
     every_days = DAYS if retention.every_estimate is None else retention.every_estimate
-    for kind, name in VERSIONS.items():
-        a_day = HOURS_A_DAY * 3600 / JOB_S[kind]
-        days = every_days * a_day + DAYS - every_days
-        versions = days * (GEOMETRIES_A_RUN if kind == "geometries" else 1)
-        found[kind] = versions * size[name] / max(tables[name].rows, 1)
-    return found
+    versions = RESULTS_A_RUN * (every_days * HOURS_A_DAY * 3600 / JOB_S + DAYS - every_days)
+    return found | {"results": versions * size["results"] / max(tables["results"].rows, 1)}
 
 
 def _of_the_last_days(storage: SqlStorage) -> dict[str, float]:
@@ -122,7 +117,7 @@ def _of_the_last_days(storage: SqlStorage) -> dict[str, float]:
         "samples of windows": kept["samples of windows"],
         "bin tables": kept["bin tables"],
         "windows": places * ALL_A_DAY / WINDOWS_A_DAY,
-        **{kind: kept[kind] - once[kind] for kind in VERSIONS},
+        "results": kept["results"] - once["results"],
     }
 
 

@@ -139,7 +139,6 @@ RULES: Mapping[str, Rule] = {
     "track_epoch_windows": _of_both,
     "reprofilings": _of_wheelset,
     "measured_profiles": _of_wheelset,
-    "geometry_estimates": _of_wheelset,
     "results": _of_result,
     "wheelset_changes": _of_wheelset,
     "wheelset_bins": _of_wheelset,

@@ -15,8 +15,7 @@ from estimation.errors import DamagedError, ParameterError
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import decode_undecoded
 from ingest.catalogue import Catalogue
-from ingest.own_bus.bus import OwnBus
-from ingest.own_bus.choice import BusChoice
+from ingest.own_bus.bus import BusChoice, OwnBus
 
 LENGTH, BUSES = "window_length_ns", "buses"
 OTHERS = ""

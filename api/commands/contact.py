@@ -10,7 +10,7 @@ import typer
 
 from estimation.contact.geometry import ContactMethod
 from ingest.profiles.formats import format_names
-from ingest.profiles.origin import Origin
+from ingest.profiles.points import Origin
 
 
 class OutputFormat(StrEnum):

@@ -26,7 +26,7 @@ from estimation.errors import NotFoundError
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
-from ingest.registry_entry.restored import refuse_contradicted
+from ingest.registry_entry.enter import refuse_contradicted
 
 router = APIRouter(prefix="/v1/registry", tags=["registry"])
 _ADMIN = [Depends(requires(Scope.ADMIN)), Depends(writer_slot)]

@@ -24,8 +24,8 @@ from estimation.contact.smoothed_profile import SmoothedProfile, exact
 from estimation.errors import InputError, ParameterError
 from estimation.values.arrays import FloatArray
 from ingest.profiles.files import read_measured_profile
-from ingest.profiles.gauge_side import LEAST_LEAN, lean
-from ingest.profiles.origin import Origin
+from ingest.profiles.orientation import LEAST_LEAN, lean
+from ingest.profiles.points import Origin
 
 LEAST_PLAY_MM = 2.5  # a flange of 32.5 mm, the thickest of EN 13715, leaves 5 mm at 1435 and 1360 mm
 LEAST_TURN = 2e-3  # rad, of a wheel against its design

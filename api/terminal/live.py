@@ -27,9 +27,8 @@ from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import check_head
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus
-from ingest.live.buses import ReceivedBus, receive_buses
 from ingest.live.listening import BusSource
-from ingest.live.receiver import LiveSettings
+from ingest.live.receiver import LiveSettings, ReceivedBus, receive_buses
 from ingest.live.status import LiveStatus, Reports, Say
 from ingest.live.storing import Stores
 from ingest.receipts import to_nobody

@@ -13,7 +13,7 @@ from estimation.errors import ParameterError
 from estimation.values.json_value import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.registry_history import RecordKey
-from ingest.registry_entry.restored import refuse_contradicted
+from ingest.registry_entry.enter import refuse_contradicted
 
 LONG = ("packed", "parameters", "bogie", "sensors", "relative_std")  # values of a record that are not for reading
 

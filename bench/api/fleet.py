@@ -7,20 +7,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from sqlalchemy import Insert, Table, func, insert, literal, select
+from sqlalchemy import Insert, func, insert, literal, select
 
 from estimation.alerts.rules.evidence import estimate_evidence, unknown_evidence
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
-from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.geometry import GEOMETRY, BinStatus, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord, WearTrend
-from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.geometries import geometry_columns
-from fleet_db.tables import GeometryRow
+from fleet_db.stores.geometries import result_of_geometry
+from fleet_db.stores.results import RESULTS
 
 DAY_NS = 86_400 * 10**9
 AXLES = 4
@@ -154,19 +153,19 @@ def _register(storage: SqlStorage, size: FleetSize, mileages: np.ndarray, now_ns
                 unit.registry.add_wheelset(WheelsetRecord(serial, fleet, "S1002", 0.46, mounting))
 
 
-def _record(size: FleetSize, wheelset: int, day: int, mileage_km: float, now_ns: int) -> dict[str, object]:
-    """Return what of a geometry's row does not follow from its values."""
+def _record(
+    size: FleetSize, wheelset: int, day: int, mileage_km: float, now_ns: int, geometry: WheelsetGeometry
+) -> GeometryRecord:
     at_ns = now_ns - (size.days - 1 - day) * DAY_NS
-    return {
-        "wheelset": size.serial(wheelset),
-        "baseline": 0,
-        "baseline_interval": day,
-        "mileage_km": mileage_km + KM_A_DAY * day,
-        "from_ns": at_ns - DAY_NS,
-        "to_ns": at_ns,
-        "input_digest": f"{wheelset * size.days + day:064x}",
-        "recorded_ns": at_ns + 3600 * 10**9,
-    }
+    return replace(
+        _of(geometry, at_ns),
+        wheelset=size.serial(wheelset),
+        interval=day,
+        mileage_km=mileage_km + KM_A_DAY * day,
+        from_ns=at_ns - DAY_NS,
+        input_digest=f"{wheelset * size.days + day:064x}",
+        recorded_ns=at_ns + 3600 * 10**9,
+    )
 
 
 def _store_history(
@@ -178,34 +177,27 @@ def _store_history(
     now_ns: int,
 ) -> None:
     """Store the daily geometry of every wheelset: made once for each course, and copied for those that share it."""
-    rows = table_of(GeometryRow)
     models = {int(course): int(np.argmax(chosen == course)) for course in np.unique(chosen)}
     with storage.write() as unit:
         for course, wheelset in models.items():
-            columns = [geometry_columns(_of(one, now_ns)) for one in courses[course].geometries]
-            run = float(mileages[wheelset])
-            unit.connection.execute(
-                insert(rows), [columns[day] | _record(size, wheelset, day, run, now_ns) for day in range(size.days)]
-            )
+            run, days = float(mileages[wheelset]), enumerate(courses[course].geometries)
+            records = [_record(size, wheelset, day, run, now_ns, geometry) for day, geometry in days]
+            unit.results.put_all(GEOMETRY, [result_of_geometry(record) for record in records])
     for wheelsets in _batches(size.wheelsets, 500):
         with storage.write() as unit:
             for wheelset in wheelsets:
                 model = models[int(chosen[wheelset])]
                 if wheelset != model:
-                    shift_km = float(mileages[wheelset] - mileages[model])
-                    unit.connection.execute(_copied(rows, size.serial(model), size.serial(wheelset), shift_km))
+                    unit.connection.execute(_copied(size.serial(model), size.serial(wheelset)))
 
 
-def _copied(rows: Table, model: str, serial: str, shift_km: float) -> Insert:
-    """Return a statement that gives a wheelset the geometries of another, at mileages of its own."""
-    own = {
-        "wheelset": literal(serial),
-        "mileage_km": rows.c.mileage_km + shift_km,
-        "input_digest": literal(serial) + func.substr(rows.c.input_digest, len(serial) + 1),
-    }
-    names = [column.name for column in rows.columns if column.name != "geometry_id"]
-    source = select(*(own.get(name, rows.c[name]) for name in names)).where(rows.c.wheelset == model)
-    return insert(rows).from_select(names, source)
+def _copied(model: str, serial: str) -> Insert:
+    """Return a statement that gives a wheelset the geometries of another."""
+    made_from = literal(serial) + func.substr(RESULTS.c.made_from, len(serial) + 1)
+    own = {"subject": literal(serial), "made_from": made_from}
+    names = [column.name for column in RESULTS.columns if column.name != "result_id"]
+    source = select(*(own.get(name, RESULTS.c[name]) for name in names)).where(RESULTS.c.subject == model)
+    return insert(RESULTS).from_select(names, source)
 
 
 def _of(geometry: WheelsetGeometry, now_ns: int) -> GeometryRecord:

@@ -25,7 +25,7 @@ from estimation.jobs.made_from import made_from
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.identities import identity_changes
 from estimation.storage import UnitOfWork
-from estimation.values.geometry import GeometryRecord
+from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.registry import WheelsetRecord
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import EVERYTHING, Facet
@@ -154,7 +154,7 @@ JUMPS = Stage(
     name=JUMP.stage,
     job="evaluate_alerts",
     kind=SubjectKind.WHEELSET,
-    facets=(Facet.REGISTRY, Facet.RESTARTS, Facet.GEOMETRY),
+    facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
     settings=lambda settings: settings.rules.rule(IdentityRule).parameters,
     load=load_jumps,
     compute=look_for_jump,
@@ -173,5 +173,5 @@ IDENTITIES = Stage(
     results=IDENTITY_EVENT,
     together=True,
     # a jump names the geometries that it is in; those of the calm say nothing
-    frozen=(Facet.REGISTRY, Facet.RESTARTS, Facet.GEOMETRY),
+    frozen=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
 )

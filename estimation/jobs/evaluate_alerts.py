@@ -20,13 +20,14 @@ from estimation.jobs.compare_identities import IDENTITIES, JUMPS
 from estimation.jobs.compare_suspensions import SUSPENSIONS
 from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.runner import run as run_stage
+from estimation.jobs.runner import run_all
 from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.jobs.steps.fleet_alerts import raise_in_fleet
 from estimation.jobs.steps.wheelset_facts import facts_of
 from estimation.jobs.worklist_rows import WORKLIST
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Finding, Transition
+from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.trend import TREND
@@ -169,34 +170,31 @@ def run(context: JobContext) -> Mapping[str, int]:
     then one transaction. A run that ends early raises what it has found; what it has not stored the next run finds
     again.
     """
-    counts: Counter[str] = Counter(dict.fromkeys(("wheelsets", *(kind.value for kind in AlertEventKind)), 0))
-    counts["quarantined"] = sum(run_stage(stage, context)["quarantined"] for stage in BEFORE)
-    raises = _Raises()
-    # in this process, where what is to be raised is brought together
-    stage, here = replace(ALERTS, store=partial(store, raises=raises)), replace(context, executor=None)
+    raises, counts = _Raises(), Counter(quarantined=run_all(BEFORE, context)["quarantined"])
+    alerts = replace(ALERTS, store=partial(store, raises=raises))
     try:
-        evaluated = run_stage(stage, here)
-        counts.update({name: count for name, count in evaluated.items() if name not in (CHANGED, AT_REST)})
+        # in this process, where what is to be raised is brought together
+        counts.update(run_all((alerts,), replace(context, executor=None)))
     finally:
         counts.update(_raise_in_fleets(context, raises))
-    return counts
+    return {name: count for name, count in counts.items() if name not in {CHANGED, AT_REST}}
 
 
 def _raise_in_fleets(context: JobContext, raises: _Raises) -> Mapping[str, int]:
     """Raise what was found in each fleet, and bring fleet alerts up to their members; return the events counted."""
-    now_ns, counts = context.clock.now_ns(), Counter[str]()
+    now_ns, isolation, counts = context.clock.now_ns(), Isolation(context, ALERTS.job), Counter[str]()
     with context.storage.read() as unit:
         alerts = unit.alerts.open_of_fleets()
-    run_out = {alert.fleet for alert in alerts if without_stale_acknowledgement(alert, now_ns) != alert}
-    fleets = sorted(raises.fleets | run_out)
-    if fleets:
-        isolation = Isolation(context, ALERTS.job)
-        for fleet in fleets:
-            with isolation.alone(SubjectKind.FLEET, fleet):
-                with context.storage.write() as unit:
-                    events = raise_in_fleet(unit, fleet, raises.in_fleet(fleet), context.settings.rules, now_ns)
-                counts.update(kind.value for kind in events)
-        counts["quarantined"] = isolation.quarantined
+        run_out = {alert.fleet for alert in alerts if without_stale_acknowledgement(alert, now_ns) != alert}
+        fleets = sorted(raises.fleets | run_out)
+        if fleets:
+            isolation.read(unit)
+    for fleet in fleets:
+        with isolation.alone(SubjectKind.FLEET, fleet):
+            with context.storage.write() as unit:
+                events = raise_in_fleet(unit, fleet, raises.in_fleet(fleet), context.settings.rules, now_ns)
+            counts.update(kind.value for kind in events)
+    counts["quarantined"] = isolation.quarantined
     return counts
 
 
@@ -205,7 +203,7 @@ ALERTS = Stage(
     job="evaluate_alerts",
     kind=SubjectKind.WHEELSET,
     facets=(
-        *(Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.RESTARTS, Facet.GEOMETRY, Facet.BESIDE),
+        *(Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.RESTARTS, GEOMETRY.stage, Facet.BESIDE),
         *(TREND.stage, IDENTITY_EVENT.stage),
     ),
     settings=lambda settings: (settings.trend, settings.rules.version),

@@ -29,6 +29,7 @@ from estimation.storage import UnitOfWork
 from estimation.values.adhesion import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import CloseReason
 from estimation.values.dampers import GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear
+from estimation.values.geometry import GEOMETRY
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
@@ -300,7 +301,7 @@ FIRST = Stage(
     name="first_geometry",
     job=JOB_NAME,
     kind=SubjectKind.WHEELSET,
-    facets=(Facet.GEOMETRY,),
+    facets=(GEOMETRY.stage,),
     settings=lambda _: None,
     load=load_first,
     compute=nothing,
@@ -319,7 +320,7 @@ OF_WINDOWS = Stage(
     counted=Counted(looked="looks", changed="results", more=("windows", "refused")),
     store=store_creep,
     at_once=BATCH,
-    frozen=(Facet.GEOMETRY,),
+    frozen=(GEOMETRY.stage,),
 )
 OF_VEHICLES = Stage(
     name=GEAR_DAMPERS.stage,

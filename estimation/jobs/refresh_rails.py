@@ -24,6 +24,7 @@ from estimation.rails.cell import with_refused
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
+from estimation.values.geometry import GEOMETRY
 from estimation.values.rails import (
     CELLS,
     SECTION_RAILS,
@@ -183,7 +184,7 @@ OF_WHEELSETS = Stage(
     name=CELLS,
     job="refresh_rails",
     kind=SubjectKind.WHEELSET,
-    facets=(Facet.REGISTRY, Facet.RESTARTS, Facet.GEOMETRY, TREND.stage),
+    facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage, TREND.stage),
     settings=lambda settings: (CELL_VERSION, settings.estimation, settings.rails.period_days),
     load=wheelset_cells,
     compute=make_cells,

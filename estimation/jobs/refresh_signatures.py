@@ -27,6 +27,7 @@ from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.retirement import Change, Libraries, Subject, current
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.values.geometry import GEOMETRY
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import SubjectKind
@@ -284,7 +285,7 @@ OF_ALL = Stage(
     name=ANSWERS.stage,
     job=JOB_NAME,
     kind=SubjectKind.WHEELSET,
-    facets=(SIGNATURES, Facet.WINDOWS, Facet.REGISTRY, Facet.LAYOUTS, Facet.RESTARTS, Facet.GEOMETRY),
+    facets=(SIGNATURES, Facet.WINDOWS, Facet.REGISTRY, Facet.LAYOUTS, Facet.RESTARTS, GEOMETRY.stage),
     settings=lambda settings: (settings.signatures, settings.estimation),
     load=load_library,
     compute=judge,

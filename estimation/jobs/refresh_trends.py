@@ -16,7 +16,7 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.trend.points import conicity_points
 from estimation.trend.steps import behind_step, newest_step, with_step
 from estimation.trend.trend import TrendParameters, refresh
-from estimation.values.geometry import IntervalConicities
+from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
 from estimation.values.subjects import Facet
 from estimation.values.trend import TREND as TRENDS
@@ -41,10 +41,12 @@ class TrendInputs:
 def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, TrendInputs]:
     """Return what the trends of some wheelsets are made from."""
     vehicles, changes = _vehicles(unit, serials), identity_changes(unit, serials)
+    wheelsets = unit.registry.wheelsets_of(serials)
+    intervals = unit.geometries.conicities_of({one.serial: len(one.reprofilings) for one in wheelsets})
     inputs = {}
-    for wheelset in unit.registry.wheelsets_of(serials):
+    for wheelset in wheelsets:
         serial, baseline, vehicle = wheelset.serial, len(wheelset.reprofilings), vehicles.get(wheelset.serial)
-        conicities = since_change(unit.geometries.conicities(serial, baseline), changes.get(serial))
+        conicities = since_change(intervals[serial], changes.get(serial))
         rules = None if vehicle is None else context.settings.rules.of(wheelset.fleet, vehicle.vehicle_class)
         inputs[serial] = TrendInputs(
             baseline=baseline,
@@ -105,7 +107,7 @@ TREND = Stage(
     name=TRENDS.stage,
     job="refresh_trends",
     kind=TRENDS.subject,
-    facets=(Facet.REGISTRY, Facet.RESTARTS, Facet.GEOMETRY),
+    facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
     settings=lambda settings: (LIMIT_AMPLITUDE, settings.trend, settings.rules.version),
     load=load,
     compute=compute,

@@ -50,6 +50,7 @@ class Result(Generic[V]):
         value: None where there is a reason only.
         head: What is read of many results, without their values.
         parameters: That shaped it, as they are shown.
+        number: Larger than that of every result that was put before; 0 until it is stored.
     """
 
     subject: str
@@ -62,6 +63,7 @@ class Result(Generic[V]):
     reason: Reason | None = None
     head: JsonValue = None
     parameters: Mapping[str, JsonValue] = field(default_factory=dict)
+    number: int = field(default=0, compare=False)
 
 
 AnyResult = Result[Any]

@@ -18,7 +18,6 @@ class Facet(StrEnum):
     WINDOWS = "windows"  # states, qualities and mileages
     ALERTS = "alerts"
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
-    GEOMETRY = "geometry"
     LAYOUTS = "layouts"  # sections and their layouts, on which all signatures rest
     BESIDE = "beside"  # what is known of the vehicle that a wheelset runs in, and of the wheelsets beside it
     HUNTING = "hunting"  # windows of a vehicle in which it hunts

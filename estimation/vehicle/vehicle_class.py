@@ -15,7 +15,7 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Interval
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
@@ -39,7 +39,7 @@ class BogieParameters:
         ParameterError: A parameter is not finite, is negative, or is zero where it must not be.
     """
 
-    wheelbase: Annotated[float, Gt(0.0)]  # m, between its two axles
+    wheelbase: Annotated[float, Interval(ge=0.5, le=10.0)]  # m, between its two axles
     frame_mass: Annotated[float, Gt(0.0)]  # kg
     frame_yaw_inertia: Annotated[float, Gt(0.0)]  # kg m2
     body_mass: Annotated[float, Gt(0.0)]  # kg, of the body that rests on one bogie

@@ -18,7 +18,7 @@ from estimation.alerts.rules.limit_forecast import LimitForecastRule
 from estimation.alerts.rules.no_data import NoDataRule
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.alerts import Condition, Severity
-from estimation.values.geometry import GeometryRecord
+from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import VehicleRecord, WheelsetRecord
@@ -38,7 +38,7 @@ from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
 FORM = 1
 """Grows with every change of what a row says, so that all rows are made again."""
 STAGE = "worklist"
-FACETS = (Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, Facet.GEOMETRY, TREND.stage)
+FACETS = (Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, GEOMETRY.stage, TREND.stage)
 """What a row is made from: whoever raises one of these makes it again in the same transaction."""
 
 

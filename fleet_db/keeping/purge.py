@@ -33,15 +33,12 @@ from fleet_db.keeping.expired_tables import expired_tables, seal
 from fleet_db.keeping.kept_files import SAMPLES
 from fleet_db.keeping.orphans import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
-from fleet_db.keeping.thinned_estimates import NUMBERS as ESTIMATES
-from fleet_db.keeping.thinned_estimates import forget_estimates, replaced_within_a_day
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import unlink_old
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables import (
     AuditRow,
-    GeometryRow,
     IdempotencyRow,
     JobRunRow,
     PurgeRow,
@@ -99,7 +96,7 @@ def mark_purged(connection: Connection, windows: Sequence[Row[Any, Any, Any, Any
 
 RUNS, KEYS, PURGES = table_of(JobRunRow), table_of(IdempotencyRow), table_of(PurgeRow)
 ENTRIES, DELIVERIES = table_of(AuditRow), table_of(WebhookDeliveryRow)
-GEOMETRIES, RESULTS, REPORTS = table_of(GeometryRow), table_of(ResultRow), table_of(TrackReportRow)
+RESULTS, REPORTS = table_of(ResultRow), table_of(TrackReportRow)
 BATCH = 1000
 """Rows a transaction: others wait for a fraction of a second."""
 
@@ -229,10 +226,7 @@ def _expired(kind: Kept, before_ns: int) -> Sequence[_Expired]:
         return [_Expired(RUNS.c.run_id, and_(ended, exists().where(*same, later.c.run_id > RUNS.c.run_id)))]
     if kind is Kept.TRACK_REPORTS:
         return [_replaced(REPORTS.c.report_id, ("section", "version"), before_ns)]
-    return [
-        _replaced(GEOMETRIES.c.geometry_id, ("wheelset", "baseline", "baseline_interval"), before_ns),
-        _Expired(RESULTS.c.result_id, RESULTS.c.superseded_ns < before_ns),
-    ]
+    return [_Expired(RESULTS.c.result_id, RESULTS.c.superseded_ns < before_ns)]
 
 
 def _replaced(number: Column[Any], key: Sequence[str], before_ns: int) -> _Expired:
@@ -306,16 +300,28 @@ def _thin_estimates(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint
     items = 0
     with storage.read() as unit:
         thinned_ns = purged_before(unit.connection, Kept.EVERY_ESTIMATE) or 0
-        found = {table: replaced_within_a_day(unit.connection, table, thinned_ns, before_ns) for table in ESTIMATES}
-    batches = [(table, some[n : n + BATCH]) for table, some in found.items() for n in range(0, len(some), BATCH)]
-    for place, (table, numbers) in enumerate(batches, start=1):
+        numbers = replaced_within_a_day(unit.connection, thinned_ns, before_ns)
+    batches = [numbers[first : first + BATCH] for first in range(0, len(numbers), BATCH)]
+    for place, batch in enumerate(batches, start=1):
         checkpoint()
         with storage.write() as unit:
-            count = forget_estimates(unit.connection, table, numbers)
+            count = unit.connection.execute(delete(RESULTS).where(RESULTS.c.result_id.in_(batch))).rowcount
             done_ns = before_ns if place == len(batches) else thinned_ns
             record_purge(unit.connection, Purged(Kept.EVERY_ESTIMATE, count), done_ns, now_ns)
         items += count
     return Purged(Kept.EVERY_ESTIMATE, items)
+
+
+def replaced_within_a_day(connection: Connection, from_ns: int, before_ns: int) -> Sequence[int]:
+    """Return the numbers of results that another of the same part followed on the same day, UTC.
+
+    Args:
+        from_ns, before_ns: Begins of days between which they were recorded, ns UTC.
+    """
+    end_of_day = RESULTS.c.recorded_ns - RESULTS.c.recorded_ns % DAY_NS + DAY_NS
+    within = (RESULTS.c.recorded_ns >= from_ns, RESULTS.c.recorded_ns < before_ns)
+    found = select(RESULTS.c.result_id).where(*within, RESULTS.c.superseded_ns < end_of_day)
+    return list(connection.scalars(found.order_by(RESULTS.c.result_id)))
 
 
 def _purge_orphans(storage: SqlStorage, raw: RawStore, before_ns: int, now_ns: int) -> Purged:

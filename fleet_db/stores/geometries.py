@@ -1,55 +1,42 @@
-"""Geometry estimates, append-only, and the bins of each current one as plain rows for queries in SQL."""
+"""Geometries, as results of their stage, and the bins of each current one as plain rows for queries in SQL."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from itertools import starmap
 from typing import Any
 
-from sqlalchemy import (
-    ColumnElement,
-    Connection,
-    Row,
-    Select,
-    and_,
-    bindparam,
-    case,
-    delete,
-    exists,
-    func,
-    insert,
-    or_,
-    select,
-    update,
-)
+from sqlalchemy import Connection, delete, exists, func, insert, or_, select, update
 
+from estimation.errors import DamagedError
 from estimation.values.geometry import (
     COMBINATIONS,
+    GEOMETRY,
     BinValues,
     GeometryRecord,
     IntervalConicities,
     IntervalDigest,
+    KnownConicity,
     WheelsetGeometry,
+    known_conicities,
+    why_no_conicity,
 )
 from estimation.values.quantities import Status
-from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import Result
 from fleet_db.changes import CHANGES, Changes
-from fleet_db.locks import Subject, serialise
-from fleet_db.packed_values import pack_geometry, unpack_geometry
-from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, stored_reason, table_of
-from fleet_db.session import to_json
-from fleet_db.stores.interval_conicities import COLUMNS, conicities_of, conicities_text
-from fleet_db.stores.newest_geometries import newest_of_baselines, newest_of_intervals
-from fleet_db.tables import GeometryRow, WheelsetBinRow, WheelsetRow, WindowBinTableRow
+from fleet_db.rows import nan_if_null, null_if_nan, table_of
+from fleet_db.stores.results import RESULTS, Parts, ResultStore
+from fleet_db.tables import WheelsetBinRow, WheelsetRow, WindowBinTableRow
 
 BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
-GEOMETRIES, TABLES, WHEELSETS = table_of(GeometryRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
-NEWEST_FIRST = (GEOMETRIES.c.geometry_id.desc(),)  # in the order of commit; clocks go back
-EVER_NS = 2**63 - 1
+TABLES, WHEELSETS = table_of(WindowBinTableRow), table_of(WheelsetRow)
+MOST = 999_999
+"""Intervals to each side of a baseline; the order of the parts as texts is that of the intervals."""
+CURRENT: Parts = ("current.", "current.9999")
+INTERVALS: Parts = ("0000", "9999.9999999")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,86 +45,67 @@ class GeometryStore:
 
     connection: Connection
     changes: Changes
+    results: ResultStore
 
     def put(self, record: GeometryRecord) -> bool:
-        """Append an estimate; False if the newest of its key has the same inputs, parameters and code version.
+        """Put an estimate in force; False if that of its key has the same inputs, parameters and numerics.
 
-        A current geometry also ends the staleness of its wheelset, whether it was appended or not. The newest is the
-        one appended last, whatever the clock says; its recorded time is not before that of the one it follows.
+        A current geometry also ends the staleness of its wheelset, whether it is another or not.
         """
-        serialise(self.connection, Subject.GEOMETRIES)
         if record.interval is None:
             self._not_stale(record.wheelset)
-        newest = self.connection.execute(
-            select(GEOMETRIES).where(_key(record)).order_by(*NEWEST_FIRST).limit(1)
-        ).first()
-        values = geometry_columns(record)
-        if newest is not None:
-            if all(getattr(newest, name) == values[name] for name in ("input_digest", "parameters", "code_version")):
-                return False
-            values["recorded_ns"] = max(record.recorded_ns, newest.recorded_ns)
-        self.connection.execute(insert(GEOMETRIES).values(**values))
-        self.changes.touch(record.wheelset)
-        self.changes.subjects.raised(SubjectKind.WHEELSET, record.wheelset, Facet.GEOMETRY)
-        if record.interval is None:
-            self._show_bins(record.wheelset)
-        return True
+        news = self.results.put_all(GEOMETRY, [result_of_geometry(record)])
+        if news:
+            self.changes.touch(record.wheelset)
+            if record.interval is None:
+                self._show_bins(record.wheelset)
+        return bool(news)
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
         """Return the current geometry of the newest baseline with windows, as it was recorded at ``as_of_ns``.
 
         Where no baseline has windows any more it is the empty one of the newest.
         """
-        row = self._current(wheelset, as_of_ns)
-        return None if row is None else _record(row)
+        found = self._current(wheelset, as_of_ns)
+        return None if found is None else _record(found)
 
-    def version(self, wheelset: str) -> tuple[int, int, str] | None:
+    def version(self, wheelset: str) -> tuple[int, int] | None:
         """Return what changes whenever :meth:`current` does, at less cost: None where there is no geometry.
 
-        Number, recorded time and digest of inputs of the current geometry that was appended last, of any baseline.
+        Number and recorded time of the current geometry that was put last, of any baseline.
         """
-        row = self.connection.execute(_version(), {"serial": wheelset}).first()
-        return None if row is None else (row.geometry_id, row.recorded_ns, row.input_digest)
+        number, recorded_ns = self.results.version(GEOMETRY, wheelset, CURRENT)
+        return None if number is None or recorded_ns is None else (number, recorded_ns)
 
     def having(self, wheelsets: Collection[str]) -> frozenset[str]:
         """Return which of some wheelsets have a geometry."""
-        statement = select(GEOMETRIES.c.wheelset).where(GEOMETRIES.c.wheelset.in_(sorted(wheelsets))).distinct()
-        return frozenset(self.connection.scalars(statement))
+        return self.results.having(GEOMETRY, wheelsets, CURRENT)
 
     def newest_numbers(self, wheelsets: Collection[str]) -> Mapping[str, int]:
-        """Return by wheelset what changes whenever a geometry of it is appended: the number of the last."""
-        last = select(func.max(GEOMETRIES.c.geometry_id)).where(GEOMETRIES.c.wheelset == WHEELSETS.c.serial)
+        """Return by wheelset what changes whenever a geometry of it is another: the number of the one put last."""
+        of_wheelset = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.subject == WHEELSETS.c.serial)
+        last = select(func.max(RESULTS.c.result_id)).where(*of_wheelset, RESULTS.c.superseded_ns.is_(None))
         chosen = select(WHEELSETS.c.serial, last.scalar_subquery()).where(WHEELSETS.c.serial.in_(wheelsets))
         rows = self.connection.execute(chosen)
         return {serial: number for serial, number in rows if number is not None}
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
         """Return the current geometry of each baseline that there has been, by its number."""
-        statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_baselines()))
-        as_of = {"serial": wheelset, "as_of_ns": EVER_NS}
-        return [_record(row) for row in self.connection.execute(statement.order_by(GEOMETRIES.c.baseline), as_of)]
+        return [_record(result) for result in self.results.in_force(GEOMETRY, [wheelset], None, CURRENT)]
 
     def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]:
         """Return by baseline and interval what the newest geometry was made from, and why it holds no number."""
-        names = ("baseline", "baseline_interval", "input_digest", "windows", "status", "reason", "reason_code")
-        statement = select(*(GEOMETRIES.c[name] for name in names))
-        statement = statement.where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
-        rows = self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS})
-        return {
-            (row.baseline, row.baseline_interval): IntervalDigest(
-                row.input_digest,
-                row.windows,
-                None if row.status == Status.ESTIMATED.value else stored_reason(row),
-            )
-            for row in rows
-        }
+        digests = {}
+        for result in self.results.heads(GEOMETRY, [wheelset], INTERVALS):
+            (baseline, interval), windows = _key(result.part), _head(result)["windows"]
+            reason = None if result.status is Status.ESTIMATED else result.reason
+            digests[baseline, interval or 0] = IntervalDigest(result.made_from, windows, reason)
+        return digests
 
     def interval_numbers(self, wheelset: str, baseline: int) -> Mapping[int, int]:
         """Return by interval the number of its newest geometry."""
-        statement = select(GEOMETRIES.c.baseline_interval, GEOMETRIES.c.geometry_id).where(
-            GEOMETRIES.c.geometry_id.in_(newest_of_intervals()), GEOMETRIES.c.baseline == baseline
-        )
-        return {row[0]: row[1] for row in self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS})}
+        found = self.results.heads(GEOMETRY, [wheelset], _intervals(baseline))
+        return {_key(result.part)[1] or 0: result.number for result in found}
 
     def intervals(
         self,
@@ -153,25 +121,26 @@ class GeometryStore:
         Args:
             baseline: Its number; None is all.
             as_of_ns: Recorded until then; None is now.
-            first, last: Numbers of the first and the last interval; None is all.
+            first, last: Numbers of the first and the last interval of the baseline; None is all.
         """
-        statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
-        if baseline is not None:
-            statement = statement.where(GEOMETRIES.c.baseline == baseline)
-        if first is not None:
-            statement = statement.where(GEOMETRIES.c.baseline_interval >= first)
-        if last is not None:
-            statement = statement.where(GEOMETRIES.c.baseline_interval <= last)
-        statement = statement.order_by(GEOMETRIES.c.baseline, GEOMETRIES.c.baseline_interval)
-        as_of = {"serial": wheelset, "as_of_ns": EVER_NS if as_of_ns is None else as_of_ns}
-        return [_record(row) for row in self.connection.execute(statement, as_of)]
+        parts = INTERVALS if baseline is None else _intervals(baseline, first, last)
+        return [_record(result) for result in self.results.in_force(GEOMETRY, [wheelset], as_of_ns, parts)]
 
     def conicities(self, wheelset: str, baseline: int) -> Sequence[IntervalConicities]:
         """Return the conicities of the newest geometry of each mileage interval of a baseline, in order of mileage."""
-        statement = select(*COLUMNS).where(GEOMETRIES.c.geometry_id.in_(newest_of_intervals()))
-        statement = statement.where(GEOMETRIES.c.baseline == baseline).order_by(GEOMETRIES.c.baseline_interval)
-        rows = self.connection.execute(statement, {"serial": wheelset, "as_of_ns": EVER_NS}).all()
-        return [conicities_of(row) for row in rows]
+        return self.conicities_of({wheelset: baseline})[wheelset]
+
+    def conicities_of(self, baselines: Mapping[str, int]) -> Mapping[str, Sequence[IntervalConicities]]:
+        """Return the conicities of the intervals of some wheelsets, of one baseline of each.
+
+        Args:
+            baselines: Their numbers, by wheelset.
+        """
+        found: dict[str, list[IntervalConicities]] = {wheelset: [] for wheelset in baselines}
+        for result in self.results.heads(GEOMETRY, list(baselines), _spanned(baselines.values())):
+            if _key(result.part)[0] == baselines[result.subject]:
+                found[result.subject].append(_conicities(result))
+        return found
 
     def stale(self, limit: int) -> Sequence[str]:
         """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
@@ -181,12 +150,10 @@ class GeometryStore:
         Only those that have a bin table or a geometry: the others have nothing to estimate from.
         """
         self.changes.flush()
+        of_wheelset = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.subject == CHANGES.c.wheelset)
         statement = select(CHANGES.c.wheelset).where(
             CHANGES.c.change > CHANGES.c.geometry_change,
-            or_(
-                exists().where(TABLES.c.wheelset == CHANGES.c.wheelset),
-                exists().where(GEOMETRIES.c.wheelset == CHANGES.c.wheelset),
-            ),
+            or_(exists().where(TABLES.c.wheelset == CHANGES.c.wheelset), exists().where(*of_wheelset)),
         )
         return list(self.connection.scalars(statement.order_by(CHANGES.c.wheelset).limit(limit)))
 
@@ -206,90 +173,123 @@ class GeometryStore:
             update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(geometry_change=CHANGES.c.change)
         )
 
-    def _current(self, wheelset: str, as_of_ns: int | None) -> Row[Any] | None:
-        as_of = {"serial": wheelset, "as_of_ns": EVER_NS if as_of_ns is None else as_of_ns}
-        return self.connection.execute(_current(), as_of).first()
+    def _current(self, wheelset: str, as_of_ns: int | None = None) -> Result[WheelsetGeometry] | None:
+        found = self.results.in_force(GEOMETRY, [wheelset], as_of_ns, CURRENT)
+        with_windows = [result for result in found if _head(result)["windows"]]
+        return next(reversed(with_windows or found), None)
 
     def bins_are_current(self, wheelset: str) -> bool:
         """Whether the plain rows of bins are those of the current geometry."""
-        row = self._current(wheelset, None)
-        return row is None or row.geometry_id == self._shown(wheelset)
+        found = self._current(wheelset)
+        return found is None or found.number == self._shown(wheelset)
 
     def _shown(self, wheelset: str) -> int | None:
-        found: int | None = self.connection.scalar(
-            select(BINS.c.geometry_id).where(BINS.c.wheelset == wheelset).limit(1)
-        )
-        return found
+        return self.connection.scalar(select(BINS.c.geometry_id).where(BINS.c.wheelset == wheelset).limit(1))
 
     def _show_bins(self, wheelset: str) -> None:
         """Let the plain rows of bins be those of the current geometry."""
-        row = self._current(wheelset, None)
-        if row is not None and row.geometry_id != self._shown(wheelset):
-            _replace_bins(self.connection, wheelset, row.geometry_id, _record(row).geometry)
+        found = self._current(wheelset)
+        if found is not None and found.value is not None and found.number != self._shown(wheelset):
+            _replace_bins(self.connection, wheelset, found.number, found.value)
 
 
-@cache
-def _version() -> Select[tuple[int, int, str]]:
-    """Return a statement that is built once, for it is executed whenever a geometry is read."""
-    statement = select(GEOMETRIES.c.geometry_id, GEOMETRIES.c.recorded_ns, GEOMETRIES.c.input_digest)
-    chosen = (GEOMETRIES.c.wheelset == bindparam("serial"), GEOMETRIES.c.baseline_interval.is_(None))
-    return statement.where(*chosen).order_by(*NEWEST_FIRST).limit(1)
+def part_of(baseline: int, interval: int | None) -> str:
+    """Return the part of a geometry.
+
+    Args:
+        interval: Its number; None is the current geometry of the baseline.
+    """
+    return f"current.{baseline:04d}" if interval is None else f"{baseline:04d}.{interval + MOST:07d}"
 
 
-@cache
-def _current() -> Select[Any]:
-    with_windows_first = case((GEOMETRIES.c.windows > 0, 0), else_=1)
-    statement = select(GEOMETRIES).where(GEOMETRIES.c.geometry_id.in_(newest_of_baselines()))
-    return statement.order_by(with_windows_first, GEOMETRIES.c.baseline.desc()).limit(1)
-
-
-def _key(record: GeometryRecord) -> ColumnElement[bool]:
-    interval = GEOMETRIES.c.baseline_interval
-    return and_(
-        GEOMETRIES.c.wheelset == record.wheelset,
-        GEOMETRIES.c.baseline == record.baseline,
-        interval.is_(None) if record.interval is None else interval == record.interval,
-    )
-
-
-def geometry_columns(record: GeometryRecord) -> dict[str, Any]:
-    """Return the columns of an estimate."""
+def result_of_geometry(record: GeometryRecord) -> Result[WheelsetGeometry]:
+    """Return a geometry as a result."""
     geometry = record.geometry
-    return {
-        "wheelset": record.wheelset,
-        "baseline": record.baseline,
-        "baseline_interval": record.interval,
-        "mileage_km": null_if_nan(record.mileage_km),
-        "from_ns": record.from_ns,
-        "to_ns": record.to_ns,
-        "input_digest": record.input_digest,
-        "track_versions": {section: list(versions) for section, versions in record.track_versions.items()},
-        "parameters": json.loads(to_json(dict(record.parameters))),
-        "code_version": record.code_version,
-        "recorded_ns": record.recorded_ns,
-        "status": str(geometry.status),
-        **reason_columns(geometry.reason),
-        "windows": geometry.windows,
-        "conicities": None if record.interval is None else conicities_text(geometry),
-        "packed": pack_geometry(geometry),
-    }
-
-
-def _record(row: Row[Any]) -> GeometryRecord:
-    return GeometryRecord(
-        wheelset=row.wheelset,
-        baseline=row.baseline,
-        interval=row.baseline_interval,
-        mileage_km=nan_if_null(row.mileage_km),
-        from_ns=row.from_ns,
-        to_ns=row.to_ns,
-        geometry=unpack_geometry(row.packed, where=f"geometry estimate {row.geometry_id}"),
-        input_digest=row.input_digest,
-        track_versions={section: tuple(versions) for section, versions in row.track_versions.items()},
-        parameters=row.parameters,
-        code_version=row.code_version,
-        recorded_ns=row.recorded_ns,
+    why = why_no_conicity(geometry)
+    return Result(
+        subject=record.wheelset,
+        part=part_of(record.baseline, record.interval),
+        made_from=record.input_digest,
+        numerics=record.code_version,
+        recorded_ns=record.recorded_ns,
+        value=geometry,
+        status=geometry.status,
+        reason=geometry.reason,
+        head={
+            "mileage_km": null_if_nan(record.mileage_km),
+            "from_ns": record.from_ns,
+            "to_ns": record.to_ns,
+            "windows": geometry.windows,
+            "track_versions": {section: list(versions) for section, versions in record.track_versions.items()},
+            "conicities": [list(one) for one in known_conicities(geometry)],
+            "no_conicity": None if why is None else [why.code.value, why.text],
+        },
+        parameters=record.parameters,
     )
+
+
+def _key(part: str) -> tuple[int, int | None]:
+    first, _, second = part.partition(".")
+    return (int(second), None) if first == "current" else (int(first), int(second) - MOST)
+
+
+def _intervals(baseline: int, first: int | None = None, last: int | None = None) -> Parts:
+    return part_of(baseline, -MOST if first is None else first), part_of(baseline, MOST if last is None else last)
+
+
+def _spanned(baselines: Collection[int]) -> Parts:
+    return (_intervals(min(baselines))[0], _intervals(max(baselines))[1]) if baselines else INTERVALS
+
+
+def _head(result: Result[Any]) -> dict[str, Any]:
+    if not isinstance(result.head, dict):
+        raise DamagedError(f"head of geometry {result.number} of {result.subject}: damaged")
+    return result.head
+
+
+def _record(result: Result[WheelsetGeometry]) -> GeometryRecord:
+    head, (baseline, interval) = _head(result), _key(result.part)
+    assert result.value is not None
+    return GeometryRecord(
+        wheelset=result.subject,
+        baseline=baseline,
+        interval=interval,
+        mileage_km=nan_if_null(head["mileage_km"]),
+        from_ns=head["from_ns"],
+        to_ns=head["to_ns"],
+        geometry=result.value,
+        input_digest=result.made_from,
+        track_versions={section: tuple(versions) for section, versions in head["track_versions"].items()},
+        parameters=result.parameters,
+        code_version=result.numerics,
+        recorded_ns=result.recorded_ns,
+    )
+
+
+def _conicities(result: Result[WheelsetGeometry]) -> IntervalConicities:
+    """Return what the head of a geometry says of its conicities: a trend reads hundreds of them, and no bins.
+
+    Raises:
+        DamagedError: It is not one of :func:`result_of_geometry`.
+    """
+    head, (baseline, interval) = _head(result), _key(result.part)
+    try:
+        why = head["no_conicity"]
+        return IntervalConicities(
+            baseline=baseline,
+            interval=interval,
+            mileage_km=nan_if_null(head["mileage_km"]),
+            from_ns=head["from_ns"],
+            to_ns=head["to_ns"],
+            windows=head["windows"],
+            input_digest=result.made_from,
+            code_version=result.numerics,
+            known=tuple(starmap(KnownConicity, head["conicities"])),
+            reason=None if why is None else Reason(ReasonCode(why[0]), why[1]),
+        )
+    except (ValueError, TypeError, LookupError) as error:
+        place = f"conicities of baseline {baseline}, interval {interval} of {result.subject}"
+        raise DamagedError(f"{place}: damaged ({error})") from error
 
 
 def _replace_bins(connection: Connection, wheelset: str, geometry_id: int, geometry: WheelsetGeometry) -> None:

@@ -9,11 +9,10 @@ from sqlalchemy import Connection, func, select, update
 from fleet_db.locks import Subject, serialise
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import table_of
-from fleet_db.tables import ChunkRow, GeometryRow, ResultRow
+from fleet_db.tables import ChunkRow, ResultRow
 
 CHUNKS = table_of(ChunkRow)
-RESULTS, GEOMETRIES = table_of(ResultRow), table_of(GeometryRow)
-TIMES = (GEOMETRIES.c.recorded_ns, RESULTS.c.recorded_ns)
+RESULTS = table_of(ResultRow)
 DAY_NS = 86_400_000_000_000
 MOST_BEHIND_NS = DAY_NS
 """How far our clock may be behind what vehicles have measured by theirs before it is the one that is wrong."""
@@ -31,8 +30,8 @@ class RecordedTimeStore:
         A time that our clock has shown twice is then the second time; the order of results does not change. Nothing
         is done where our clock is so far behind the vehicles' that it is the one that is wrong.
         """
-        newest = [self.connection.scalar(select(func.max(time))) for time in TIMES]
-        if all(found is None or found <= now_ns for found in newest):
+        newest = self.connection.scalar(select(func.max(RESULTS.c.recorded_ns)))
+        if newest is None or newest <= now_ns:
             return 0
         measured = select(func.max(CHUNKS.c.last_ns)).where(
             CHUNKS.c.state == ChunkState.DECODED.value,
@@ -43,5 +42,5 @@ class RecordedTimeStore:
         serialise(self.connection, Subject.GEOMETRIES)
         superseded = update(RESULTS).where(RESULTS.c.superseded_ns > now_ns).values(superseded_ns=now_ns)
         self.connection.execute(superseded)
-        statements = (update(time.table).where(time > now_ns).values(recorded_ns=now_ns) for time in TIMES)
-        return sum(self.connection.execute(statement).rowcount for statement in statements)
+        recorded = update(RESULTS).where(RESULTS.c.recorded_ns > now_ns).values(recorded_ns=now_ns)
+        return self.connection.execute(recorded).rowcount

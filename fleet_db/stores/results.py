@@ -7,8 +7,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Row, Select, bindparam, delete, insert, select, update
+from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert, select, update
 
+from estimation.errors import DamagedError
+from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.results import AnyResult, History, Result, ResultKind
 from fleet_db.changes import Changes
@@ -20,9 +22,11 @@ from fleet_db.tables import ResultRow
 
 V = TypeVar("V")
 RESULTS = table_of(ResultRow)
+WITHOUT_VALUE = [column for column in RESULTS.columns if column.name != "value"]
+Parts = tuple[str, str]
 NEWEST_FIRST = (RESULTS.c.recorded_ns.desc(), RESULTS.c.result_id.desc())
 """None of a part was recorded before the one that it follows, whatever the clock says."""
-SAME_INPUTS = ("part", "made_from", "numerics")
+SAME_INPUTS = ("part", "made_from", "numerics", "parameters")
 SHOWN = ("part", "status", "reason_code", "head", "value")
 """Another one of these is another result for whoever reads it; else only its provenance is."""
 SAID = ("reason_code", "head", "value")
@@ -37,31 +41,48 @@ class ResultStore:
     changes: Changes
 
     def in_force(
-        self, kind: ResultKind[V], subjects: Collection[str] | None = None, as_of_ns: int | None = None
+        self,
+        kind: ResultKind[V],
+        subjects: Collection[str] | None = None,
+        as_of_ns: int | None = None,
+        parts: Parts | None = None,
     ) -> Sequence[Result[V]]:
-        """Return the newest result of each part of subjects, as it was recorded at ``as_of_ns``, newest first.
+        """Return the newest result of each part of some subjects, as it was recorded at ``as_of_ns``.
+
+        By subject and part, in their order; where of all parts one counts, newest first.
 
         Args:
             subjects: None is all that have one.
+            parts: First and last; None is all.
         """
-        statement = _in_force(kind, subjects) if as_of_ns is None else _as_of(kind, subjects, as_of_ns)
-        return [_result(kind, row) for row in self.connection.execute(statement.order_by(*NEWEST_FIRST))]
+        order = NEWEST_FIRST if kind.one_in_force else (RESULTS.c.subject, RESULTS.c.part)
+        statement = _chosen(kind, subjects, as_of_ns, parts).order_by(*order)
+        return [_result(kind, row) for row in self.connection.execute(statement)]
+
+    def heads(
+        self, kind: ResultKind[V], subjects: Collection[str] | None, parts: Parts | None = None
+    ) -> Sequence[Result[V]]:
+        """Return what :meth:`in_force` does now, without the values."""
+        statement = _chosen(kind, subjects, None, parts).with_only_columns(*WITHOUT_VALUE)
+        rows = self.connection.execute(statement.order_by(RESULTS.c.subject, RESULTS.c.part))
+        return [_result(kind, row) for row in rows]
 
     def latest(self, kind: ResultKind[V], subject: str, as_of_ns: int | None = None) -> Result[V] | None:
         """Return the result of a subject that was put last, as it was recorded at ``as_of_ns``."""
-        statement = _in_force(kind, [subject]) if as_of_ns is None else _as_of(kind, [subject], as_of_ns)
-        row = self.connection.execute(statement.order_by(*NEWEST_FIRST).limit(1)).first()
+        statement = _chosen(kind, [subject], as_of_ns, None).order_by(*NEWEST_FIRST).limit(1)
+        row = self.connection.execute(statement).first()
         return None if row is None else _result(kind, row)
 
-    def version(self, kind: ResultKind[Any], subject: str) -> tuple[int | None, ...]:
-        """Return what changes whenever :meth:`latest` does, at less cost: its number and recorded time."""
-        found = _in_force(kind, [subject]).with_only_columns(RESULTS.c.result_id, RESULTS.c.recorded_ns)
-        row = self.connection.execute(found.order_by(*NEWEST_FIRST).limit(1)).first()
-        return (None, None) if row is None else tuple(row)
+    def version(self, kind: ResultKind[Any], subject: str, parts: Parts | None = None) -> tuple[int | None, int | None]:
+        """Return number and recorded time of the result that was put last: others whenever a result is another."""
+        newest = _chosen(kind, [subject], None, parts).with_only_columns(RESULTS.c.result_id, RESULTS.c.recorded_ns)
+        row = self.connection.execute(newest.order_by(RESULTS.c.result_id.desc()).limit(1)).first()
+        return (None, None) if row is None else (row.result_id, row.recorded_ns)
 
-    def having(self, kind: ResultKind[Any], subjects: Collection[str]) -> frozenset[str]:
+    def having(self, kind: ResultKind[Any], subjects: Collection[str], parts: Parts | None = None) -> frozenset[str]:
         """Return which of some subjects have a result."""
-        return frozenset(self.connection.scalars(_in_force(kind, subjects).with_only_columns(RESULTS.c.subject)))
+        found = _chosen(kind, subjects, None, parts).with_only_columns(RESULTS.c.subject)
+        return frozenset(self.connection.scalars(found))
 
     def made_from(self, kind: ResultKind[Any]) -> Mapping[str, tuple[str, str]]:
         """Return by subject what the results in force are made from, and by which version of the numerics."""
@@ -147,16 +168,26 @@ def _in_force(kind: ResultKind[Any], subjects: Collection[str] | None) -> Select
     return found if subjects is None else found.where(RESULTS.c.subject.in_(sorted(subjects)))
 
 
-def _as_of(kind: ResultKind[Any], subjects: Collection[str] | None, as_of_ns: int) -> Select[Any]:
+def _chosen(
+    kind: ResultKind[Any], subjects: Collection[str] | None, as_of_ns: int | None, parts: Parts | None
+) -> Select[Any]:
+    if as_of_ns is not None:
+        return _as_of(kind, subjects, as_of_ns, parts)
+    statement = _in_force(kind, subjects)
+    return statement if parts is None else statement.where(RESULTS.c.part.between(*parts))
+
+
+def _as_of(kind: ResultKind[Any], subjects: Collection[str] | None, as_of_ns: int, parts: Parts | None) -> Select[Any]:
     """Return the statement of what was in force: of each part the last that was recorded until then."""
-    parts, then = RESULTS.alias("parts"), RESULTS.alias("then")
-    same = (then.c[name] == parts.c[name] for name in ("stage", "subject", "part"))
-    last = select(then.c.result_id).where(*same, then.c.recorded_ns <= as_of_ns)
-    last = last.order_by(then.c.recorded_ns.desc(), then.c.result_id.desc()).limit(1).correlate(parts)
-    chosen = [parts.c.stage == kind.stage, parts.c.superseded_ns.is_(None)]
-    if subjects is not None:
-        chosen.append(parts.c.subject.in_(sorted(subjects)))
-    return select(RESULTS).where(RESULTS.c.result_id.in_(select(last.scalar_subquery()).where(*chosen)))
+    now, then = RESULTS.alias("now"), RESULTS.alias("then")
+    same = (then.c[name] == now.c[name] for name in ("stage", "subject", "part"))
+    earlier = select(then.c.result_id).where(*same, then.c.superseded_ns.is_not(None), then.c.recorded_ns <= as_of_ns)
+    earlier = earlier.order_by(then.c.recorded_ns.desc(), then.c.result_id.desc()).limit(1).correlate(now)
+    number = case((now.c.recorded_ns <= as_of_ns, now.c.result_id), else_=earlier.scalar_subquery())
+    chosen = [now.c.stage == kind.stage, now.c.superseded_ns.is_(None)]
+    chosen += [] if subjects is None else [now.c.subject.in_(sorted(subjects))]
+    chosen += [] if parts is None else [now.c.part.between(*parts)]
+    return select(RESULTS).where(RESULTS.c.result_id.in_(select(number).where(*chosen)))
 
 
 def _values(kind: ResultKind[Any], result: AnyResult) -> dict[str, Any]:
@@ -178,16 +209,25 @@ def _values(kind: ResultKind[Any], result: AnyResult) -> dict[str, Any]:
 
 
 def _result(kind: ResultKind[V], row: Row[Any]) -> Result[V]:
-    where = f"{kind.stage} {row.result_id}"
+    where, blob = f"{kind.stage} {row.result_id}", getattr(row, "value", None)
     return Result(
         subject=row.subject,
         part=row.part,
-        value=None if row.value is None else unpack_value(kind.value, row.value, where=where),
+        value=None if blob is None else unpack_value(kind.value, blob, where=where),
         made_from=row.made_from,
         numerics=row.numerics,
         recorded_ns=row.recorded_ns,
         status=Status(row.status),
         reason=stored_reason(row),
-        head=None if row.head is None else json.loads(row.head),
+        head=_head(row.head, where),
         parameters=row.parameters,
+        number=row.result_id,
     )
+
+
+def _head(text: str | None, where: str) -> JsonValue:
+    try:
+        head: JsonValue = None if text is None else json.loads(text)
+    except ValueError as error:
+        raise DamagedError(f"head of {where}: damaged ({error})") from error
+    return head

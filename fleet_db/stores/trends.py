@@ -24,7 +24,7 @@ class TrendStore:
 
     def version(self, wheelset: str) -> tuple[int | None, ...]:
         """Return what changes whenever the newest trend or the current geometry does; None for none."""
-        return *self.results.version(TREND, wheelset), *(self.geometries.version(wheelset) or (None, None))[:2]
+        return *self.results.version(TREND, wheelset), *(self.geometries.version(wheelset) or (None, None))
 
     def of(self, wheelsets: Collection[str]) -> Mapping[str, TrendRecord]:
         """Return the newest trend of each of some wheelsets that has one, by serial."""

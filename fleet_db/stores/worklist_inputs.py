@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, exists, select
+from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, select
 
 from estimation.errors import DamagedError
 from estimation.failures import code_of_error, first_line
 from estimation.values.alerts import Condition, Severity
-from estimation.values.geometry import GeometryRecord
+from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord
@@ -20,15 +20,14 @@ from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
-from fleet_db.stores.geometries import GeometryStore
+from fleet_db.stores.geometries import CURRENT, GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.window_reasons import refused_by_code
-from fleet_db.tables import AlertRow, GeometryRow, WheelsetRow, WindowRow
+from fleet_db.tables import AlertRow, WheelsetRow, WindowRow
 
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
-GEOMETRIES = table_of(GeometryRow)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +48,7 @@ class WorklistReader:
             serials: Some hundreds at most.
         """
         alerts, windows = self._alerts(serials), self._windows(serials)
-        with_geometry, trends = self._having(serials, GEOMETRIES.c.wheelset), self._trends(serials)
+        with_geometry, trends = self.trends.results.having(GEOMETRY, serials, CURRENT), self._trends(serials)
         found, records = [], self.registry.wheelsets_of(serials)
         vehicles = {record.mounting.vehicle for record in records if record.mounting is not None}
         self.vehicles.update(self.registry.vehicles_of(vehicles - self.vehicles.keys()))
@@ -112,12 +111,6 @@ class WorklistReader:
                 found = None
             self.classes[code] = None if found is None else found.vehicle_class
         return self.classes[code]
-
-    def _having(self, serials: Sequence[str], wheelset: Column[str]) -> frozenset[str]:
-        statement = select(WHEELSETS.c.serial).where(
-            WHEELSETS.c.serial.in_(serials), exists().where(wheelset == WHEELSETS.c.serial)
-        )
-        return frozenset(self.connection.scalars(statement))
 
     def _alerts(self, serials: Sequence[str]) -> Mapping[str, Sequence[OpenAlert]]:
         columns = [ALERTS.c[name] for name in ("wheelset", "alert_id", "kind", "severity", "condition", "opened_ns")]

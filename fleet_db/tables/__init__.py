@@ -51,7 +51,7 @@ from fleet_db.tables.registry import (
     WheelsetChangeRow,
     WheelsetRow,
 )
-from fleet_db.tables.results import GeometryRow, ResultRow, WorklistAlertRow, WorklistEntryRow
+from fleet_db.tables.results import ResultRow, WorklistAlertRow, WorklistEntryRow
 from fleet_db.tables.track import (
     SuspensionFindingRow,
     TrackAlignmentRow,
@@ -83,7 +83,6 @@ __all__ = [
     "ChunkRow",
     "FeedBranchRow",
     "FleetRow",
-    "GeometryRow",
     "IdempotencyRow",
     "JobOwnerRow",
     "JobRunRow",

@@ -150,7 +150,7 @@ class WheelsetBinRow(Base):
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     bin: Mapped[int] = mapped_column(primary_key=True)
-    geometry_id: Mapped[Count] = mapped_column(ForeignKey("geometry_estimates.geometry_id"))
+    geometry_id: Mapped[Count] = mapped_column(ForeignKey("results.result_id"))
     lateral_displacement_low_m: Mapped[Real]
     lateral_displacement_high_m: Mapped[Real]
     samples: Mapped[Real | None]

@@ -59,7 +59,6 @@ def worn_contact(
     """Return the contact geometry of a worn wheelset on ``section``, rigid with roll.
 
     Args:
-        plan, wear: The wheelset as new, and what it has lost.
         gauge_deviation: (g,) m, for which gauges.
         limit: m of lateral displacement to either side.
         step: m of lateral displacement between the points of the table.

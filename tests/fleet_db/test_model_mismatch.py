@@ -12,7 +12,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.storage import SqlStorage
 
 WHY = Reason(ReasonCode.YAW_SPRING_DIFFERS, "a moment of +90%")
-STATUS = sqlalchemy.text("SELECT status FROM geometry_estimates ORDER BY recorded_ns")
+STATUS = sqlalchemy.text("SELECT status FROM results ORDER BY recorded_ns")
 
 
 def test_it_is_stored_and_no_other_status_is(fleet: SqlStorage) -> None:
@@ -25,7 +25,7 @@ def test_it_is_stored_and_no_other_status_is(fleet: SqlStorage) -> None:
         assert make.same(found.geometry, wrong)
     with fleet.engine.connect() as connection:
         assert list(connection.execute(STATUS).scalars()) == ["estimated", "model_mismatch"]
-    nonsense = sqlalchemy.text("UPDATE geometry_estimates SET status = 'nonsense'")
+    nonsense = sqlalchemy.text("UPDATE results SET status = 'nonsense'")
     with pytest.raises(sqlalchemy.exc.IntegrityError), fleet.engine.begin() as connection:
         connection.execute(nonsense)
 

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 import stored_values as make
-from sqlalchemy import Table, insert, select, union_all
+from sqlalchemy import insert, select, union_all
 
 from estimation.values.geometry import GeometryRecord, interval_conicities
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.geometries import GEOMETRIES
 from fleet_db.stores.results import RESULTS
 
 EVER = 2**62
@@ -75,14 +74,12 @@ def put_all(storage: SqlStorage) -> None:
             unit.trends.put(make.trend_record(seed, 100 + seed))
 
 
-def repeat_every_row(unit: SqlUnitOfWork, table: Table, key: str, times: int) -> None:
-    """Append every row of a table again, some times."""
-    columns = [column for column in table.c if column.name != key]
-    row = select(*columns)
-    if table is RESULTS:  # of each part one is in force, and that stays
-        row = row.where(RESULTS.c.superseded_ns.is_not(None))
+def repeat_what_was_superseded(unit: SqlUnitOfWork, times: int) -> None:
+    """Append every result that another one followed again, some times."""
+    columns = [column for column in RESULTS.c if column.name != "result_id"]
+    row = select(*columns).where(RESULTS.c.superseded_ns.is_not(None))
     repeated = union_all(*[row] * times).subquery()
-    unit.connection.execute(insert(table).from_select([column.name for column in columns], select(repeated)))
+    unit.connection.execute(insert(RESULTS).from_select([column.name for column in columns], select(repeated)))
 
 
 def steps(storage: SqlStorage, ask: Callable[[SqlUnitOfWork], object]) -> int:
@@ -114,7 +111,6 @@ def test_what_came_before_costs_nothing(sqlite_storage: SqlStorage) -> None:
     put_all(sqlite_storage)
     few = {name: steps(sqlite_storage, ask) for name, ask in questions.items()}
     with sqlite_storage.write() as unit:
-        repeat_every_row(unit, GEOMETRIES, "geometry_id", 50)
-        repeat_every_row(unit, RESULTS, "result_id", 50)
+        repeat_what_was_superseded(unit, 50)
     many = {name: steps(sqlite_storage, ask) for name, ask in questions.items()}
     assert many == few

@@ -241,7 +241,7 @@ def test_answers_by_key(fleet: SqlStorage) -> None:
 
 
 def test_what_was_in_force_at_a_time_is_found_in_indexes_alone(sqlite_storage: SqlStorage) -> None:
-    statement = _as_of(TREND, ["WS-1"], 1).compile(
+    statement = _as_of(TREND, ["WS-1"], 1, None).compile(
         dialect=sqlite_storage.engine.dialect, compile_kwargs={"literal_binds": True}
     )
     with sqlite_storage.read() as unit:

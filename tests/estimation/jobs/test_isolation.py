@@ -23,7 +23,7 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowRecord, WindowState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import GeometryRow, TrackAlignmentRow, WindowBinTableRow, WindowRow
+from fleet_db.tables import ResultRow, TrackAlignmentRow, WindowBinTableRow, WindowRow
 
 NAMES = ("W0", "W1", "W2")
 MINUTE_NS = 60 * 10**9
@@ -143,16 +143,14 @@ def test_a_wheelset_that_fails_is_tried_ever_more_rarely_and_at_once_with_other_
     assert gone.state is QuarantineState.RESOLVED
 
 
-@pytest.mark.parametrize("conicities", [None, "rubbish", "[[[1.0]],null]", '[[],["no code","text"]]'])
+@pytest.mark.parametrize("head", [None, "rubbish", '{"conicities":[[1.0]]}', '{"no_conicity":["no code","text"]}'])
 def test_a_damaged_geometry_leaves_the_others_their_trends_and_alerts(
-    fleet: SqlStorage, clock: SetClock, conicities: str | None
+    fleet: SqlStorage, clock: SetClock, head: str | None
 ) -> None:
     counts(fleet, clock, *ALL[:3])
-    table = table_of(GeometryRow)
+    table = table_of(ResultRow)
     with fleet.engine.begin() as connection:
-        connection.execute(
-            update(table).where(table.c.wheelset == "W1").values(packed=b"rubbish", conicities=conicities)
-        )
+        connection.execute(update(table).where(table.c.subject == "W1").values(value=b"rubbish", head=head))
     trends = counts(fleet, clock, "refresh_trends")
     assert (trends["wheelsets"], trends["quarantined"]) == (2, 1)
     alerts = counts(fleet, clock, "evaluate_alerts")

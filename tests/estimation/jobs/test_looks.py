@@ -81,7 +81,7 @@ def test_where_nothing_has_changed_no_wheelset_is_read(
     with watched(monkeypatch) as seen:
         run(storage, job)
     assert seen.serials == []
-    assert len(seen.statements) <= {"refresh_trends": 15, "evaluate_alerts": 36}[job.name]  # of all wheelsets together
+    assert len(seen.statements) <= {"refresh_trends": 15, "evaluate_alerts": 26}[job.name]  # of all wheelsets together
 
 
 def a_geometry(storage: Storage) -> None:
