@@ -34,7 +34,7 @@ from estimation.values.roll_up import (
     TabledWindow,
     WindowRollingSums,
 )
-from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger, Look, Quarantined, SectionLook
+from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger, Quarantined, SectionLook
 from estimation.values.signatures import MadeOf, StoredSignatures, WindowSignatures
 from estimation.values.subjects import Due, Mark, StageInputs
 from estimation.values.track import (
@@ -416,15 +416,6 @@ class RecordedTimes(Protocol):
     def correct(self, now_ns: int) -> int: ...
 
 
-class Looks(Protocol):
-    """What a job has seen of each wheelset, as digests."""
-
-    def of(self, stage: str) -> Mapping[str, Look]: ...
-    def note(self, stage: str, wheelset: str, look: Look) -> None: ...
-    def touched(self) -> Mapping[str, int]: ...
-    def touched_of(self, wheelset: str) -> int | None: ...
-
-
 class SectionLooks(Protocol):
     """What has happened on each track section, and what a job has seen of it."""
 
@@ -486,8 +477,6 @@ class UnitOfWork(Protocol):
     def recorded_times(self) -> RecordedTimes: ...
     @property
     def worklist(self) -> Worklist: ...
-    @property
-    def looks(self) -> Looks: ...
     @property
     def section_looks(self) -> SectionLooks: ...
     @property

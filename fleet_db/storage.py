@@ -40,7 +40,6 @@ from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
-from fleet_db.stores.looks import LookStore
 from fleet_db.stores.plausibility import PlausibilityStore
 from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.rails import RailsStore
@@ -120,7 +119,6 @@ class SqlUnitOfWork:
     worklist: WorklistStore = field(init=False)
     api_keys: ApiKeyStore = field(init=False)
     audit: AuditStore = field(init=False)
-    looks: LookStore = field(init=False)
     section_looks: SectionLookStore = field(init=False)
     rails: RailsStore = field(init=False)
     roll_ups: RollUpStore = field(init=False)
@@ -168,7 +166,6 @@ class SqlUnitOfWork:
         self.worklist = WorklistStore(connection, self.subjects, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
-        self.looks = LookStore(connection, self.changes)
         self.section_looks = SectionLookStore(connection)
         self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection)

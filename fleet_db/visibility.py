@@ -149,7 +149,6 @@ RULES: Mapping[str, Rule] = {
     "webhooks": _of_webhook,
     "webhook_fleets": _of_webhook,
     "webhook_deliveries": _of_webhook,
-    "looks": _of_wheelset,
     "rail_cells": _of_wheelset,
     "roll_ups": _of_wheelset,
     "roll_up_states": _of_wheelset,

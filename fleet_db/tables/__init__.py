@@ -14,7 +14,6 @@ from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
     JobOwnerRow,
     JobRunRow,
-    LookRow,
     SectionChangeRow,
     SectionLookRow,
     StageMarkRow,
@@ -86,7 +85,6 @@ __all__ = [
     "IdempotencyRow",
     "JobOwnerRow",
     "JobRunRow",
-    "LookRow",
     "MeasuredProfilesRow",
     "MountingRow",
     "PurgeRow",

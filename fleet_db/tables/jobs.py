@@ -96,18 +96,6 @@ class WorkClaimRow(Base):
     begun_ns: Mapped[Nanoseconds]
 
 
-class LookRow(Base):
-    """Everything that a job's last look at a wheelset was made from, as one digest, and when time alone changes it."""
-
-    __tablename__ = "looks"
-
-    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    inputs: Mapped[Digest]
-    until_ns: Mapped[Nanoseconds | None]
-    number: Mapped[Count | None]
-
-
 class SubjectVersionRow(Base):
     """How often a facet of a wheelset, vehicle or section has changed; section '' is what is on none."""
 

@@ -350,15 +350,6 @@ sa.Table(
     sqlite_autoincrement=True,
 )
 sa.Table(
-    "looks",
-    TABLES,
-    sa.Column("stage", sa.String(32), primary_key=True),
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("inputs", CODE),
-    sa.Column("until_ns", BIG),
-    sa.Column("number", BIG),
-)
-sa.Table(
     "measured_profiles",
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
@@ -889,7 +880,6 @@ sa.Table(
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
     required("change", BIG),
     required("geometry_change", BIG),
-    required("touched", BIG, server_default=sa.text("0")),
 )
 sa.Table(
     "reprofilings",
