@@ -336,12 +336,7 @@ def serve(settings: Settings, stopping: Event) -> None:
     """
     from api.access.plan import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
-    from api.http_server import (  # noqa: PLC0415 - the same
-        check_address,
-        http_server,
-        keep_what_is_loaded,
-        limits_of,
-    )
+    from api.http_server import check_address, http_server, keep_what_is_loaded, limits_of  # noqa: PLC0415 - the same
     from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same
 
     access, sender = plan_of(settings), sender_of(settings)

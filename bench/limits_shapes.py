@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
 from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
 from estimation.contact.worn_family import DISPLACEMENT, Running, worn_by_contact

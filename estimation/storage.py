@@ -232,6 +232,7 @@ class Geometries(Protocol):
     def newest_numbers(self, wheelsets: Collection[str]) -> Mapping[str, int]: ...
     def interval_numbers(self, wheelset: str, baseline: int) -> Mapping[int, int]: ...
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None: ...
+    def current_of(self, wheelsets: Collection[str]) -> Mapping[str, GeometryRecord]: ...
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]: ...
     def having(self, wheelsets: Collection[str]) -> frozenset[str]: ...
     def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]: ...
@@ -490,39 +491,38 @@ class UnitOfWork(Protocol):
 class Storage(Protocol):
     """Transactions: ``write`` commits on a clean exit and rolls back on an exception; ``read`` sees one snapshot.
 
-    ``owned`` makes this process the owner of the runs that it starts with the storage that is yielded: they are shown
-    as abandoned once it is gone. Of kind SCHEDULE there is one in a deployment; a second gets ``AlreadyRunningError``.
+    ``owned`` makes this process the owner of the runs that it starts with the storage that is yielded, under a lease of
+    ``length_s``: they are shown as abandoned once that has ended. Of kind SCHEDULE there is one in a deployment; a
+    second gets ``AlreadyRunningError``.
 
     ``leased`` claims things to work on, for as long as the block lasts and the process lives, and yields the storage
     for their results: once the lease has ended its ``write`` raises ``LeaseLostError`` and commits nothing. What is
     worked on by others is left out of ``Claimed.keys``, and so is what workers have ended at, unless it is asked for
-    ``alone``.
+    ``alone``. ``owner`` is the lease of the process that owns the runs; with it this one ends.
     """
 
+    @property
+    def owner(self) -> int | None: ...
     def write(self) -> AbstractContextManager[UnitOfWork]: ...
     def read(self) -> AbstractContextManager[UnitOfWork]: ...
     def leased(
-        self, stage: str, keys: Sequence[str], holder: str, length_s: float, *, alone: bool = False
+        self,
+        stage: str,
+        keys: Sequence[str],
+        holder: str,
+        length_s: float,
+        *,
+        alone: bool = False,
+        unit: str | None = None,
+        owner: int | None = None,
     ) -> AbstractContextManager[tuple[LeasedStorage, Claimed]]: ...
-    def owned(self, kind: JobTrigger, holder: str, now_ns: int) -> AbstractContextManager[OwnedStorage]: ...
+    def owned(self, kind: JobTrigger, holder: str, length_s: float) -> AbstractContextManager[LeasedStorage]: ...
 
 
 class LeasedStorage(Storage, Protocol):
-    """Storage for the results of work under a lease.
-
-    ``lease_lost`` is whether the lease has ended; False where the database cannot be asked.
-    """
+    """Storage for the results of work under a lease; ``lease_lost`` is whether that has ended."""
 
     def lease_lost(self) -> bool: ...
-
-
-class OwnedStorage(Storage, Protocol):
-    """Storage of a process that owns the runs it starts; ``write`` raises ``ClaimLostError`` once it does not.
-
-    ``holds`` is whether the claim holds and the connection that it rests on is alive.
-    """
-
-    def holds(self) -> bool: ...
 
 
 class Clock(Protocol):

@@ -14,6 +14,7 @@ from functools import cache
 from sqlalchemy import ColumnElement, Connection, Insert, bindparam, exists, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.values.dampers import GEAR_DAMPERS
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.trend import SUSPENSION, TREND
@@ -23,7 +24,7 @@ from fleet_db.tables import MountingRow, ResultRow, SubjectVersionRow, TrackEpoc
 
 VERSIONS, MOUNTINGS, RESULTS = table_of(SubjectVersionRow), table_of(MountingRow), table_of(ResultRow)
 MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)
-OF_VEHICLES = frozenset({Facet.HUNTING, Facet.RECORDINGS, Facet.DAMPER, SUSPENSION.stage})
+OF_VEHICLES = frozenset({Facet.HUNTING, Facet.RECORDINGS, GEAR_DAMPERS.stage, SUSPENSION.stage})
 """Facets of a vehicle that its wheelsets follow."""
 BESIDE = MOUNTINGS.alias("beside")
 WITH_STEP = exists().where(

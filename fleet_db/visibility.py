@@ -161,7 +161,6 @@ SHARED = frozenset(
     {
         "feed_branches",
         "idempotency_keys",
-        "job_owners",
         "job_runs",
         "purges",
         "section_adhesion",
@@ -173,6 +172,7 @@ SHARED = frozenset(
         "track_sections",
         "track_versions",
         "vehicle_classes",
+        "work_leases",
         "alembic_version",
     }
 )
@@ -190,7 +190,6 @@ HIDDEN = frozenset(
         "webhook_secrets",
         "window_due",
         "work_claims",
-        "work_leases",
     }
 )
 """Tables that a bound caller does not see at all."""

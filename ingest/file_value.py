@@ -40,7 +40,7 @@ from pydantic_core import core_schema
 from estimation.errors import ParameterError
 from estimation.values.file_units import FileDefault, FileForm, FileUnit, Key
 from estimation.values.json_value import JsonValue
-from estimation.values.quantities import utc_text
+from estimation.values.utc_text import utc_text
 from ingest.input_file import (
     Code,
     FreeText,

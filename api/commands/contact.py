@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from estimation.contact.geometry import ContactMethod
+from estimation.contact.method import ContactMethod
 from ingest.profiles.formats import format_names
 from ingest.profiles.points import Origin
 

@@ -25,8 +25,7 @@ Together = Annotated[
     float, Query(ge=0.0, le=3650.0, description="What becomes due so soon after a visit is turned in it.")
 ]
 NominalRadii = Annotated[
-    bool,
-    Query(description="Take the radius on file for that of both wheels; else diameters are not checked."),
+    bool, Query(description="Take the radius on file for that of both wheels; else diameters are not checked.")
 ]
 Cut = Annotated[float | None, Query(ge=0.0, le=100.0, description="Radius that a turning takes off at least.")]
 LeastRadius = Annotated[float | None, Query(gt=0.0, le=1000.0, description="Least radius of a wheel.")]

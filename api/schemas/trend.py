@@ -13,8 +13,7 @@ from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.schemas.unestimated import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
-from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.trend.points import QUANTITY
+from estimation.trend.extrapolation import QUANTITY, conicity_at_limit_amplitude
 from estimation.trend.trend import refresh
 from estimation.values import trend as values
 from estimation.values.geometry import GeometryRecord

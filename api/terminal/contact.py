@@ -17,9 +17,15 @@ import typer
 from api.plots.contact import save_contact_figure
 from api.plots.contact_summary import AMPLITUDE_MM, ContactSummary, contact_summary
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity, nonlinearity_parameter
-from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table
+from estimation.contact.geometry import (
+    ContactTable,
+    RadiusDifferenceCurve,
+    WheelsetOnTrack,
+    contact_table,
+    radius_difference_curve,
+)
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import TREAD_DATUM, ProfileKind, is_design, rail_profile, wheel_profile
-from estimation.contact.radius_difference import RadiusDifferenceCurve, radius_difference_curve
 from estimation.contact.smoothed_profile import SmoothedProfile, exact
 from estimation.errors import InputError, ParameterError
 from estimation.values.arrays import FloatArray
@@ -227,11 +233,7 @@ def _curve(contact: Contact) -> RadiusDifferenceCurve:
 
 def _std(contact: Contact) -> FloatArray:
     return conicity_std(
-        contact.wheelset,
-        contact.shapes,
-        _DISPLACEMENT_MM * 1e-3,
-        _AMPLITUDE_MM * 1e-3,
-        method=contact.method,
+        contact.wheelset, contact.shapes, _DISPLACEMENT_MM * 1e-3, _AMPLITUDE_MM * 1e-3, method=contact.method
     )
 
 

@@ -36,9 +36,11 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
     stop_on_signals(stopping)
     with closing(open_store(settings)) as storage, executor_of(settings) as executor:
         context = replace(job_context(settings, storage), stopping=stopping.is_set, executor=executor)
-        with storage.owned(JobTrigger.CLI, process_name(), context.clock.now_ns()) as owned:
+        with storage.owned(JobTrigger.CLI, process_name(), context.lease_s) as owned:
             runs = run_in_order(jobs, replace(context, storage=owned), console)
         Console().print(summary(runs))
+        for unfit in executor.unfit if executor is not None else ():
+            typer.echo(f"left out: {unfit}")
         with storage.read() as unit:
             without = summary_lines(fleet_reasons(unit))
     for line in without:

@@ -58,12 +58,7 @@ def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, 
 
 
 def simulate_with_progress(
-    scenario: Scenario,
-    out: Path,
-    console: Console,
-    *,
-    vehicles: list[str] | None = None,
-    workers: int | None = None,
+    scenario: Scenario, out: Path, console: Console, *, vehicles: list[str] | None = None, workers: int | None = None
 ) -> FleetReport:
     """Simulate a scenario into ``out`` under a progress bar; arguments and errors as ``run_fleet``.
 

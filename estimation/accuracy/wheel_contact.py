@@ -9,9 +9,15 @@ from typing import Annotated
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table
+from estimation.contact.geometry import (
+    ContactTable,
+    RadiusDifferenceCurve,
+    WheelsetOnTrack,
+    contact_table,
+    refined_curve,
+)
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
-from estimation.contact.radius_difference import RadiusDifferenceCurve, refined_curve
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval

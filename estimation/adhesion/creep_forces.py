@@ -107,12 +107,9 @@ def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -
         add_product(back, gained, filtered[i])
 
 
-BAND_HZ = 12.0
-"""End of the band that is kept."""
-VIBRATING = 0.25
-"""Rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make."""
-HALF_LENGTH_S = 0.12
-"""Of the low-pass, on each side."""
+BAND_HZ = 12.0  # end of the band that is kept
+VIBRATING = 0.25  # rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make
+HALF_LENGTH_S = 0.12  # of the low-pass, on each side
 
 
 def without_vibration(

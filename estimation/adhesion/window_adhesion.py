@@ -117,16 +117,13 @@ class CreepSignals(FrozenArrays):
     spin: Annotated[FloatArray, "n"]  # N, lateral, of a wheel by the spin of its inclined contact, the other's reversed
     valid: Annotated[BoolArray, "n"]
 
-    def resultants(self, half_contact_distance: float, share: float | FloatArray = 1.0) -> FloatArray:
+    def resultants(self, half_contact_distance: float) -> FloatArray:
         """Return the resultant creep force of left and right wheel (2, n), N.
 
         Args:
             half_contact_distance: l, m.
-            share: Of its linear creep force that a wheel transmits, (n,) or one number: spin is known as a linear
-                force.
         """
-        spin = share * self.spin
-        lateral = np.stack([0.5 * self.lateral + spin, 0.5 * self.lateral - spin])
+        lateral = np.stack([0.5 * self.lateral + self.spin, 0.5 * self.lateral - self.spin])
         return np.asarray(np.hypot(0.5 * self.moment / half_contact_distance, lateral))
 
 

@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.compiled import compiled
-from estimation.contact.geometry import ContactMethod, WheelsetOnTrack
-from estimation.contact.radius_difference import radius_difference_curve
+from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
+from estimation.contact.method import ContactMethod
 from estimation.contact.smoothed_profile import SmoothedProfile
 from estimation.errors import ContactError, ParameterError
 from estimation.values.arrays import FloatArray

@@ -32,8 +32,7 @@ CURVE_TOLERANCE = 2e-7  # m, of the radius difference half-way between two point
 CURVE_INTERVAL = 1e-9  # m, a jump of a refined curve is placed to within this
 _LEVELS = 64  # more than the halvings from any grid step to the interval
 
-FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4
-"""Outcome of a search: why there is no contact point."""
+FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4  # outcome of a search: why there is no contact point
 
 
 @compiled(inline="always")

@@ -36,11 +36,9 @@ from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
 from estimation.values.served import MM, Served
 
-DEEPEST_HOLLOW = 6e-3
-"""Largest depth that the form is meant for, m."""
+DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
 
-MOST_FLANGE_WEAR = 4e-3
-"""Largest flange wear for which the moved flange still is one height per lateral position, m."""
+MOST_FLANGE_WEAR = 4e-3  # largest flange wear for which the moved flange still is one height per lateral position, m
 
 _ROOT = (-0.040, -0.032)  # m, the flange moves fully at the first, the tread not at all from the second on
 _TIP = (-0.058, -0.048)  # m, the tip stays up to the first, the face moves fully from the second on
@@ -217,8 +215,7 @@ def _deepest_hollow(y: FloatArray, z: FloatArray) -> float:
     return float((deepest_outside - part).max())
 
 
-DEEPEST_BAND = 4e-3
-"""Largest depth that the form is meant for, m."""
+DEEPEST_BAND = 4e-3  # largest depth that the form is meant for, m
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,8 @@ import numpy as np
 from scipy.stats.qmc import Halton
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
 from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
 from estimation.errors import ContactError

@@ -31,14 +31,14 @@ def low_pass(sample_interval_s: float) -> FloatArray:
     return frozen_array(taps, (None,), name="taps")
 
 
-def thinned(values: FloatArray, sample_interval_s: float, phase: int = 0) -> FloatArray:
+def thinned(values: FloatArray, sample_interval_s: float) -> FloatArray:
     """Return the low-passed samples (s,) at which the filter sees measured values alone.
 
     Args:
         values: (n,) as measured.
     """
     passed = oaconvolve(values, low_pass(sample_interval_s), mode="valid")
-    return np.asarray(passed[phase :: stride_of(sample_interval_s)])
+    return np.asarray(passed[:: stride_of(sample_interval_s)])
 
 
 def between_samples(values: FloatArray) -> FloatArray:

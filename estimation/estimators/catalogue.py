@@ -127,7 +127,9 @@ class BinnedGeometry:
 
     def update(self, state: BinnedState, motion: Motion, weight: float = 1.0) -> BinnedState:
         """Return the state with the bin table of ``motion`` added, ``weight`` times."""
-        return replace(state, table=bin_table.merge(bin_table.tabulate(motion, state.bins), state.table, weight))
+        return replace(
+            state, table=bin_table.weighted_sum([(1.0, state.table), (weight, bin_table.tabulate(motion, state.bins))])
+        )
 
     def result(self, state: BinnedState) -> CurveEstimate:
         """Return the curve at the bin centres, and conicity, NP and zero crossing as the geometry publishes them."""
@@ -148,8 +150,7 @@ class BinnedGeometry:
         )
 
 
-SHIPPED = "bins"
-"""The estimator of the jobs as shipped: its sums over each window are what the bin tables store."""
+SHIPPED = "bins"  # the estimator of the jobs as shipped: its sums over each window are what the bin tables store
 
 
 def estimators() -> tuple[Estimator[Any], ...]:

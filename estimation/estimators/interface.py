@@ -47,9 +47,7 @@ class CurveEstimate(FrozenArrays):
     stretches: int  # windows of motion added
     status: Status
     reason: Reason | None = None
-    own_std: Annotated[FloatArray, "k"] | None = (
-        None  # of the conicity, by the covariance that the estimator itself states
-    )
+    own_std: Annotated[FloatArray, "k"] | None = None  # of the conicity, by the covariance that it states itself
 
 
 State = TypeVar("State")

@@ -125,7 +125,7 @@ def geometries_of(unit: UnitOfWork, serial: str, context: JobContext) -> RolledG
 def _whole(context: JobContext, serial: str) -> _Made:
     """Return what is to be stored of a wheelset, once its roll-ups are in order."""
     found = _made(context, serial)
-    if found.apart:
+    while found.apart:
         _roll_again(context, serial, found.seen)
         found = _made(context, serial)
     return found
@@ -139,15 +139,15 @@ class _Made:
     seen: RolledGeometries
     parts: list[RolledPart]
     records: list[GeometryRecord]
-    apart: bool = False  # so many roll-ups are to be made again that each is stored by itself, before the geometries
+    apart: bool = False  # so many roll-ups have changed that each is stored by itself, before the geometries
 
 
 def _made(context: JobContext, serial: str) -> _Made:
-    """Return what is to be stored of a wheelset; nothing but the roll-ups where many of these are to be made again."""
+    """Return what is to be stored of a wheelset; nothing but the roll-ups where many of these have changed."""
     with context.storage.read() as unit:
         change, seen = unit.geometries.change(serial), geometries_of(unit, serial, context)
         changed = [part for part in seen.rolled.parts if part.changed] if seen.rolled.due else []
-        if seen.rolled.again and len(changed) > SUMS_IN_MEMORY:
+        if len(changed) > SUMS_IN_MEMORY:
             return _Made(change, seen, [], [], apart=True)
         records = seen.records()
         parts = [_with_sums(seen, part) for part in changed]
@@ -155,7 +155,7 @@ def _made(context: JobContext, serial: str) -> _Made:
 
 
 def _roll_again(context: JobContext, serial: str, seen: RolledGeometries) -> None:
-    """Make the roll-ups of a wheelset again where rules or mileages have changed, one at a time.
+    """Store the many roll-ups of a wheelset that have changed, one at a time.
 
     What is stored on the way counts only when all are: until then the next run begins again.
     """

@@ -9,9 +9,8 @@ from typing import Annotated
 import numpy as np
 
 from estimation.accuracy.wheel_contact import REACH, STEP, RailShare, WheelPair, conicity_of
-from estimation.contact.geometry import WheelsetOnTrack
+from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.rails import KnownWheel, RailKey

@@ -150,8 +150,6 @@ class Calibration(FrozenArrays):
     weights: Annotated[FloatArray, None, len(FACTORS)]  # probabilities of shares and factors
     whole: Reach  # of all features
     roll: Reach  # of roll at short wavelengths
-    wheelsets: int
-    answers: int
 
     def std(self, posterior: float, shared: FloatArray) -> float:
         """Return half a 95 % interval over that of a normal error.
@@ -318,8 +316,6 @@ def _of(judged: Iterator[_Judged], shares: FloatArray) -> Calibration | Reason:
         weights=_weights([one for one in found if one.like] or found, shares),
         whole=_reach([one.whole for one in found], wheelsets),
         roll=_reach([one.roll for one in found], wheelsets),
-        wheelsets=wheelsets,
-        answers=len(found),
     )
 
 

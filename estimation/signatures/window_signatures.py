@@ -12,8 +12,7 @@ from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.motion.checks import check_axis_signs, check_moving, direction, gate, jumps_reason, position_jumps
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
 from estimation.motion.parameters import FusionParameters, WindowParameters
-from estimation.motion.rolling_radius_difference import fuse, motion_signals
-from estimation.motion.smooth_sampling import sample_smoothed
+from estimation.motion.rolling_radius_difference import fuse, motion_signals, sample_smoothed
 from estimation.motion.usable_samples import moving_samples, straight_part
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.arrays import FloatArray

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -40,9 +40,7 @@ from estimation.vehicle.vehicle_class import VehicleClass, difference_noise
 
 @dataclass(slots=True)
 class TableSum:
-    """What has been added so far, the newest with weight 1.
-
-    Adding and forgetting in turn gives the same bits as ``estimation.tables.bin_table.merge`` table by table.
+    """What has been added so far, in the order in which it was.
 
     Attributes:
         start: The table to which others are added: without samples, or a sum that goes on.
@@ -60,16 +58,6 @@ class TableSum:
             array.copy() for array in (self.start.weight, self.start.lateral, self.start.yaw)
         )
         self._samples, self._windows = self.start.samples, self.start.windows
-
-    def forget(self, weight: float) -> None:
-        """Give what was added so far another weight.
-
-        Args:
-            weight: From 0 to 1; 1 changes nothing.
-        """
-        if weight != 1.0:
-            for array in (self._weight, self._lateral, self._yaw):
-                np.multiply(array, weight, out=array)
 
     def add(self, table: BinTable | FilledCells, weight: float = 1.0) -> None:
         """Add a table times a weight; samples and windows are counted without weights.
@@ -243,27 +231,8 @@ FAST_SAMPLES = 17  # at 250 Hz: faster than some 10 Hz
 MEDIAN_TO_STD = 1.4826  # of the absolute value of a normal variable
 
 
-def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTable:
-    """Return ``forgetting * first + second``; associative, and commutative without forgetting.
-
-    Args:
-        forgetting: Weight of the first table, 0 to 1; that of the second is 1.
-    """
-    if first.parameter_key != second.parameter_key:
-        raise ValueError(f"bin tables of parameters {first.parameter_key} and {second.parameter_key} do not merge")
-    return BinTable(
-        parameter_key=first.parameter_key,
-        edges=first.edges,
-        weight=forgetting * first.weight + second.weight,
-        lateral=forgetting * first.lateral + second.lateral,
-        yaw=forgetting * first.yaw + second.yaw,
-        samples=first.samples + second.samples,
-        windows=first.windows + second.windows,
-    )
-
-
 def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameters) -> BinTable:
-    """Merge in the order given, without forgetting.
+    """Merge in the order given, without weights.
 
     Args:
         tables: Of the same parameters; one is in memory at a time where they come one by one.
@@ -274,38 +243,16 @@ def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameter
     return merged.table()
 
 
-def merge_with_mileage(
-    tables: Iterable[tuple[float, BinTable | FilledCells]], half_life_km: float, parameters: BinParameters
-) -> BinTable:
-    """Merge tables in order of mileage, halving the weight of what was seen ``half_life_km`` earlier.
-
-    Args:
-        tables: (mileage in km, table), ascending; one is in memory at a time where they come one by one.
-        half_life_km: Distance after which an observation counts half.
-    """
-    merged, before = TableSum(init(parameters)), None
-    for mileage, table in tables:
-        if before is not None:
-            merged.forget(float(0.5 ** ((mileage - before) / half_life_km)))
-        merged.add(table)
-        before = mileage
-    return merged.table()
-
-
 def tabulate_window(
     window: Window,
     track: TrackAlignment | None,
     parameters: WindowParameters,
     correction: Correction | None = None,
-    misplaced: Reason | None = None,
     *,
     mounted_reversed: bool = False,
-    layout: TrackLayout | None = None,
 ) -> BinTable | Reason:
     """Return the bin table of ``window`` on ``track``, or why the window is refused."""
-    filled = cells_of_window(
-        window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
-    )
+    filled = cells_of_window(window, track, parameters, correction, mounted_reversed=mounted_reversed)
     return filled if isinstance(filled, Reason) else filled.table()
 
 
@@ -348,26 +295,15 @@ def _arrangement(vehicle_class: VehicleClass) -> str:
 
 
 def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
-    """Return the sum of tables times their weights; samples and windows are counted without weights.
+    """Return the sum of tables times their weights, in the order given.
 
     Args:
         tables: Weight and table, at least one; all of the same parameters.
     """
-    total: BinTable | None = None
+    total: TableSum | None = None
     for weight, table in tables:
-        if total is None:
-            total = replace(table, weight=weight * table.weight, lateral=weight * table.lateral, yaw=weight * table.yaw)
-            continue
-        if table.parameter_key != total.parameter_key:
-            raise ValueError(f"bin tables of parameters {total.parameter_key} and {table.parameter_key} do not merge")
-        total = replace(
-            total,
-            weight=total.weight + weight * table.weight,
-            lateral=total.lateral + weight * table.lateral,
-            yaw=total.yaw + weight * table.yaw,
-            samples=total.samples + table.samples,
-            windows=total.windows + table.windows,
-        )
+        total = total or TableSum(table.without_samples)
+        total.add(table, weight)
     if total is None:
         raise ValueError("no table to sum")
-    return total
+    return total.table()

@@ -9,8 +9,8 @@ import numpy as np
 from scipy import fft
 
 from estimation.filters.local_cubic import high_pass
+from estimation.track.gridded_pass import SectionGrid
 from estimation.track.passes import Pass, PositionParameters, gridded
-from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray, IntArray
 
 

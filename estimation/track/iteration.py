@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.track.convergence import Convergence, Iterated
-from estimation.track.gauge.initial_shape import initial_gauge_effect
 from estimation.track.gauge.search import (
     FEWEST_PASSES,
     GaugePrior,
@@ -22,6 +21,7 @@ from estimation.track.gauge.wheel_functions import (
     fit_wheels,
     gauge_factor,
     gauge_shift_of,
+    initial_gauge_effect,
     remove_common_shift,
     total_gauge_shifts,
 )

@@ -51,9 +51,7 @@ class Pass(FrozenArrays):
     displacement: Annotated[FloatArray, "n"]  # y, m
     difference: Annotated[FloatArray, "n"]  # R, m, measured without knowledge of the track
     side: int = 1  # or -1
-    stiffness_term: Annotated[FloatArray, "n"] | None = (
-        None  # m, part of R that scales with yaw stiffness over creep coefficient
-    )
+    stiffness_term: Annotated[FloatArray, "n"] | None = None  # m, what of R scales with yaw stiffness over creep
 
     @property
     def wheelset(self) -> str:

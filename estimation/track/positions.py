@@ -29,11 +29,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.track.correlation import Peak, clear_peaks, filtered_displacements, mean_displacement, peak
-from estimation.track.gridded_pass import Placed
+from estimation.track.gridded_pass import Placed, SectionGrid
 from estimation.track.panel.basis import Panel, pass_residual
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Journey, Pass, PositionParameters
-from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import Correction
 

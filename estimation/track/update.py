@@ -11,7 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimation.track.gauge.initial_shape import LEAST_GAUGE
+from estimation.track.gauge.wheel_functions import LEAST_GAUGE
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import prior_on_grid

@@ -49,9 +49,7 @@ class SuspensionParameters:
     most_past: Findings = 60  # of them that are looked at, the newest
     together_days: Annotated[float, Interval(ge=0.01, le=365.0)] = 1.0  # between passes that have friction in common
     common_creep_std: RelativeStd = 0.15  # relative, of a section and time, where no other vehicle shows it
-    own_creep_std: RelativeStd = (
-        0.04  # relative, of a vehicle against the others on one section: other wheels, other hours
-    )
+    own_creep_std: RelativeStd = 0.04  # of a vehicle against the others on one section: other wheels, other hours
 
 
 @dataclass(frozen=True, slots=True)

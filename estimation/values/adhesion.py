@@ -20,8 +20,7 @@ CELL_LENGTH = 50.0  # m, of the places whose friction is separated
 FRICTIONS = (4.0, 1.5, 0.8, 0.6, 0.45, 0.35, 0.28, 0.22, 0.18, 0.15, 0.125, 0.1, 0.08, 0.065, 0.05, 0.035)
 """Coefficients of friction at which sums are kept; between them the sums are interpolated over the inverse."""
 
-INVERSE = frozen_array(1.0 / np.array(FRICTIONS), (len(FRICTIONS),), name="INVERSE")
-"""(k,) 1/mu, increasing."""
+INVERSE = frozen_array(1.0 / np.array(FRICTIONS), (len(FRICTIONS),), name="INVERSE")  # (k,) 1/mu, increasing
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,7 @@ from estimation.values.served import Served
 SHARES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2, 1.5, 2.0)
 """Particles: shares of the damping on file at which sums are kept; between them innovations are interpolated."""
 
-GEAR = tuple[str, int]
-"""A running gear: code of its vehicle, and its first axle, from 1."""
+GEAR = tuple[str, int]  # a running gear: code of its vehicle, and its first axle, from 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,6 +42,12 @@ class BinTable(FrozenArrays):
         """Bin centres (b,), m."""
         return bin_centres(self.edges)
 
+    @property
+    def without_samples(self) -> BinTable:
+        """The table of the same parameters without samples."""
+        none = {name: np.zeros_like(getattr(self, name)) for name in ("weight", "lateral", "yaw")}
+        return replace(self, samples=0, windows=0, **none)
+
 
 @dataclass(frozen=True, slots=True)
 class FilledCells:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 
 import numpy as np
@@ -136,18 +135,3 @@ def log10_chance(statistic: float, degrees: float) -> float:
     """Return the decimal logarithm of the chance that a chi-square variable exceeds a value; -inf beyond about 1400."""
     with np.errstate(divide="ignore"):
         return float(np.log10(chdtrc(degrees, statistic)))
-
-
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_SECOND = 1_000_000_000
-
-
-def utc_text(t_ns: int) -> str:
-    """Return a time in UTC, to the second where it is a whole one.
-
-    Args:
-        t_ns: ns since 1970, UTC.
-    """
-    seconds, rest = divmod(t_ns, _SECOND)
-    decimals = f".{rest:09d}".rstrip("0") if rest else ""
-    return f"{(_EPOCH + timedelta(seconds=seconds)).strftime('%Y-%m-%dT%H:%M:%S')}{decimals}Z"

@@ -42,8 +42,7 @@ class JobRun:
     error: str | None = None
 
 
-MOST_ENDED = 3
-"""Workers that end at one thing before it is set aside."""
+MOST_ENDED = 3  # workers that end at one thing before it is set aside
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,8 +91,7 @@ class DesignPair:
     rail: str | None  # with its inclination; None where nobody knows on which rails a wheelset ran
 
 
-NO_PAIR = DesignPair("", None)
-"""Of entries all of which are of one design."""
+NO_PAIR = DesignPair("", None)  # of entries all of which are of one design
 
 
 @dataclass(frozen=True, slots=True)

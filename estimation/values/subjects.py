@@ -23,7 +23,6 @@ class Facet(StrEnum):
     HUNTING = "hunting"  # windows of a vehicle in which it hunts
     RECORDINGS = "recordings"  # of a vehicle, that are rejected
     STIFFNESS = "stiffness"  # ratios that epochs show of a vehicle
-    DAMPER = "damper"
     ALIGNMENT = "alignment"  # versions of the alignment of a section
 
 

@@ -224,8 +224,7 @@ class Correction:
         return np.asarray(measured + self.offset + self.scale * (measured - self.middle))
 
 
-OPEN_NS = (1 << 63) - 1
-"""Horizon of the last epoch of a section: whatever comes later may belong to it."""
+OPEN_NS = (1 << 63) - 1  # horizon of the last epoch of a section: whatever comes later may belong to it
 
 
 @dataclass(frozen=True, slots=True)

@@ -149,8 +149,7 @@ class WindowPosition:
     reason: Reason | None = None
 
 
-WindowKey = tuple[str, int]
-"""Wheelset and start of a window, in vehicle time."""
+WindowKey = tuple[str, int]  # wheelset and start of a window, in vehicle time
 
 
 def text_of_key(wheelset: str, start_ns: int) -> str:

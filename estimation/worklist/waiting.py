@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from estimation.values.quantities import Status, utc_text
+from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
+from estimation.values.utc_text import utc_text
 
 ESTIMATION, ALIGNMENT, GEOMETRY = "estimate_windows", "refresh_alignment", "refresh_geometry"
 """Jobs that make bin tables of windows, alignments of sections, and geometries of wheelsets."""

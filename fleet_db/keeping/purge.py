@@ -97,8 +97,7 @@ def mark_purged(connection: Connection, windows: Sequence[Row[Any, Any, Any, Any
 RUNS, KEYS, PURGES = table_of(JobRunRow), table_of(IdempotencyRow), table_of(PurgeRow)
 ENTRIES, DELIVERIES = table_of(AuditRow), table_of(WebhookDeliveryRow)
 RESULTS, REPORTS = table_of(ResultRow), table_of(TrackReportRow)
-BATCH = 1000
-"""Rows a transaction: others wait for a fraction of a second."""
+BATCH = 1000  # rows a transaction: others wait for a fraction of a second
 
 BY_DATA = frozenset(
     {

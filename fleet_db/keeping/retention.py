@@ -9,11 +9,9 @@ from estimation.errors import ParameterError
 
 DAY_NS = 86_400_000_000_000
 
-LEAST_DAYS_OF_SAMPLES = 1.0
-"""What is estimated now, and the other axle of the bogie, must have them."""
+LEAST_DAYS_OF_SAMPLES = 1.0  # what is estimated now, and the other axle of the bogie, must have them
 
-LEAST_DAYS_OF_RECORDINGS = 31.0
-"""Recordings that are late by 30 days still meet the raw frames of those beside them."""
+LEAST_DAYS_OF_RECORDINGS = 31.0  # recordings that are late by 30 days still meet the raw frames of those beside them
 
 
 class Kept(StrEnum):

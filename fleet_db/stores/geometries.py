@@ -67,6 +67,13 @@ class GeometryStore:
         found = self._current(wheelset, as_of_ns)
         return None if found is None else _record(found)
 
+    def current_of(self, wheelsets: Collection[str]) -> Mapping[str, GeometryRecord]:
+        """Return what :meth:`current` does of each of some wheelsets that has one, by serial."""
+        found: dict[str, list[Result[WheelsetGeometry]]] = {}
+        for result in self.results.in_force(GEOMETRY, wheelsets, None, CURRENT):
+            found.setdefault(result.subject, []).append(result)
+        return {wheelset: _record(_newest(results)) for wheelset, results in found.items()}
+
     def version(self, wheelset: str) -> tuple[int, int] | None:
         """Return what changes whenever :meth:`current` does, at less cost: None where there is no geometry.
 
@@ -173,8 +180,7 @@ class GeometryStore:
 
     def _current(self, wheelset: str, as_of_ns: int | None = None) -> Result[WheelsetGeometry] | None:
         found = self.results.in_force(GEOMETRY, [wheelset], as_of_ns, CURRENT)
-        with_windows = [result for result in found if _head(result)["windows"]]
-        return next(reversed(with_windows or found), None)
+        return _newest(found) if found else None
 
     def bins_are_current(self, wheelset: str) -> bool:
         """Whether the plain rows of bins are those of the current geometry."""
@@ -189,6 +195,11 @@ class GeometryStore:
         found = self._current(wheelset)
         if found is not None and found.value is not None and found.number != self._shown(wheelset):
             _replace_bins(self.connection, wheelset, found.number, found.value)
+
+
+def _newest(results: Sequence[Result[WheelsetGeometry]]) -> Result[WheelsetGeometry]:
+    """Return the current geometry of the newest baseline with windows, or else of the newest one."""
+    return ([result for result in results if _head(result)["windows"]] or results)[-1]
 
 
 def part_of(baseline: int, interval: int | None) -> str:

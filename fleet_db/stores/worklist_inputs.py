@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, select
 
 from estimation.errors import DamagedError
 from estimation.failures import code_of_error, first_line
 from estimation.values.alerts import Condition, Severity
-from estimation.values.geometry import GEOMETRY, GeometryRecord
+from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.trend import TrendRecord
 from estimation.values.windows import WindowState
 from estimation.values.worklist import MileageNow, OpenAlert
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
-from fleet_db.stores.geometries import CURRENT, GeometryStore
+from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.window_reasons import refused_by_code
 from fleet_db.tables import AlertRow, WheelsetRow, WindowRow
 
+Stored = TypeVar("Stored")
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
 
 
@@ -48,7 +49,7 @@ class WorklistReader:
             serials: Some hundreds at most.
         """
         alerts, windows = self._alerts(serials), self._windows(serials)
-        with_geometry, trends = self.trends.results.having(GEOMETRY, serials, CURRENT), self._trends(serials)
+        geometries, trends = _readable(self.geometries.current_of, serials), _readable(self.trends.of, serials)
         found, records = [], self.registry.wheelsets_of(serials)
         vehicles = {record.mounting.vehicle for record in records if record.mounting is not None}
         self.vehicles.update(self.registry.vehicles_of(vehicles - self.vehicles.keys()))
@@ -58,22 +59,21 @@ class WorklistReader:
             last_ns, mileage = windows[serial]
             if mileage is None and mounting is not None:
                 mileage = MileageNow(mounting.wheelset_mileage_km, mounting.from_ns)
-            trend = trends.get(serial)
-            current, failure = self._current(serial) if serial in with_geometry else (None, None)
-            if isinstance(trend, Reason):
-                current, trend, failure = None, None, trend
+            current, trend = geometries.get(serial), trends.get(serial)
+            failure = next((one for one in (current, trend) if isinstance(one, Reason)), None)
+            geometry = None if failure is not None or isinstance(current, Reason) else current
             found.append(
                 WorklistInputs(
                     wheelset=record,
                     vehicle=vehicle,
                     vehicle_class=None if vehicle is None else self._class(vehicle.vehicle_class),
-                    geometry=current,
-                    trend=None if failure is not None else trend,
+                    geometry=geometry,
+                    trend=None if failure is not None or isinstance(trend, Reason) else trend,
                     last_window_ns=last_ns,
                     mileage=mileage,
                     alerts=alerts.get(serial, ()),
                     failure=failure,
-                    refused=self._refused(record, current),
+                    refused=self._refused(record, geometry),
                 )
             )
         return found
@@ -85,22 +85,6 @@ class WorklistReader:
             return {}
         since_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
         return refused_by_code(self.connection, wheelset.serial, since_ns)
-
-    def _trends(self, serials: Sequence[str]) -> Mapping[str, TrendRecord | Reason]:
-        """Return the newest trend of each wheelset that has one, or why it cannot be read."""
-        try:
-            return self.trends.of(serials)
-        except DamagedError as error:
-            if len(serials) == 1:
-                return {serials[0]: _why(error)}
-            return {serial: trend for one in serials for serial, trend in self._trends([one]).items()}
-
-    def _current(self, serial: str) -> tuple[GeometryRecord | None, Reason | None]:
-        """Return the current geometry, where there is one, or why it cannot be read."""
-        try:
-            return self.geometries.current(serial), None
-        except DamagedError as error:
-            return None, _why(error)
 
     def _class(self, code: str) -> VehicleClass | None:
         """Return a class; None where it is not on file or damaged, which stops nobody from storing."""
@@ -151,8 +135,16 @@ class WorklistReader:
         }
 
 
-def _why(error: DamagedError) -> Reason:
-    return Reason(code_of_error(error), first_line(error))
+def _readable(
+    read: Callable[[Sequence[str]], Mapping[str, Stored]], serials: Sequence[str]
+) -> Mapping[str, Stored | Reason]:
+    """Return what is stored of wheelsets, by serial; where it cannot be read, why."""
+    try:
+        return dict(read(serials))
+    except DamagedError as error:
+        if len(serials) == 1:
+            return {serials[0]: Reason(code_of_error(error), first_line(error))}
+        return {serial: record for one in serials for serial, record in _readable(read, [one]).items()}
 
 
 def _newest(column: Column[int] | Column[float], chosen: ColumnElement[bool]) -> ScalarSelect[float]:

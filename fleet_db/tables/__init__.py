@@ -12,7 +12,6 @@ from fleet_db.tables.alerts import (
 )
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
-    JobOwnerRow,
     JobRunRow,
     SectionChangeRow,
     SectionLookRow,
@@ -83,7 +82,6 @@ __all__ = [
     "FeedBranchRow",
     "FleetRow",
     "IdempotencyRow",
-    "JobOwnerRow",
     "JobRunRow",
     "MeasuredProfilesRow",
     "MountingRow",

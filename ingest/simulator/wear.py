@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
-from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, refined_curve
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile
-from estimation.contact.radius_difference import refined_curve
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.profile_files import rails_of, wheels_of

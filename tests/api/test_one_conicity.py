@@ -11,7 +11,7 @@ import pytest
 from api.terminal.contact import Contact, table_text
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelContact, WheelPair, wheel_contact
 from estimation.contact.conicity import MeasuredShapes, equivalent_conicity
-from estimation.contact.geometry import ContactMethod
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile
 from estimation.contact.smoothed_profile import exact
 from estimation.rails.parameters import conicity_on_rails

@@ -66,6 +66,8 @@ class _Read:
     books: Mapping[str, RuleBook]
     mounted: Mapping[str, Sequence[str]]
     alerts: Mapping[str, Sequence[Alert]]
+    geometries: Mapping[str, GeometryRecord]
+    conicities: Mapping[str, Sequence[IntervalConicities]]
     trends: Mapping[str, TrendRecord]
     steps: Mapping[str, Sequence[TrendStep | None]]
     rails: frozenset[RailShare]
@@ -96,6 +98,8 @@ class _Read:
             books=books,
             mounted=places,
             alerts=_by(unit.alerts.open_of(serials), lambda alert: str(alert.wheelset)),
+            geometries=unit.geometries.current_of(serials),
+            conicities=unit.geometries.conicities_of({one.serial: len(one.reprofilings) for one in wheelsets}),
             trends=trends,
             steps=steps,
             rails=rails_of(unit.tracks.sections()) if steps else frozenset(),
@@ -163,7 +167,9 @@ def _facts(unit: UnitOfWork, read: _Read, wheelset: WheelsetRecord) -> WheelsetF
         )
     trend, windows, book = read.trends.get(serial), tuple(read.windows.get(serial, ())), read.books[serial]
     step = step_of(trend, wheelset)
-    conicities = behind_step(_conicities(unit, wheelset, mounting.from_ns, read.changes.get(serial)), step)
+    known = since_change(read.conicities[serial], read.changes.get(serial))
+    held = sorted((one for one in known if one.windows and one.to_ns > mounting.from_ns), key=lambda one: one.to_ns)
+    conicities = behind_step(held, step)
     around = StepSurroundings()
     if step is not None:
         around = surroundings(wheelset, conicities, read.steps[serial], read.rails)
@@ -172,7 +178,7 @@ def _facts(unit: UnitOfWork, read: _Read, wheelset: WheelsetRecord) -> WheelsetF
     return WheelsetFacts(
         wheelset=wheelset,
         vehicle=read.vehicles[mounting.vehicle],
-        geometry=unit.geometries.current(serial),
+        geometry=read.geometries.get(serial),
         trend=trend,
         step_surroundings=around,
         windows=windows,
@@ -200,14 +206,6 @@ def hunted_beside(unit: UnitOfWork, vehicle: str, windows: Sequence[WindowRecord
     """Return in which windows a wheelset of the vehicle hunts; empty where nothing clips that it could explain."""
     clipped = [window.start_ns for window in windows if window.quality.clipped > 0.0]
     return unit.windows.hunted(vehicle, min(clipped)) if clipped else frozenset()
-
-
-def _conicities(
-    unit: UnitOfWork, wheelset: WheelsetRecord, since_ns: int, change: IdentityChange | None
-) -> Sequence[IntervalConicities]:
-    stored = unit.geometries.conicities(wheelset.serial, len(wheelset.reprofilings))
-    held = [one for one in since_change(stored, change) if one.windows and one.to_ns > since_ns]
-    return sorted(held, key=lambda one: one.to_ns)
 
 
 def _newest(

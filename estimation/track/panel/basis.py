@@ -9,10 +9,9 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.filters.local_cubic import high_pass
-from estimation.track.gridded_pass import GriddedPass
+from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.passes import ProfileLife
-from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import GaugeShift
 

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.geometry import ContactMethod, WheelsetOnTrack
+from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
+from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
-from estimation.contact.radius_difference import radius_difference_curve
 from estimation.values.arrays import FloatArray, FrozenArrays
 
 REACH = 8e-3  # m of lateral displacement

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.track.gridded_pass import SectionGrid
 from estimation.track.panel.normal_equations import PanelState, groups_of
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment
 

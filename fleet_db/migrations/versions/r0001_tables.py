@@ -322,17 +322,6 @@ sa.Table(
     required("recorded_ns", BIG),
 )
 sa.Table(
-    "job_owners",
-    TABLES,
-    sa.Column("token", SERIAL, primary_key=True),
-    required("kind", sa.String(16)),
-    required("holder", TEXT),
-    required("since_ns", BIG),
-    one_of("kind", ("schedule", "api", "cli")),
-    sa.Index("ix_job_owners_one_scheduler", "kind", unique=True, **where("kind = 'schedule'")),
-    sqlite_autoincrement=True,
-)
-sa.Table(
     "job_runs",
     TABLES,
     sa.Column("run_id", SERIAL, primary_key=True),
@@ -947,7 +936,8 @@ sa.Table(
     TABLES,
     sa.Column("lease_id", SERIAL, primary_key=True),
     required("holder", TEXT),
-    sa.Column("owner", BIG),
+    sa.Column("owner", BIG, sa.ForeignKey("work_leases.lease_id", ondelete="CASCADE")),
+    sa.Column("unit", sa.String(32)),
     required("length_ns", BIG),
     required("until_ns", BIG),
     sa.CheckConstraint("length_ns > 0", name="length_positive"),

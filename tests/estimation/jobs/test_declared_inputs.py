@@ -77,7 +77,7 @@ READS: Mapping[str, str] = {
     "geometries.newest_numbers": GEOMETRY.stage,
     "geometries.interval_numbers": GEOMETRY.stage,
     "geometries.intervals": GEOMETRY.stage,
-    "geometries.current": GEOMETRY.stage,
+    "geometries.current_of": GEOMETRY.stage,
     "registry.vehicles": Facet.REGISTRY,
     "registry.mounted_on": Facet.REGISTRY,
     "registry.newest_measurement_of": Facet.REGISTRY,
@@ -91,6 +91,7 @@ READS: Mapping[str, str] = {
     "plausibility.rejected": Facet.BESIDE,
     "results.identity_jump": "identity_jump",
     "results.identity": "identity",
+    "results.answers": "answers",
     "results.suspension": Facet.BESIDE,
 }
 """The facet that is raised with what a method reads; a stage calls no other."""
@@ -268,8 +269,7 @@ def test_settings_that_are_read_make_all_due(storage: Storage, stage: AnyStage) 
         other = context_of(storage, settings)
         if digests(storage, stage, other) != before:
             assert due(storage, stage, other) == everybody
-    if not stage.inline:  # whose form is a setting, in whatever process
-        assert due(storage, stage, context_of(storage, code="another")) == everybody
+    assert due(storage, stage, context_of(storage, code="another")) == (set() if stage.inline else everybody)
 
 
 def seen_all(storage: Storage, stage: AnyStage, context: JobContext) -> None:

@@ -33,7 +33,7 @@ REACH = calibration.Reach(0.0, 0.5, 14)
 
 
 def of_weights(weights: FloatArray) -> Calibration:
-    return Calibration(weights, REACH, replace(REACH, mean=1.0), 14, 30)
+    return Calibration(weights, REACH, replace(REACH, mean=1.0))
 
 
 def factor(found: list[calibration._Judged]) -> float:
