@@ -4,38 +4,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from sqlalchemy import Connection, select, update
+from sqlalchemy import Connection, update
 
 from fleet_db.rows import insert_new, table_of
 from fleet_db.subjects import Subjects
-from fleet_db.tables import MountingRow, SectionChangeRow, WheelsetChangeRow
+from fleet_db.tables import SectionChangeRow, WheelsetChangeRow
 
 CHANGES, OF_SECTIONS = table_of(WheelsetChangeRow), table_of(SectionChangeRow)
-MOUNTINGS = table_of(MountingRow)
 
 
 @dataclass(slots=True)
 class Changes:
-    """Serials whose geometry is behind what it is computed from, and those that jobs look at.
+    """Serials whose geometry is behind what it is computed from, and sections that jobs look at.
 
     They are written in the order of the serial at the end of the transaction, and the sections behind them in the order
-    of their codes, so that two transactions that touched the same wait for each other and never in a circle.
+    of their codes, so that two transactions that change the same wait for each other and never in a circle.
     """
 
     connection: Connection
     subjects: Subjects
-    noted: set[str] = field(default_factory=set)
-    touched: set[str] = field(default_factory=set)  # since they were written last
+    noted: set[str] = field(default_factory=set)  # since they were written last
     sections: set[str] = field(default_factory=set)  # on which something has happened since they were written last
 
     def note(self, wheelset: str) -> None:
         """Something that the geometry of a wheelset is computed from has changed."""
         self.noted.add(wheelset)
-        self.touched.add(wheelset)
-
-    def touch(self, wheelset: str) -> None:
-        """Something has happened to ``wheelset`` that jobs look at."""
-        self.touched.add(wheelset)
 
     def on_section(self, section: str | None) -> None:
         """Something has happened to windows, positions or epochs of a section; None is no section.
@@ -52,19 +45,14 @@ class Changes:
     def refile_vehicle(self, vehicle: str) -> None:
         """Something on file of ``vehicle`` has changed that its windows rest on."""
         self.sections.update(self.subjects.vehicle_on_file(vehicle))
-        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.to_ns.is_(None))
-        for serial in self.connection.scalars(mounted):
-            self.touch(serial)
 
     def flush(self) -> None:
         """Write what was noted."""
         self.subjects.flush()
-        for wheelset in sorted(self.touched):
-            more = 1 if wheelset in self.noted else 0
-            counted = update(CHANGES).where(CHANGES.c.wheelset == wheelset)
-            counted = counted.values(change=CHANGES.c.change + more, touched=CHANGES.c.touched + 1)
+        for wheelset in sorted(self.noted):
+            counted = update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(change=CHANGES.c.change + 1)
             if not self.connection.execute(counted.execution_options(preserve_rowcount=True)).rowcount:
-                first = {"wheelset": wheelset, "change": more, "geometry_change": 0, "touched": 1}
+                first = {"wheelset": wheelset, "change": 1, "geometry_change": 0}
                 if not insert_new(self.connection, CHANGES, first):
                     self.connection.execute(counted)
         for section in sorted(self.sections):
@@ -74,5 +62,4 @@ class Changes:
             if not known and not insert_new(self.connection, OF_SECTIONS, {"section": section, "touched": 1}):
                 self.connection.execute(counted)
         self.noted.clear()
-        self.touched.clear()
         self.sections.clear()

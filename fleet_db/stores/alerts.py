@@ -221,7 +221,6 @@ class AlertStore:
         for row in rows:
             self.connection.execute(insert(EVENTS).values(**row))
         if saved.wheelset is not None:
-            self.changes.touch(saved.wheelset)
             self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.ALERTS)
         if events and saved.kind in RESTARTING and saved.wheelset is not None:
             self.changes.note(saved.wheelset)  # its geometry starts again from the change

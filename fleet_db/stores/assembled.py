@@ -134,7 +134,6 @@ class AssembledWindowStore:
 
     def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
         """Return the row of a window whose file is written here."""
-        self.changes.touch(each.window.wheelset)
         hunts = each.window.quality.hunting.sustained
         self.changes.subjects.windows(each.window.wheelset, each.window.vehicle if hunts else None)
         self.changes.on_section(each.window.track_section)

@@ -55,10 +55,8 @@ class GeometryStore:
         if record.interval is None:
             self._not_stale(record.wheelset)
         news = self.results.put_all(GEOMETRY, [result_of_geometry(record)])
-        if news:
-            self.changes.touch(record.wheelset)
-            if record.interval is None:
-                self._show_bins(record.wheelset)
+        if news and record.interval is None:
+            self._show_bins(record.wheelset)
         return bool(news)
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:

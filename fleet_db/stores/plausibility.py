@@ -103,7 +103,6 @@ class PlausibilityStore:
         replace_all(self.connection, WINDOWS, rows)
         if marks:
             self.windows.mark_all(marks)
-            self.windows.changes.touch(wheelset)  # its mileage is another now
             self.windows.changes.subjects.windows(wheelset)
         return len(marks)
 

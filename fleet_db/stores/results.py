@@ -115,8 +115,6 @@ class ResultStore:
         for result, values, was in news:
             if any(getattr(was, name, None) != values[name] for name in SHOWN if was is not None or name in SAID):
                 self.changes.subjects.raised(kind.subject, result.subject, kind.stage)
-            if kind.subject == "wheelset" and kind.history is History.APPENDED:
-                self.changes.touch(result.subject)
         return [result for result, _, _ in news]
 
     def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None:

@@ -70,7 +70,6 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
                 gone.append(mark.key)
             if before.state != mark.state.value:
                 changes.note(mark.wheelset)
-            changes.touch(mark.wheelset)
             if WindowState.REFUSED.value in {before.state, mark.state.value}:  # else the newest usable one stays
                 changes.subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)

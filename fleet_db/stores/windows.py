@@ -126,7 +126,6 @@ class WindowStore:
             "samples_purged_ns": None,
             "passed_over": None,
         }
-        self.changes.touch(window.wheelset)
         hunts = max(window.quality.hunting.share, found.hunting_share or 0.0) >= HUNTING_SHARE
         self.changes.subjects.windows(window.wheelset, window.vehicle if hunts else None)
         self.changes.on_section(window.track_section)

@@ -869,7 +869,6 @@ sa.Table(
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
     required("change", BIG),
     required("geometry_change", BIG),
-    required("touched", BIG, server_default=sa.text("0")),
 )
 sa.Table(
     "reprofilings",

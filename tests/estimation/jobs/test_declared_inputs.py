@@ -69,7 +69,7 @@ READS: Mapping[str, str] = {
     "tracks.standings": Facet.LAYOUTS,
     "signatures.vehicles": Facet.LAYOUTS,
     "signatures.known": SIGNATURES,
-    "results.made_from": ANSWERS.stage,
+    "results.answers": ANSWERS.stage,
     "geometries.having": GEOMETRY.stage,
     "dampers.gears": CREEP,
     "adhesion.made_with": FRICTION,
