@@ -19,6 +19,7 @@ from estimation.errors import ConflictError, InputError
 from estimation.jobs import evaluate_alerts
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
+from estimation.jobs.stage import Outcome
 from estimation.storage import Storage
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Severity
 from estimation.values.runs import JobRun, JobTrigger
@@ -262,16 +263,25 @@ def test_the_operator_sets_what_a_flood_is(storage: Storage) -> None:
     assert open_of_fleet(storage)[0].evidence["more_than"] == 2
 
 
-def test_a_run_that_is_stopped_raises_what_it_found_and_the_next_one_the_rest(storage: Storage) -> None:
+def test_a_run_that_is_stopped_raises_what_it_found_and_the_next_one_the_rest(
+    storage: Storage, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fleet_of(storage, dict.fromkeys(WHEELSETS, 1.0))
-    looks = iter([False] * 2 + [True] * 100)
+    evaluated: list[str] = []
+
+    def compute(inputs: evaluate_alerts.AlertInputs) -> Outcome[evaluate_alerts.Evaluated]:
+        evaluated.append(inputs.facts.wheelset.serial)
+        return evaluate_alerts.compute(inputs)
+
+    monkeypatch.setattr(evaluate_alerts, "ALERTS", replace(evaluate_alerts.ALERTS, compute=compute, at_once=1))
     clock = SetClock(START_NS + round(8.5 * DAY_NS))
-    context = JobContext(storage, clock, "test", JobSettings(), stopping=lambda: next(looks))
+    context = JobContext(storage, clock, "test", JobSettings(), stopping=lambda: bool(evaluated))
     assert run_job(evaluate_alerts.JOB, context, JobTrigger.CLI).outcome == "abandoned"
-    before = feed_of(storage)
-    assert before == [(RAISED, "W1"), (RAISED, "W2")]
+    first = tuple(evaluated)
+    assert 0 < len(first) < len(WHEELSETS)
+    assert feed_of(storage) == [(RAISED, serial) for serial in first]
     evaluate(storage, 8.6)
-    assert feed_of(storage)[2:] == [(UPDATED, "W1"), (UPDATED, "W2"), (RAISED, None)]
+    assert feed_of(storage)[len(first) :] == [*((UPDATED, serial) for serial in first), (RAISED, None)]
 
 
 def test_two_open_fleet_alerts_of_a_kind_are_refused(storage: Storage) -> None:
