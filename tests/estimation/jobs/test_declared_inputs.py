@@ -91,7 +91,6 @@ READS: Mapping[str, str] = {
     "plausibility.rejected": Facet.BESIDE,
     "results.identity_jump": "identity_jump",
     "results.identity": "identity",
-    "results.answers": "answers",
     "results.suspension": Facet.BESIDE,
 }
 """The facet that is raised with what a method reads; a stage calls no other."""
