@@ -33,6 +33,7 @@ WITH_OPTIONS = (
     "api",
     "feed",
     "page",
+    "pools",
     "workers",
     "chunks",
     "pipeline",

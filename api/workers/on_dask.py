@@ -21,7 +21,7 @@ from typing import Any, TypeVar, cast
 
 from api.factory import process_name
 from api.settings import Settings, load_settings
-from api.workers.process import context_of, in_worker
+from api.workers.process import context_of, in_worker, work_unit
 from estimation.errors import PassingFaultError, TreadwatchError, WorkFailedError
 from estimation.jobs.job import JobContext, WorkExecutor
 from estimation.values.reasons import ReasonCode
@@ -46,6 +46,8 @@ class DaskExecutor(WorkExecutor):
     Args:
         settings: Of the deployment, with the address of the scheduler, such as ``tcp://scheduler:8786``.
     """
+
+    work = staticmethod(work_unit)
 
     def __init__(self, settings: Settings) -> None:
         self._settings, self._address = settings, settings.dask_scheduler

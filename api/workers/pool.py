@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 
 from api.factory import open_store, process_name
 from api.settings import Settings
-from api.workers.process import begin, in_worker
+from api.workers.process import begin, in_worker, work_unit
 from estimation.errors import StorageError
 from estimation.jobs.job import WorkExecutor
 
@@ -46,6 +46,8 @@ class ProcessPool(WorkExecutor):
     Args:
         count: How many workers there are; each is started when the first unit comes to it.
     """
+
+    work = staticmethod(work_unit)
 
     def __init__(self, settings: Settings, count: int) -> None:
         self._settings, self._count = settings, count

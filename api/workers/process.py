@@ -6,7 +6,7 @@ import logging
 import os
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from multiprocessing import parent_process
@@ -17,7 +17,9 @@ from api import logs
 from api.factory import job_context, open_store, process_name
 from api.settings import Settings
 from estimation.errors import StorageError, TreadwatchError, WorkFailedError
-from estimation.jobs.job import JobContext
+from estimation.jobs.catalogue import stage_named
+from estimation.jobs.claimed_work import claimed_work
+from estimation.jobs.job import JobContext, WorkUnit
 
 REST_S = 1.0
 """A worker that cannot reach the database rests so long, so that the others get the units."""
@@ -52,6 +54,11 @@ def in_worker(settings: Settings, work: Callable[..., Result], *arguments: Any) 
     except Exception as error:  # noqa: BLE001 - see above
         _log.exception("a unit failed")
         raise WorkFailedError(f"{type(error).__name__}: {error}".splitlines()[0]) from None
+
+
+def work_unit(context: JobContext, unit: WorkUnit) -> Mapping[str, int]:
+    """Do a unit of a stage that this process knows by its name; return what was counted."""
+    return claimed_work(context, stage_named(unit.stage), unit)
 
 
 def begin(settings: Settings) -> None:

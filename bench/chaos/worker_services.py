@@ -29,7 +29,7 @@ PROCESSES, DASK_WORKERS = 4, 2
 LEASE_S = 2.0
 EVERY_S = 2.0
 START_S = 120.0
-AT_WORK_S = 10.0
+AT_WORK_S = 40.0
 SCHEDULE = "from api.cli import main; main()"
 QUICK = {"lease_s": LEASE_S, "jobs_every_s": EVERY_S, "database_silence_s": 1.0, "database_connect_timeout_s": 2}
 KEPT = '[days]\nwindow_samples = "for ever"\nwindow_bin_tables = "for ever"\n'

@@ -90,7 +90,7 @@ class _Handing:
         """Let a unit be done, here or by a worker."""
         executor = self.context.executor
         if executor is not None:
-            self.handed[executor.submit(work, handed.unit)] = handed
+            self.handed[executor.submit(executor.work, handed.unit)] = handed
             return
         self.counts.update(claimed_work(self.context, self.stage, handed.unit))
         self.done(len(handed.unit.keys))
@@ -121,10 +121,3 @@ class _Handing:
             gone = WorkFailedError(f"workers are gone: {type(error).__name__} {error}")
             raise error if isinstance(error, WorkFailedError) else gone
         self.begin(handed)
-
-
-def work(context: JobContext, unit: WorkUnit) -> Mapping[str, int]:
-    """Do a unit in a worker."""
-    from estimation.jobs.catalogue import stage_named  # noqa: PLC0415 - the catalogue imports the stages, which hand out
-
-    return claimed_work(context, stage_named(unit.stage), unit)

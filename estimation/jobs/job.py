@@ -109,9 +109,14 @@ class WorkExecutor(Executor):
     What was raised there comes back as ``WorkFailedError``. Any other exception says that the worker is gone.
 
     Attributes:
+        work: What is submitted with a unit; any process can import it.
         width: How many units are done at once.
         unfit: Of the workers that get no work: who they are and why.
     """
+
+    @staticmethod
+    @abstractmethod
+    def work(context: JobContext, unit: WorkUnit) -> Mapping[str, int]: ...  # noqa: D102 - of an interface
 
     @property
     @abstractmethod
