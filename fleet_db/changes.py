@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 from sqlalchemy import Connection, select, update
 
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from fleet_db.rows import insert_new, table_of
 from fleet_db.subjects import Subjects
 from fleet_db.tables import MountingRow, SectionChangeRow, WheelsetChangeRow
@@ -19,7 +21,7 @@ MOUNTINGS = table_of(MountingRow)
 
 @dataclass(slots=True)
 class Changes:
-    """Serials whose geometry is behind what it is computed from, and those of which the worklist shows something.
+    """Serials to which something has happened that jobs look at, and those of which the worklist shows something.
 
     They are written in the order of the serial at the end of the transaction, and the sections behind them in the order
     of their codes, so that two transactions that touched the same wait for each other and never in a circle.
@@ -27,14 +29,13 @@ class Changes:
 
     connection: Connection
     subjects: Subjects
-    noted: set[str] = field(default_factory=set)
     shown: set[str] = field(default_factory=set)
-    touched: set[str] = field(default_factory=set)  # noted or shown since they were written last
+    touched: set[str] = field(default_factory=set)  # since they were written last
     sections: set[str] = field(default_factory=set)  # on which something has happened since they were written last
 
     def note(self, wheelset: str, *, shown: bool = True) -> None:
         """Something that the geometry of a wheelset is computed from has changed."""
-        self.noted.add(wheelset)
+        self.subjects.raised(SubjectKind.WHEELSET, wheelset, Facet.WINDOWS)
         self.touched.add(wheelset)
         if shown:
             self.show(wheelset)
@@ -77,19 +78,15 @@ class Changes:
         """Write what was noted."""
         self.subjects.flush()
         for wheelset in sorted(self.touched):
-            more = 1 if wheelset in self.noted else 0
-            counted = update(CHANGES).where(CHANGES.c.wheelset == wheelset)
-            counted = counted.values(change=CHANGES.c.change + more, touched=CHANGES.c.touched + 1)
-            if not self.connection.execute(counted.execution_options(preserve_rowcount=True)).rowcount:
-                first = {"wheelset": wheelset, "change": more, "geometry_change": 0, "touched": 1}
-                if not insert_new(self.connection, CHANGES, first):
-                    self.connection.execute(counted)
+            counted = update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(touched=CHANGES.c.touched + 1)
+            known = self.connection.execute(counted.execution_options(preserve_rowcount=True)).rowcount
+            if not known and not insert_new(self.connection, CHANGES, {"wheelset": wheelset, "touched": 1}):
+                self.connection.execute(counted)
         for section in sorted(self.sections):
             counted = update(OF_SECTIONS).where(OF_SECTIONS.c.section == section)
             counted = counted.values(touched=OF_SECTIONS.c.touched + 1)
             known = self.connection.execute(counted.execution_options(preserve_rowcount=True)).rowcount
             if not known and not insert_new(self.connection, OF_SECTIONS, {"section": section, "touched": 1}):
                 self.connection.execute(counted)
-        self.noted.clear()
         self.touched.clear()
         self.sections.clear()

@@ -108,6 +108,6 @@ def inputs_of(context: JobContext, wheelset: str) -> Inputs:
 
     def inputs() -> str:
         with context.storage.read() as unit:
-            return f"{unit.geometries.change(wheelset)} {context.code_version}"
+            return f"{unit.looks.touched_of(wheelset)} {context.code_version}"
 
     return inputs

@@ -61,7 +61,7 @@ def run(context: JobContext) -> Mapping[str, int]:
     note_sections(context, STAGE, done)
     if counts["estimated_again"]:
         estimate_windows.run(context)
-        refresh_geometry.run(context)
+        refresh_geometry.JOB.run(context)
     counts["quarantined"] = isolation.quarantined
     return counts
 

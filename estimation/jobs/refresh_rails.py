@@ -24,7 +24,7 @@ from estimation.rails.cell import with_refused
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
-from estimation.values.geometry import GEOMETRY
+from estimation.values.geometry_results import GEOMETRY
 from estimation.values.rails import (
     CELLS,
     SECTION_RAILS,
@@ -184,7 +184,7 @@ OF_WHEELSETS = Stage(
     name=CELLS,
     job="refresh_rails",
     kind=SubjectKind.WHEELSET,
-    facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage, TREND.stage),
+    facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage, TREND.head_facet),
     settings=lambda settings: (CELL_VERSION, settings.estimation, settings.rails.period_days),
     load=wheelset_cells,
     compute=make_cells,
@@ -196,7 +196,7 @@ OF_ALL = Stage(
     name="rails",
     job=OF_WHEELSETS.job,
     kind=SubjectKind.WHEELSET,
-    facets=(Facet.REGISTRY, Facet.RESTARTS, Facet.ALIGNMENT, TREND.stage, CELLS),
+    facets=(Facet.REGISTRY, Facet.RESTARTS, Facet.ALIGNMENT, TREND.head_facet, CELLS),
     settings=lambda settings: (settings.rails, settings.estimation),
     load=load_rails,
     compute=part_rails,

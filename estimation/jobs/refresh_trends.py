@@ -16,11 +16,12 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.trend.points import conicity_points
 from estimation.trend.steps import behind_step, newest_step, with_step
 from estimation.trend.trend import TrendParameters, refresh
-from estimation.values.geometry import GEOMETRY, IntervalConicities
+from estimation.values.geometry import IntervalConicities
+from estimation.values.geometry_results import GEOMETRY
 from estimation.values.registry import VehicleRecord
 from estimation.values.subjects import Facet
 from estimation.values.trend import TREND as TRENDS
-from estimation.values.trend import WearTrend, since_change
+from estimation.values.trend import WearTrend, baseline_part, since_change
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,8 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
     trend = trend_of(inputs.conicities, inputs.limit, inputs.parameters)
     part = Part(
         trend,
-        part=f"{inputs.baseline:04d}",
+        part=baseline_part(inputs.baseline),
+        head=None if trend.step is None else [trend.step.before_ns, trend.step.after_ns],
         status=trend.status,
         reason=trend.reason,
         parameters=asdict(inputs.parameters),

@@ -159,11 +159,18 @@ class _Working:
             changed = self._put(unit, results)
             if self.stage.store is not None and computed:
                 stored.update(self.stage.store(unit, self.context, computed))
-            unit.marks.note(self.inputs, {subject: one.mark(due[subject]) for subject, one in made.items()})
+            whole = {subject: one.mark(due[subject]) for subject, one in made.items() if not one.more}
+            unit.marks.note(self.inputs, whole)
         self.counts.update(stored)
-        self._count(made, {result.subject for result in changed}, len(changed))
+        self._count(
+            {key: one for key, one in made.items() if key in loaded and not one.more},
+            {result.subject for result in changed},
+            len(changed),
+        )
         for subject in made:
             self.isolation.release(self.stage.kind, subject)
+        for subject in made.keys() - whole.keys():
+            self.do([subject])
 
     def _put(self, unit: UnitOfWork, results: Sequence[AnyResult]) -> Sequence[AnyResult]:
         return () if self.stage.results is None else unit.results.put_all(self.stage.results, results)
@@ -205,6 +212,10 @@ class _Made:
     @property
     def parts(self) -> Sequence[Part[object]]:
         return () if self.outcome is None else self.outcome.parts
+
+    @property
+    def more(self) -> bool:
+        return self.outcome is not None and self.outcome.more
 
     def mark(self, state: Due) -> Mark:
         """Return what is noted of the subject."""

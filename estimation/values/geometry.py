@@ -14,8 +14,6 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_cen
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
-from estimation.values.results import ResultKind
-from estimation.values.runs import SubjectKind
 from estimation.values.windows import WindowKey
 
 
@@ -261,10 +259,6 @@ def _doubted(estimate: Estimate, found: Contradiction) -> Estimate:
         high=estimate.value + math.hypot(estimate.high - estimate.value, NORMAL_95 * more),
         reason=estimate.reason or found.reason,
     )
-
-
-GEOMETRY = ResultKind("geometry", SubjectKind.WHEELSET, WheelsetGeometry)
-"""Geometries of wheelsets; their parts are baselines, and the mileage intervals of these."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ class Facet(StrEnum):
     """Base facts of a wheelset, vehicle or section; results of a stage are a facet of the stage's own name."""
 
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
+    WINDOWS = "windows"  # its windows, their verdicts and bin tables
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
     ALIGNMENT = "alignment"  # versions of the alignment of a section
 

@@ -9,7 +9,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, and_, delete, func, or_, select
 
 from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
-from estimation.values.geometry import GEOMETRY
+from estimation.values.geometry_results import GEOMETRY
 from estimation.values.windows import WindowKey, WindowState
 from fleet_db.packed_adhesion import (
     pack_section_adhesion,

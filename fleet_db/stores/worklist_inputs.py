@@ -10,7 +10,8 @@ from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, select
 from estimation.errors import DamagedError
 from estimation.failures import code_of_error, first_line
 from estimation.values.alerts import Condition, Severity
-from estimation.values.geometry import GEOMETRY, GeometryRecord
+from estimation.values.geometry import GeometryRecord
+from estimation.values.geometry_results import GEOMETRY
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import TREND, TrendRecord

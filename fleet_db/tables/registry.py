@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, String, UniqueConstraint, text
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String, UniqueConstraint
 from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.registry import SensorWork
@@ -25,18 +25,12 @@ class WheelsetRow(Base):
 
 
 class WheelsetChangeRow(Base):
-    """How many times what a geometry is computed from has changed, and up to which change it was computed.
-
-    A wheelset is stale while ``geometry_change`` is behind ``change``. ``touched`` also counts what else has happened
-    to its windows, results and alerts.
-    """
+    """How often something has happened to the windows, results, alerts or registration of a wheelset."""
 
     __tablename__ = "wheelset_changes"
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    change: Mapped[Count]
-    geometry_change: Mapped[Count] = mapped_column(default=0)
-    touched: Mapped[Count] = mapped_column(default=0, server_default=text("0"))
+    touched: Mapped[Count]
 
 
 class ReprofilingRow(Base):

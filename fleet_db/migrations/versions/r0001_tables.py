@@ -903,9 +903,7 @@ sa.Table(
     "wheelset_changes",
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("change", BIG),
-    required("geometry_change", BIG),
-    required("touched", BIG, server_default=sa.text("0")),
+    required("touched", BIG),
 )
 sa.Table(
     "reprofilings",
