@@ -25,11 +25,12 @@ from api.feed.places import WaitingPlaces
 from api.feed.watch import FeedWatch
 from api.head_requests import HeadMiddleware
 from api.http_server import HttpLimits
-from api.metrics import RequestMeasures, StoredMeasures
+from api.measures import Measured
+from api.metrics import RequestMeasures, stored_measures
 from api.middleware import RequestContextMiddleware
 from api.openapi.document import document, scopes_of
 from api.page import routes as page
-from api.reference_measures import ReferenceMeasures
+from api.reference_measures import reference_measures
 from api.routes import (
     accuracy,
     alert_actions,
@@ -63,7 +64,7 @@ from api.routes import (
     worklist,
 )
 from api.services import Services
-from api.upload_measures import UploadMeasures
+from api.upload_measures import upload_measures
 from api.visible_objects import visible
 from api.webhooks.sending import TRIALS, Sender
 from api.webhooks.targets import Targets
@@ -173,9 +174,11 @@ def build_app(
     """
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(StoredMeasures(lambda: app.state.services))
-    registry.register(UploadMeasures(lambda: app.state.services))
-    registry.register(ReferenceMeasures(lambda: None if (ours := app.state.services) is None else ours.references))
+    registry.register(Measured(lambda: stored_measures(app.state.services)))
+    registry.register(Measured(lambda: upload_measures(app.state.services)))
+    registry.register(
+        Measured(lambda: reference_measures(None if (ours := app.state.services) is None else ours.references))
+    )
     app.state.services = services
     app.state.registry = registry
     app.state.document = committed_document()
@@ -185,7 +188,7 @@ def build_app(
     limits = limits or HttpLimits()
     app.state.feed_watch = FeedWatch(lambda: None if (ours := app.state.services) is None else ours.storage, ending)
     app.state.waiting_places = WaitingPlaces(limits.streams, guard.streams)
-    registry.register(app.state.waiting_places)
+    registry.register(Measured(app.state.waiting_places.measures))
     app.state.webhook_sender = sender or Sender(Targets())
     app.state.webhook_trials = asyncio.Semaphore(TRIALS)
     app.state.webhook_worker = WebhookWorker(lambda: app.state.services, app.state.webhook_sender)

@@ -28,7 +28,7 @@ from estimation.jobs.settings import JobSettings
 from estimation.numerics_version import NUMERICS_VERSION
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Clock
-from fleet_db.keeping.purge_job import purge_job
+from fleet_db.keeping.purge import purge_job
 from fleet_db.keeping.retention import Retention
 from fleet_db.migrate import check_head
 from fleet_db.raw import RawStore
@@ -39,7 +39,7 @@ from ingest.catalogue import default_catalogue
 from ingest.intake.backlog import BacklogLimits, BacklogWatch
 from ingest.intake.store import ChunkStorage
 from ingest.live.backoff import Backoff
-from ingest.own_bus.choice import bus_choice
+from ingest.own_bus.bus import bus_choice
 from ingest.own_bus.loading import load_own_bus
 from ingest.receipts import Announce, to_nobody
 from ingest.receiver import Receiver
@@ -336,12 +336,7 @@ def serve(settings: Settings, stopping: Event) -> None:
     """
     from api.access.plan import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
-    from api.http_server import (  # noqa: PLC0415 - the same
-        check_address,
-        http_server,
-        keep_what_is_loaded,
-        limits_of,
-    )
+    from api.http_server import check_address, http_server, keep_what_is_loaded, limits_of  # noqa: PLC0415 - the same
     from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same
 
     access, sender = plan_of(settings), sender_of(settings)

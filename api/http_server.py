@@ -9,7 +9,6 @@ import resource
 import socket
 from asyncio import Protocol
 from collections import Counter, OrderedDict
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
@@ -17,12 +16,12 @@ from typing import Any, cast
 
 import uvicorn
 from fastapi import FastAPI
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
-from prometheus_client.registry import Collector
+from prometheus_client.core import GaugeMetricFamily, Metric
 from uvicorn.config import Config
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
+from api.measures import Measured, counter
 from api.settings import PREFIX, Settings
 from estimation.errors import ParameterError
 
@@ -205,20 +204,13 @@ class LimitedConnection(H11Protocol):
             self._all.work(self)
 
 
-class ConnectionMeasures(Collector):
-    """Measures of the connections for Prometheus."""
-
-    def __init__(self, connections: Connections) -> None:
-        self._connections = connections
-
-    def collect(self) -> Iterable[Metric]:
-        """Return the measures of now."""
-        now = GaugeMetricFamily("treadwatch_http_connections", "Open connections.")
-        now.add_metric([], len(self._connections))
-        cut = CounterMetricFamily("treadwatch_http_connections_cut", "Connections closed early.", labels=["reason"])
-        for reason in Cut:
-            cut.add_metric([reason.value], self._connections.cut[reason])
-        return [now, cut]
+def connection_measures(connections: Connections) -> list[Metric]:
+    """Return the measures of the connections."""
+    cut = {reason.value: connections.cut[reason] for reason in Cut}
+    return [
+        GaugeMetricFamily("treadwatch_http_connections", "Open connections.", value=len(connections)),
+        counter("treadwatch_http_connections_cut", "Connections closed early.", "reason", cut),
+    ]
 
 
 WAITING_TO_BE_ACCEPTED = 2048
@@ -270,7 +262,7 @@ def http_server(app: FastAPI, settings: Settings) -> HttpServer:
         settings: Where to listen, what a client may take, how long to wait at the end.
     """
     connections = Connections(open_connections(settings.max_connections), settings.header_timeout_s)
-    app.state.registry.register(ConnectionMeasures(connections))
+    app.state.registry.register(Measured(partial(connection_measures, connections)))
     config = uvicorn.Config(
         app,
         host=settings.host,

@@ -45,7 +45,7 @@ class JobRunner:
             return begun.result() if begun.done() else self._running.result()
 
     def _run(self, job: Job, begun: Future[JobRun]) -> JobRun:
-        with self._storage.owned(JobTrigger.API, self._holder, self._context.clock.now_ns()) as owned:
+        with self._storage.owned(JobTrigger.API, self._holder, self._context.lease_s) as owned:
             patient = replace(owned, patience_s=BUSY_TIMEOUT_MS / 1000)  # requests do not wait for the job
             return run_job(job, replace(self._context, storage=patient), JobTrigger.API, started=begun.set_result)
 

@@ -14,10 +14,14 @@ from api import estimator_kernel_runs, ingest_kernel_runs
 from estimation.adhesion.creep_forces import filter_forward, smooth_back
 from estimation.adhesion.window_adhesion import add_saturated, excess_table
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import (
+    ContactMethod,
+    ContactTable,
+    WheelsetOnTrack,
+    contact_table,
+    radius_difference_curve,
+)
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError
 from estimation.estimators.interface import EstimatorParameters
 from estimation.estimators.paper_algorithm import PaperAlgorithm
@@ -25,8 +29,8 @@ from estimation.estimators.paper_equations import PaperParameters, recursion_in_
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import integrate_once, integrate_twice, take_out_mean
+from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, mirror, write_pieces
-from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.motion.track_lookup import evaluate, extent
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
 from estimation.tables.least_squares import collect

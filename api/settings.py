@@ -112,6 +112,8 @@ class Settings(BaseSettings):
         worker_memory_mb: How many megabytes a worker process may have after a unit of work before it is replaced.
         lease_s: How long what a process works on is kept from others once that process is gone or stands still, in
             seconds.
+        unit_limit_s: How long a worker process of this machine may take for a unit of work before it is ended, in
+            seconds.
         dask_scheduler: URL of a Dask scheduler whose workers estimate in place of processes of this machine.
         catalogues: Mapping files of buses of one's own, with ``:`` between them (``;`` on Windows); left out, all
             vehicles have the shipped bus.
@@ -194,6 +196,7 @@ class Settings(BaseSettings):
     workers: int | Literal["auto"] = 1
     worker_memory_mb: int = Field(default=1024, ge=256, le=1 << 20)
     lease_s: float = Field(default=60.0, ge=1.0, le=3600.0)
+    unit_limit_s: float = Field(default=3600.0, ge=1.0, le=86400.0)
     dask_scheduler: str | None = None
     catalogues: str | None = None
     spool_mb: int = Field(default=1024, ge=1)

@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 from scipy.signal import firwin
 
-from estimation.contact.table import ContactTable
+from estimation.contact.geometry import ContactTable
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status

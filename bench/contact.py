@@ -13,9 +13,8 @@ from api.terminal.contact import Contact, FileOptions, measured_shapes, table_te
 from bench.contact_noise import noise_rows
 from bench.report import BenchRow
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
 from estimation.values.arrays import FloatArray
 
 # Delta r (mm) at shifts (mm) and tan(gamma_e) at 1 to 6 mm of wheels on rail A at 1435.16 mm. Wheels A and C:

@@ -11,11 +11,9 @@ from scipy.signal import lfilter
 
 from bench.report import BenchRow
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.smoothed_profile import exact, smoothed_profile
-from estimation.contact.table import ContactMethod
 from estimation.values.arrays import BoolArray, FloatArray
 
 NOISE = 0.02  # mm of height at each point

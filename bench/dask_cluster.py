@@ -42,11 +42,16 @@ class DaskCluster:
             assert time.monotonic() < until, self.log("scheduler")
             time.sleep(0.05)
 
-    def start_workers(self, count: int) -> None:
-        """Start workers, as ``treadwatch worker`` does."""
+    def start_workers(self, count: int, name: str = "workers", **others: str) -> None:
+        """Start workers, as ``treadwatch worker`` does.
+
+        Args:
+            name: Of their log, and to kill them by.
+            others: Variables of their environment that are not those of the deployment.
+        """
         command = "import sys; sys.argv[0] = 'treadwatch'; from api.cli import main; main()"
         options = ["worker", "--dask-scheduler", self.address, "--workers", str(count)]
-        self._start("workers", [sys.executable, "-c", command, *options])
+        self._start(name, [sys.executable, "-c", command, *options], others)
 
     def kill(self, name: str) -> None:
         """Kill the scheduler, or all workers with the process that replaces them."""
@@ -58,10 +63,11 @@ class DaskCluster:
         """Return what the scheduler, or the workers, have written."""
         return (self.folder / f"{name}.log").read_text(errors="replace")
 
-    def _start(self, name: str, command: list[str]) -> None:
+    def _start(self, name: str, command: list[str], others: Mapping[str, str] | None = None) -> None:
+        environment = {**self.environment, **(others or {})}
         with (self.folder / f"{name}.log").open("ab") as log:
             self.running[name] = subprocess.Popen(  # noqa: S603 - our own commands
-                command, env=dict(self.environment), stdout=log, stderr=log, start_new_session=True
+                command, env=environment, stdout=log, stderr=log, start_new_session=True
             )
 
 

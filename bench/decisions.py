@@ -282,7 +282,7 @@ def half_lives(demo: Path) -> None:
             last = min(truth["campaigns"], key=lambda c: abs(c["mileage_km"] - tables[-1][0]))
             true = float(np.interp(3.0, last["amplitude_mm"], last["equivalent_conicity"]))
             for life in lives:
-                table = bin_table.merge_with_mileage(tables, life, bins)
+                table = bin_table.weighted_sum((0.5 ** ((tables[-1][0] - km) / life), table) for km, table in tables)
                 at = estimate_geometry(table, bins, settings.geometry).conicity
                 value = at[int(np.argmin(np.abs(np.array(settings.geometry.curve.amplitudes) - 3e-3)))]
                 if value.value is not None and value.low is not None and value.high is not None:

@@ -18,9 +18,8 @@ from api.reproduction.study import ideal_motion
 from bench import en15302_family
 from bench.report import BenchRow
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.rolling_line import SLOPES, ContactRoll, held_shares, left_in_difference

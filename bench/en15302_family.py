@@ -13,8 +13,7 @@ import numpy as np
 
 from bench.report import BenchRow
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
-from estimation.contact.radius_difference import radius_difference_curve, refined_curve
+from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
 from estimation.contact.worn_family import PAIRS, USUAL_CONICITY, wheelsets
 from estimation.errors import ContactError
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates

@@ -32,13 +32,13 @@ from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables import (
     AlertRow,
-    GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
     TrackSectionRow,
     WearSignatureRow,
     WheelsetRow,
     WindowAdhesionRow,
+    WindowDamperRow,
     WindowRow,
 )
 from tests.postgres_server import SAFE, PostgresServer, stoppable_server
@@ -164,7 +164,7 @@ def _counts(storage: SqlStorage) -> str:
                 ("alerts", AlertRow),
                 ("signatures", WearSignatureRow),
                 ("creep forces", WindowAdhesionRow),
-                ("dampers", GearDamperRow),
+                ("windows of dampers", WindowDamperRow),
                 ("rail cells", RailCellRow),
                 ("sections with friction", SectionAdhesionRow),
             )

@@ -13,15 +13,14 @@ from sqlalchemy import ColumnElement, Connection, Insert, Table, case, func, ins
 
 from estimation.jobs import refresh_rails, refresh_signatures
 from estimation.jobs.job import JobContext
+from estimation.jobs.steps.signature_windows import ASSUMED
 from estimation.values.registry import Mounting
 from estimation.values.subjects import Mark
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables import (
-    GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
-    SignatureAnswerRow,
     WearSignatureRow,
     WindowAdhesionRow,
     WindowDamperRow,
@@ -29,9 +28,8 @@ from fleet_db.tables import (
 
 KEPT_BYTES = 500
 DAY_NS = 86_400_000_000_000
-CREEP, DAMPERS, GEARS = table_of(WindowAdhesionRow), table_of(WindowDamperRow), table_of(GearDamperRow)
+CREEP, DAMPERS = table_of(WindowAdhesionRow), table_of(WindowDamperRow)
 SIGNATURES, CELLS = table_of(WearSignatureRow), table_of(RailCellRow)
-OF_WHEELSET = (table_of(SignatureAnswerRow),)
 OF_SECTIONS = ((table_of(SectionAdhesionRow), "track_section"),)
 
 
@@ -48,12 +46,9 @@ def opinions_copied(mounting: Mounting, model: Mounting, sections: Sequence[str]
         yield _copy(table, {"wheelset": wheelset, "vehicle": vehicle, section: place}, _same(table, model))
     gear: dict[str, ColumnElement[Any]] = {"vehicle": vehicle, "first_axle": literal(mounting.axle)}
     yield _copy(DAMPERS, {"wheelset": wheelset, **gear}, _same(DAMPERS, model))
-    yield _copy(GEARS, gear, (GEARS.c.vehicle == model.vehicle) & (GEARS.c.first_axle == model.axle))
     by_interval = CELLS.c.mileage_interval % len(sections)
     place = case(*((by_interval == at, literal(code)) for at, code in enumerate(sections)))
     yield _copy(CELLS, {"wheelset": wheelset, "section": place}, _same(CELLS, model))
-    for table in OF_WHEELSET:
-        yield _copy(table, {"wheelset": wheelset}, _same(table, model))
 
 
 def put_friction(connection: Connection, sections: Sequence[str]) -> None:
@@ -71,15 +66,12 @@ def note_opinions(context: JobContext, storage: SqlStorage) -> None:
         storage: With the second opinions of all wheelsets.
     """
     with storage.read() as unit:
-        of_signatures = refresh_signatures.wheelset_looks(unit, context)
         seen = {}
-        for stage in (refresh_rails.OF_WHEELSETS, refresh_rails.OF_ALL):
+        for stage in (refresh_rails.OF_WHEELSETS, refresh_rails.OF_ALL, ASSUMED, refresh_signatures.OF_ALL):
             inputs = stage.inputs(context)
             due = unit.marks.due(inputs, context.clock.now_ns())
             seen[inputs] = {subject: Mark(state.seen, "") for subject, state in due.items()}
     with storage.write() as unit:
-        for serial, look in of_signatures.items():
-            unit.looks.note(refresh_signatures.STAGE, serial, look)
         for inputs, marks in seen.items():
             unit.marks.note(inputs, marks)
 

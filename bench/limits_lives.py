@@ -20,7 +20,7 @@ from estimation.alerts.rules.measure import MeasureRule
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.contact.worn_family import AMPLITUDES
 from estimation.jobs.refresh_trends import trend_of
-from estimation.trend.points import conicity_points
+from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import TrendParameters, probability_above
 from estimation.trend.wear_curve import fit_wear_curve
 from estimation.values.arrays import FloatArray

@@ -30,12 +30,11 @@ from ingest.simulator.axle_motion import axle_motions, contact_of, true_geometry
 from ingest.simulator.campaign import scenario_track, vehicle_run, wheelset_record
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.fleet import surveyed
-from ingest.simulator.irregularity import Waves
+from ingest.simulator.irregularity import Waves, synthesise
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 from ingest.simulator.sensor_errors import turned_axes
 from ingest.simulator.side_files import class_entry
-from ingest.simulator.spectra import synthesise
 from ingest.vehicle_class_schema import VehicleClassEntry
 
 SCENARIOS = Path(__file__).parent / "vehicle_scenarios"

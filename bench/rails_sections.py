@@ -14,9 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack
+from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import RailWear
 from estimation.values.arrays import FloatArray
 from ingest.simulator.drawn_fleet import with_seed

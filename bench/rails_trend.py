@@ -21,7 +21,7 @@ from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.values.quantities import Estimate
 from estimation.values.rails import SECTION_RAILS
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.rail_course import section_at
+from ingest.simulator.profile_files import section_at
 from ingest.simulator.scenario import DAY_NS, Scenario, VehiclePlan
 from ingest.simulator.scenario_file import load_scenario
 

@@ -10,9 +10,8 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.motion.cross_level import standard_displacement
 from estimation.values.arrays import BoolArray, FloatArray

@@ -152,7 +152,7 @@ def _true(run: Run, number: int, parameters: SignalParameters) -> FloatArray:
     """Return the same of the truth (4, n), behind the same filter."""
     window, true = run.windows[number], run.truth(number)
     everywhere = np.ones(len(window.valid), dtype=np.bool_)
-    usable = usable_samples(window, everywhere, run.layout, parameters.least_speed_m_s, parameters.curve_limits).samples
+    usable = usable_samples(window, everywhere, run.layout, parameters).samples
     gap = round(parameters.modelled_gap_s / window.sample_interval_s)
     result = np.full(true.shape, np.nan)
     for segment in integrate(window, usable, parameters, gap).segments:

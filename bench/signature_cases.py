@@ -9,9 +9,8 @@ from functools import cache
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.signatures.parameters import SignatureParameters

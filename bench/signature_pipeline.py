@@ -9,7 +9,8 @@ from typing import Any
 from api.comparison import trial
 from api.comparison.study import read_truth
 from estimation.jobs import refresh_signatures
-from estimation.values.signatures import SignatureRecord
+from estimation.values.results import Result
+from estimation.values.signatures import ANSWERS, SignatureFinding
 from ingest.simulator.drawn_fleet import with_seed
 from ingest.simulator.scenario_file import load_scenario
 
@@ -38,10 +39,11 @@ def judged_by_the_product(kind: str, seed: int) -> list[dict[str, Any]]:
             refresh_signatures.run(context)
             with storage.read() as unit:
                 truth = {one.serial: float(one.conicity[-1]) for one in read_truth(recorded.truth)}
-                return [_of(unit.signatures.answer(serial), true) for serial, true in sorted(truth.items())]
+                return [_of(unit.results.latest(ANSWERS, serial), true) for serial, true in sorted(truth.items())]
 
 
-def _of(record: SignatureRecord | None, truth: float) -> dict[str, Any]:
+def _of(result: Result[SignatureFinding] | None, truth: float) -> dict[str, Any]:
+    record = None if result is None else result.value
     if record is None:
         return {"truth": truth, "reason": "no answer"}
     conicity, apart = record.answer.conicity, record.disagreement

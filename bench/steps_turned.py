@@ -15,9 +15,8 @@ import numpy as np
 from bench.report import BenchRow
 from bench.steps_lives import BEGIN_NS, DAY_NS
 from estimation.alerts.identity import Mistake, Observation, identity_events, reversed_between
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry

@@ -13,9 +13,8 @@ import numpy as np
 
 from bench.signature_cases import NODE
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.bogie_frame import with_frame_yaw

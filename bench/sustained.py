@@ -129,7 +129,7 @@ def rows(folder: Path, load: Workload, minutes: float) -> Iterator[BenchRow]:
     contents = [path.read_bytes() for vehicle, path in load.recordings if vehicle == model]
     pool = ProcessPool(settings, CORES)
     with ExitStack() as stack:
-        stack.callback(pool.close)
+        stack.callback(pool.shutdown)
         storage, plain = stack.enter_context(opened(settings))
         assert isinstance(storage, SqlStorage)
         context, feed = replace(plain, executor=pool), Feed(incoming, contents, storage, model)

@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ingest.simulator.class_on_file import ClassOnFile
-from ingest.simulator.scenario import Scenario
+from ingest.simulator.scenario import ClassOnFile, Scenario
 from ingest.vehicle_class_file import read_vehicle_class
 
 PREFIX = "power"

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+
+from distributed import Client
 
 from api.settings import Settings
 from api.workers.on_dask import DaskExecutor
@@ -38,7 +40,7 @@ def here(_settings: Settings, _count: int) -> Iterator[tuple[WorkExecutor | None
 @contextmanager
 def pool_of(settings: Settings, count: int) -> Iterator[tuple[WorkExecutor | None, Pids]]:
     """Yield a process pool for a deployment."""
-    with closing(ProcessPool(settings, count)) as pool:
+    with ProcessPool(settings, count) as pool:
         yield pool, pool.pids
 
 
@@ -46,8 +48,10 @@ def pool_of(settings: Settings, count: int) -> Iterator[tuple[WorkExecutor | Non
 def dask_of(settings: Settings, count: int) -> Iterator[tuple[WorkExecutor | None, Pids]]:
     """Yield the workers of a Dask scheduler for a deployment."""
     folder = settings.data_dir.parent / "dask"
-    with dask_cluster(settings, folder, count) as cluster, closing(DaskExecutor(cluster.address)) as executor:
-        while executor.threads() < count:
-            time.sleep(0.1)
-        pids = executor.pids()
-        yield executor, lambda: pids
+    with dask_cluster(settings, folder, count) as cluster:
+        chosen = settings.model_copy(update={"dask_scheduler": cluster.address})
+        with DaskExecutor(chosen) as executor, Client(cluster.address) as client:
+            while executor.threads() < count:
+                time.sleep(0.1)
+            pids = [int(number) for number in client.run(os.getpid).values()]
+            yield executor, lambda: pids

@@ -17,9 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
-from estimation.contact.radius_difference import radius_difference_curve
-from estimation.contact.table import ContactTable
+from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters

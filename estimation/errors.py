@@ -24,8 +24,7 @@ mistake of ours or bad input from the outside world, and carries its facts as fi
         ├── MigrationError         the database is at another migration head
         ├── BusyError              another writer did not end in time; nothing was changed
         ├── AlreadyRunningError    a second scheduler on the same database
-        └── ClaimLostError         this process no longer owns the jobs that it runs
-            └── LeaseLostError     its lease on what it works on has ended
+        └── LeaseLostError         the lease under which this process works has ended
 """
 
 from __future__ import annotations
@@ -46,12 +45,7 @@ class InputError(TreadwatchError):
     """
 
     def __init__(
-        self,
-        reason: str,
-        *,
-        file: Path | str | None = None,
-        line: int | None = None,
-        field: str | None = None,
+        self, reason: str, *, file: Path | str | None = None, line: int | None = None, field: str | None = None
     ) -> None:
         self.reason = reason
         self.file = str(file) if file is not None else None
@@ -187,24 +181,16 @@ class BusyError(StorageError):
 
 
 class AlreadyRunningError(StorageError):
-    """Another scheduler holds the lock of this database."""
+    """Another scheduler has the place of the one of this database."""
 
     def __init__(self, holder: str) -> None:
         self.holder = holder
         super().__init__(f"another scheduler is already running on this database ({holder})")
 
 
-class ClaimLostError(StorageError):
-    """The process no longer owns the jobs that it runs; nothing of the transaction was committed."""
+class LeaseLostError(StorageError):
+    """The lease under which this process works has ended, and others may go on; nothing was committed."""
 
     def __init__(self, holder: str) -> None:
-        self.holder = holder
-        super().__init__(f"{holder} has lost its claim: its connection broke, and its runs were given up or taken over")
-
-
-class LeaseLostError(ClaimLostError):
-    """The lease on what this process works on has ended, and others may work on it; nothing was committed."""
-
-    def __init__(self, holder: str) -> None:
-        StorageError.__init__(self, f"{holder} stood still for longer than its lease: its work is left to others")
+        super().__init__(f"{holder} has lost its lease, for it or its database stood still: its work is left to others")
         self.holder = holder

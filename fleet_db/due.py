@@ -6,7 +6,7 @@ what it has seen. A window that is gone stays listed until the stage has seen th
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -17,6 +17,7 @@ from sqlalchemy import (
     Delete,
     Insert,
     Select,
+    and_,
     bindparam,
     delete,
     func,
@@ -26,12 +27,30 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.values.adhesion import CREEP
+from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.subjects import Due, Mark, StageInputs
-from estimation.values.windows import DueStage, key_of_text, text_of_key
+from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
 from fleet_db.rows import table_of
-from fleet_db.tables import WindowDueRow, WindowRow
+from fleet_db.tables import WearSignatureRow, WindowAdhesionRow, WindowDueRow, WindowRow
 
 DUE, WINDOWS = table_of(WindowDueRow), table_of(WindowRow)
+OF_WINDOWS = table_of(WearSignatureRow)
+SAME_WINDOW = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns == WINDOWS.c.start_ns)
+OF_CREEP = table_of(WindowAdhesionRow)
+_LOOKED_AT = select(OF_CREEP.c.with_sums).where(
+    OF_CREEP.c.wheelset == WINDOWS.c.wheelset,
+    OF_CREEP.c.start_ns == WINDOWS.c.start_ns,
+    OF_CREEP.c.content_digest == WINDOWS.c.content_digest,
+)
+NOT_LOOKED_AT = and_(
+    WINDOWS.c.state == WindowState.ESTIMATED.value,
+    WINDOWS.c.samples_purged_ns.is_(None),
+    WINDOWS.c.track_section.is_not(None),
+    ~_LOOKED_AT.exists(),
+)
+"""Condition on estimated windows on a section whose creep, of these samples, has not been looked at."""
+BATCH = 500  # keys in a statement
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +72,18 @@ class WindowDueStore:
         ]
         if keys:
             self.connection.execute(_settled(), keys)
+
+    def of_section(self, stage: str, section: str) -> Mapping[WindowKey, int]:
+        """Return the due windows of a section with their versions."""
+        statement = select(DUE).where(DUE.c.stage == stage, DUE.c.section == section)
+        return {(row.wheelset, row.start_ns): row.version for row in self.connection.execute(statement)}
+
+    def settle_all(self, stage: str, seen: Mapping[WindowKey, int]) -> None:
+        """Remove windows that are of the versions that were seen."""
+        names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
+        if seen:
+            given = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in seen.items()]
+            self.connection.execute(_settled(), given)
 
     def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
         """Return the windows that are due by key as text, in the order of vehicle, time and wheelset.
@@ -83,6 +114,23 @@ def list_due(connection: Connection, stage: str, chosen: ColumnElement[bool], **
         given: Parameters of the condition.
     """
     connection.execute(_listed(connection.dialect.name, stage, chosen), given)
+
+
+def samples_changed(connection: Connection, keys: Sequence[WindowKey]) -> None:
+    """List windows that are new, or have other samples, for the stages that read these."""
+    for first in range(0, len(keys), BATCH):
+        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
+        list_due(connection, SIGNATURES, and_(own, WINDOWS.c.samples_purged_ns.is_(None)))
+
+
+def estimated(connection: Connection, keys: Sequence[WindowKey]) -> None:
+    """List windows that are estimated for the stages that read what the windows beside them are needed for."""
+    for first in range(0, len(keys), BATCH):
+        own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
+        lacked = [code.value for code in OF_OTHERS]
+        signed = select(OF_WINDOWS.c.places).where(SAME_WINDOW, OF_WINDOWS.c.reason_code.in_(lacked))
+        list_due(connection, SIGNATURES, and_(own, WINDOWS.c.samples_purged_ns.is_(None), signed.exists()))
+        list_due(connection, CREEP, and_(own, NOT_LOOKED_AT))
 
 
 def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table with the key of windows

@@ -162,9 +162,10 @@ def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Arr
     """
     stored = dict(given)
     try:
-        for name, hint in _hints(cast("Hashable", kind)).items():
+        for name in _hints(cast("Hashable", kind)):
             if name not in given:
-                stored[name] = arrays[name] if get_origin(hint) is np.ndarray else from_json(scalars[name], hint)
+                read = _field_reader(cast("Hashable", kind), name)
+                stored[name] = arrays[name] if read is None else read(scalars[name])
     except (LookupError, ValueError) as error:
         raise StorageError(f"a packed {kind.__name__} does not fit: {error}") from error
     return kind(**stored)
@@ -256,6 +257,13 @@ def _number(stored: object) -> float:
     if isinstance(stored, int):
         return stored  # a whole number beside floats, such as a date in nanoseconds, keeps its last digit
     raise StorageError(f"a packed number is {stored!r}")
+
+
+@cache
+def _field_reader(kind: Hashable, name: str) -> Callable[[Any], Any] | None:
+    """Return what reads a field of a dataclass from JSON; None where it is an array."""
+    hint = _hints(kind)[name]
+    return None if get_origin(hint) is np.ndarray else _reader(hint)
 
 
 @cache

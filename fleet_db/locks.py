@@ -1,4 +1,4 @@
-"""Locks between processes: one writer on SQLite, one scheduler on either database, one assembler of a vehicle.
+"""Locks between processes: one writer on SQLite, one assembler of a vehicle; and leases, which end with time.
 
 On PostgreSQL they are advisory locks: ordered commits, and what is one transaction at a time anyway on SQLite.
 """
@@ -11,19 +11,16 @@ import os
 import threading
 import time
 import zlib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
 
-from sqlalchemy import Connection, Engine, delete, insert, select, text
+from sqlalchemy import Connection, Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from estimation.errors import AlreadyRunningError, BusyError, ClaimLostError, StorageError
-from estimation.values.runs import JobTrigger
-from fleet_db.rows import table_of
-from fleet_db.tables import JobOwnerRow
+from estimation.errors import BusyError, StorageError
 
 POLL_S = 0.002
 NAME_LENGTH = 60  # PostgreSQL keeps 63 bytes of an application name
@@ -34,7 +31,6 @@ VEHICLES = 0x7472_7668  # "trvh": those of the assemblers, one number a vehicle
 class Subject(IntEnum):
     """What an advisory lock guards."""
 
-    SCHEDULER = 1
     REGISTRY = 2
     ALERTS = 3
     GEOMETRIES = 4
@@ -95,34 +91,17 @@ def single_writer(path: Path, timeout_s: float) -> Iterator[None]:
 
 
 @contextmanager
-def locked_file(path: Path, flags: int = os.O_RDWR | os.O_CREAT, *, shared: bool = False) -> Iterator[bool]:
+def locked_file(path: Path) -> Iterator[bool]:
     """Try to lock a file, for as long as the context lasts or the process lives; yield whether it was free.
 
     Args:
-        path: Created where it does not exist, unless ``flags`` say otherwise.
-        flags: Of ``os.open``.
-        shared: Whether others may hold it shared at the same time.
+        path: Created where it does not exist.
     """
-    handle = os.open(path, flags | os.O_CLOEXEC, 0o644)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
-        yield _locked(handle, fcntl.LOCK_SH if shared else fcntl.LOCK_EX)
+        yield _locked(handle)
     finally:
         os.close(handle)
-
-
-@contextmanager
-def file_scheduler_lock(path: Path, holder: str) -> Iterator[None]:
-    """Hold the lock file ``path``, with ``holder`` written inside; the system lets it go when the process dies.
-
-    Raises:
-        AlreadyRunningError: Another process holds it; names the holder.
-    """
-    with locked_file(path) as locked:
-        if not locked:
-            raise AlreadyRunningError(path.read_text(errors="replace").strip() or "not yet named")
-        path.write_text(holder)  # the same file: its lock is on the inode
-        yield
-        path.write_text("")
 
 
 @contextmanager
@@ -140,29 +119,9 @@ def postgresql_session(engine: Engine, holder: str) -> Iterator[Connection]:
         connection.close()
 
 
-def lock_scheduler(session: Connection) -> None:
-    """Take the lock of the one scheduler of this database, for as long as the session lasts.
-
-    Raises:
-        AlreadyRunningError: Another session holds it; names who.
-    """
-    names = {"namespace": NAMESPACE, "subject": int(Subject.SCHEDULER)}
-    if not session.scalar(text("SELECT pg_try_advisory_lock(:namespace, :subject)"), names):
-        raise AlreadyRunningError(session.scalar(text(HOLDER_SQL), names) or "just ended")
-
-
-HOLDER_SQL = """
-SELECT activity.application_name
-FROM pg_locks AS locks JOIN pg_stat_activity AS activity USING (pid)
-WHERE locks.locktype = 'advisory' AND locks.granted AND locks.objsubid = 2
-  AND locks.classid = CAST(:namespace AS bigint) AND locks.objid = CAST(:subject AS bigint)
-  AND locks.database = (SELECT oid FROM pg_database WHERE datname = current_database())
-"""
-
-
-def _locked(handle: int, kind: int = fcntl.LOCK_EX) -> bool:
+def _locked(handle: int) -> bool:
     try:
-        fcntl.flock(handle, kind | fcntl.LOCK_NB)
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     return True
@@ -247,101 +206,3 @@ class UnendedLeases:
         """Forget those that have been ended."""
         with self._lock:
             self._left = [one for one in self._left if one not in leases]
-
-
-OWNERS = table_of(JobOwnerRow)
-LOCKS = 0x7472_6F77  # "trow": those of owners among the advisory locks of a database
-NUMBERS = 1 << 31  # the key of an advisory lock is a signed integer of 32 bits
-
-LIVING_SQL = """
-SELECT objid FROM pg_locks
-WHERE locktype = 'advisory' AND granted AND objsubid = 2 AND classid = CAST(:locks AS bigint)
-  AND database = (SELECT oid FROM pg_database WHERE datname = current_database())
-"""
-
-
-def living(connection: Connection, tokens: Collection[int]) -> frozenset[int]:
-    """Return which of these owners are alive."""
-    if not tokens:
-        return frozenset()
-    if connection.dialect.name == "postgresql":
-        held = {int(number) for number in connection.execute(text(LIVING_SQL), {"locks": LOCKS}).scalars()}
-        return frozenset(token for token in tokens if token % NUMBERS in held)
-    return frozenset(token for token in tokens if _is_locked(lock_file(connection.engine, token)))
-
-
-def remove_dead(connection: Connection) -> frozenset[int]:
-    """Remove the owners that are gone and return those that are alive."""
-    tokens = connection.execute(select(OWNERS.c.token)).scalars().all()
-    alive = living(connection, tokens)
-    for token in set(tokens) - alive:
-        remove(connection, token)
-    return alive
-
-
-def remove(connection: Connection, token: int) -> None:
-    """Remove an owner: from here on it can commit nothing. Waits for what it is committing."""
-    connection.execute(delete(OWNERS).where(OWNERS.c.token == token))
-    if connection.dialect.name == "sqlite":
-        lock_file(connection.engine, token).unlink(missing_ok=True)
-
-
-def add(connection: Connection, kind: JobTrigger, holder: str, now_ns: int) -> int:
-    """Add an owner and return its token; a scheduler takes over from the one before, whose lock it holds by now.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
-    if kind is JobTrigger.SCHEDULE:
-        for token in connection.execute(select(OWNERS.c.token).where(OWNERS.c.kind == kind.value)).scalars().all():
-            remove(connection, token)
-    statement = insert(OWNERS).values(kind=kind.value, holder=holder, since_ns=now_ns)
-    return int(connection.execute(statement.returning(OWNERS.c.token)).scalar_one())
-
-
-def check_claim(connection: Connection, token: int, holder: str) -> None:
-    """Raise unless the owner still has its row; nobody removes it before this transaction ends.
-
-    Raises:
-        ClaimLostError: It has none.
-    """
-    statement = select(OWNERS.c.token).where(OWNERS.c.token == token).with_for_update(read=True)
-    if connection.execute(statement).first() is None:
-        raise ClaimLostError(holder)
-
-
-def has_claim(connection: Connection, token: int) -> bool:
-    """Return whether the owner still has its row."""
-    return connection.execute(select(OWNERS.c.token).where(OWNERS.c.token == token)).first() is not None
-
-
-def lock_file(engine: Engine, token: int) -> Path:
-    """Return the file that an owner locks, beside an SQLite database."""
-    file = Path(str(engine.url.database))
-    return file.with_name(f"{file.name}.owner-{token}")
-
-
-@contextmanager
-def file_owner_lock(path: Path) -> Iterator[None]:
-    """Hold the lock file of an owner."""
-    with locked_file(path) as locked:
-        assert locked  # a token is used once
-        try:
-            yield
-        finally:
-            path.unlink(missing_ok=True)
-
-
-def lock_owner(session: Connection, token: int) -> None:
-    """Take the lock of an owner, for as long as the session lasts."""
-    session.execute(text("SELECT pg_advisory_lock(:locks, :number)"), {"locks": LOCKS, "number": token % NUMBERS})
-
-
-def _is_locked(path: Path) -> bool:
-    if not path.exists():
-        return False
-    try:
-        with locked_file(path, os.O_RDONLY, shared=True) as locked:
-            return not locked
-    except FileNotFoundError:
-        return False

@@ -1,14 +1,14 @@
-"""What is said of dampers as blobs: values by their own fields, sums as arrays."""
+"""What a window says of a damper as one blob: half of its symmetric sums."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from estimation.values.dampers import DamperSums, GearDamper, WindowDamper
+from estimation.values.dampers import DamperSums, WindowDamper
 from fleet_db.fields import fields_of, pack, unpack, value_of
 
 VERSION = 1
-WINDOW, GEAR = "window_damper", "gear_damper"
+WINDOW = "window_damper"
 
 
 def pack_window_damper(found: WindowDamper) -> bytes:
@@ -42,21 +42,3 @@ def unpack_window_damper(blob: bytes, *, where: str) -> WindowDamper:
     products[:, columns, rows] = half
     sums = DamperSums(products, float.fromhex(packed.scalars["samples"]), packed.scalars["curved"])
     return value_of(WindowDamper, packed.scalars, {}, sums=sums)
-
-
-def pack_gear_damper(found: GearDamper) -> bytes:
-    """Return the damper of a running gear as one blob."""
-    return pack(GEAR, VERSION, *fields_of(found))
-
-
-def unpack_gear_damper(blob: bytes, *, where: str) -> GearDamper:
-    """Return the damper of a running gear, bit for bit.
-
-    Args:
-        blob: From ``pack_gear_damper``.
-
-    Raises:
-        StorageError: The blob is damaged.
-    """
-    packed = unpack(blob, GEAR, where=where)
-    return value_of(GearDamper, packed.scalars, packed.arrays)

@@ -1,4 +1,4 @@
-"""Wear signatures and answers as blobs."""
+"""Wear signatures of a window as one blob: arrays of all of them."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from estimation.values.json_value import JsonValue
-from estimation.values.signatures import AxlePosition, Place, Signature, SignatureRecord
-from fleet_db.fields import fields_of, pack, unpack, value_of
+from estimation.values.signatures import AxlePosition, Place, Signature
+from fleet_db.fields import pack, unpack
 
 VERSION = 1
-SIGNATURES, ANSWER = "wear_signatures", "signature_answer"
+SIGNATURES = "wear_signatures"
 
 
 def pack_signatures(found: Sequence[Signature]) -> bytes:
@@ -61,21 +61,3 @@ def unpack_signatures(blob: bytes, wheelset: str, start_ns: int) -> tuple[Signat
         )
         for number, place in enumerate(scalars["places"])
     )
-
-
-def pack_answer(record: SignatureRecord) -> bytes:
-    """Return an answer as one blob."""
-    return pack(ANSWER, VERSION, *fields_of(record))
-
-
-def unpack_answer(blob: bytes, wheelset: str) -> SignatureRecord:
-    """Return the answer about a wheelset, bit for bit.
-
-    Args:
-        blob: From ``pack_answer``.
-
-    Raises:
-        StorageError: The blob is damaged.
-    """
-    packed = unpack(blob, ANSWER, where=f"signature answer of {wheelset}")
-    return value_of(SignatureRecord, packed.scalars, packed.arrays)

@@ -19,8 +19,7 @@ from estimation.errors import InputError, ParameterError, PassingFaultError
 from fleet_db.atomic_files import passing_faults
 
 PIECE_BYTES = 1 << 20
-PREFIX = ".incoming-"
-"""What a killed process leaves begins so; a purge deletes it."""
+PREFIX = ".incoming-"  # what a killed process leaves begins so; a purge deletes it
 
 
 class IncomingFile:
@@ -112,8 +111,7 @@ def pieces_of(source: Path) -> Iterator[bytes]:
 
 
 _NAME = re.compile(r"([0-9a-f]{2})/([0-9a-f]{64})\.[A-Za-z0-9]+")
-MARK_NAME = "treadwatch-raw-store"
-"""What a store holds beside recordings: the mark by which a database knows it."""
+MARK_NAME = "treadwatch-raw-store"  # what a store holds beside recordings: the mark by which a database knows it
 
 
 class LostRecordingError(PassingFaultError):

@@ -200,8 +200,7 @@ def _digest_of(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-LOOKED_FOR = 10
-"""So many of the oldest and of the newest receipts are looked for in a store without the mark."""
+LOOKED_FOR = 10  # so many of the oldest and of the newest receipts are looked for in a store without the mark
 
 
 def check_raw_store(storage: SqlStorage, raw: RawStore, now_ns: int) -> str:

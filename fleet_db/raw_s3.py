@@ -28,11 +28,9 @@ from fleet_db.raw import (
 from fleet_db.raw_files import unlink_old
 from fleet_db.s3_bucket import PART_BYTES, ObjectFacts, S3Bucket
 
-AT_ONCE = 8
-"""Recordings of one call that are sent at the same time."""
+AT_ONCE = 8  # recordings of one call that are sent at the same time
 MARK_BYTES = 100
-NAMES = 1 << 32
-"""So many beginnings of a digest, of eight digits, there are."""
+NAMES = 1 << 32  # so many beginnings of a digest, of eight digits, there are
 
 
 class S3RawStore(RawStore):

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
-from dataclasses import KW_ONLY, dataclass, field, replace
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -12,16 +12,12 @@ from sqlalchemy import Connection, Engine
 
 from estimation.errors import StorageError
 from estimation.values.runs import Claimed, JobTrigger
-from fleet_db import locks
 from fleet_db.changes import Changes
 from fleet_db.due import WindowDueStore
 from fleet_db.locks import (
     Lease,
     UnendedLease,
     UnendedLeases,
-    file_scheduler_lock,
-    lock_scheduler,
-    postgresql_session,
     prolonged,
     serialise_vehicle,
     single_writer,
@@ -40,7 +36,6 @@ from fleet_db.stores.feed_branches import FeedBranchStore
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.idempotency import IdempotencyStore
 from fleet_db.stores.jobs import JobRunStore
-from fleet_db.stores.looks import LookStore
 from fleet_db.stores.plausibility import PlausibilityStore
 from fleet_db.stores.quarantine import QuarantineStore
 from fleet_db.stores.rails import RailsStore
@@ -83,7 +78,7 @@ class SqlUnitOfWork:
     files: WindowFiles
     writing: bool
     shipped: Shipped = no_class
-    owner: int | None = None  # token of the process that runs jobs
+    owner: int | None = None  # lease of the process that runs jobs
     subjects: Subjects = field(init=False)
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
@@ -120,7 +115,6 @@ class SqlUnitOfWork:
     worklist: WorklistStore = field(init=False)
     api_keys: ApiKeyStore = field(init=False)
     audit: AuditStore = field(init=False)
-    looks: LookStore = field(init=False)
     section_looks: SectionLookStore = field(init=False)
     rails: RailsStore = field(init=False)
     roll_ups: RollUpStore = field(init=False)
@@ -131,7 +125,7 @@ class SqlUnitOfWork:
         connection = self.connection
         self.subjects = Subjects(connection)
         self.changes = Changes(connection, self.subjects)
-        self.chunks = ChunkStore(connection)
+        self.chunks = ChunkStore(connection, self.subjects)
         self.settings = StoredSettingStore(connection)
         self.stale_spans = StaleSpanStore(connection)
         self.quarantine = QuarantineStore(connection)
@@ -154,10 +148,10 @@ class SqlUnitOfWork:
         self.results = ResultStore(connection, self.changes)
         self.geometries = GeometryStore(connection, self.results)
         self.trends = TrendStore(self.results, self.geometries)
-        self.suspensions = SuspensionStore(connection)
-        self.adhesion = AdhesionStore(connection)
-        self.dampers = DamperStore(connection, self.changes)
-        self.signatures = SignatureStore(connection)
+        self.suspensions = SuspensionStore(connection, self.subjects)
+        self.adhesion = AdhesionStore(connection, self.subjects)
+        self.dampers = DamperStore(connection, self.results)
+        self.signatures = SignatureStore(connection, self.subjects)
         self.alerts = AlertStore(connection, self.writing, self.changes)
         self.plausibility = PlausibilityStore(connection, self.windows)
         self.recorded_times = RecordedTimeStore(connection)
@@ -165,10 +159,9 @@ class SqlUnitOfWork:
         self.jobs = JobRunStore(connection, self.owner)
         self.idempotency = IdempotencyStore(connection)
         reader = WorklistReader(connection, self.registry, self.geometries, self.trends)
-        self.worklist = WorklistStore(connection, self.changes, reader)
+        self.worklist = WorklistStore(connection, self.subjects, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
-        self.looks = LookStore(connection, self.changes)
         self.section_looks = SectionLookStore(connection)
         self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection)
@@ -178,7 +171,7 @@ class SqlUnitOfWork:
     def finish(self) -> None:
         """Let what follows from the changes follow, as the last of the transaction: see ``Changes``."""
         self.changes.flush()
-        self.worklist.refresh(self.changes.take_shown())
+        self.worklist.refresh(self.subjects.take_shown())
 
     def assemble_alone(self, vehicle: str) -> None:
         """Let nobody else store windows or receipts of a vehicle until this transaction has ended.
@@ -199,8 +192,7 @@ class SqlStorage:
         patience_s: How long a writing transaction on SQLite waits for that of another process.
         visible_fleets: Codes of the fleets that reading transactions see; None for all.
         lease: Without which nothing is committed; None where none is needed.
-        works_for: Token of the process that runs the job and started this one; with it leases end. None where there is
-            none.
+        owner: Lease of the process that runs jobs, with which those of its work end; None where there is none.
         unended: Leases of this process that could not be ended yet.
     """
 
@@ -210,7 +202,7 @@ class SqlStorage:
     patience_s: float = BUSY_TIMEOUT_MS / 1000
     visible_fleets: frozenset[str] | None = None
     lease: Lease | None = None
-    works_for: int | None = None
+    owner: int | None = None
     unended: UnendedLeases = field(default_factory=UnendedLeases, compare=False, repr=False)
 
     def seen_by(self, fleets: frozenset[str] | None) -> SqlStorage:
@@ -237,7 +229,7 @@ class SqlStorage:
             self.engine.connect().execution_options(**IMMEDIATE) as connection,
             connection.begin(),
         ):
-            unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner_token)
+            unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner)
             if self.lease is not None:
                 unit.work_claims.bound(self.lease.length_s)
             yield unit
@@ -261,31 +253,42 @@ class SqlStorage:
             yield SqlUnitOfWork(reading, self._files(), writing=False, shipped=self.shipped)
 
     @contextmanager
-    def owned(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[OwnedStorage]:
+    def owned(self, kind: JobTrigger, holder: str, length_s: float) -> Iterator[SqlStorage]:
         """Own the runs that are started with the storage that is yielded; nothing is committed once they are not.
+
+        They are owned under a lease, which is prolonged until the block ends. The scheduler has its place under it.
 
         Args:
             holder: Name of the process, such as host and number.
+            length_s: Of the lease, s.
 
         Raises:
             AlreadyRunningError: On entry: another process is the scheduler; names the holder.
-            ClaimLostError: In transactions of the storage: the claim was lost meanwhile.
+            LeaseLostError: In transactions of the storage: the lease has ended meanwhile.
             StorageError: The database cannot be reached.
         """
-        file = sqlite_file(self.engine)
-        claim = self._postgresql_claim(kind, holder, now_ns) if file is None else self._file_claim(kind, holder, now_ns)
-        with claim as token:
-            same = (self.engine, self.data_dir, self.shipped, self.patience_s)
-            storage = OwnedStorage(*same, unended=self.unended, token=token, holder=holder)
-            try:
-                yield storage
-            finally:
-                with suppress(StorageError), self.write() as unit:  # out of reach: whoever looks next removes it
-                    locks.remove(unit.connection, token)
+        with self.write() as unit:
+            number = unit.work_claims.lease(holder, round(length_s * 1e9))
+            if kind is JobTrigger.SCHEDULE:
+                unit.work_claims.take_place(number)
+        try:
+            with prolonged(partial(self._prolong, number), length_s):
+                yield replace(self, lease=Lease(number, holder, length_s), owner=number)
+        finally:
+            with suppress(StorageError), self.write() as unit:  # out of reach: it ends by its time
+                unit.work_claims.end(number)
 
     @contextmanager
     def leased(
-        self, stage: str, keys: Sequence[str], holder: str, length_s: float, *, alone: bool = False
+        self,
+        stage: str,
+        keys: Sequence[str],
+        holder: str,
+        length_s: float,
+        *,
+        alone: bool = False,
+        unit: str | None = None,
+        owner: int | None = None,
     ) -> Iterator[tuple[SqlStorage, Claimed]]:
         """Claim what is free and yield a storage that commits nothing once the claim has ended.
 
@@ -298,66 +301,44 @@ class SqlStorage:
             holder: Name of the process, such as host and number.
             length_s: Of the lease, s.
             alone: Whether also what workers have ended at is claimed.
+            unit: Number of the unit of work; leases under which it was begun before end.
+            owner: Lease of the process that runs the job, where it is another one.
 
         Raises:
             LeaseLostError: In transactions of the storage: the lease has ended meanwhile.
             StorageError: The database cannot be reached.
         """
         left = self.unended.left()
-        with self.write() as unit:
+        with self.write() as writing:
             for one in left:
-                unit.work_claims.end_late(one)
-            number = unit.work_claims.lease(holder, round(length_s * 1e9), self.owner_token or self.works_for)
-            claimed = unit.work_claims.take(number, stage, keys, alone=alone)
+                writing.work_claims.end_late(one)
+            number = writing.work_claims.lease(holder, round(length_s * 1e9), owner or self.owner, unit)
+            claimed = writing.work_claims.take(number, stage, keys, alone=alone)
         self.unended.ended(left)
         try:
             with prolonged(partial(self._prolong, number), length_s):
                 yield replace(self, lease=Lease(number, holder, length_s)), claimed
         finally:
             try:
-                with self.write() as unit:
-                    unit.work_claims.end(number)
+                with self.write() as writing:
+                    writing.work_claims.end(number)
             except StorageError:  # out of reach
                 self.unended.add(UnendedLease(number, stage, claimed.begun_ns))
 
     def lease_lost(self) -> bool:
-        """Return whether the lease of this storage has ended; False where the database cannot be asked."""
+        """Return whether the lease of this storage has ended.
+
+        Raises:
+            StorageError: The database cannot be asked.
+        """
         if self.lease is None:
             return False
-        try:
-            with self.read() as unit:
-                return not unit.work_claims.holds(self.lease.number)
-        except StorageError:
-            return False
+        with self.read() as unit:
+            return not unit.work_claims.holds(self.lease.number)
 
     def _prolong(self, lease: int) -> bool:
-        with SqlStorage.write(self) as unit:
+        with self.write() as unit:
             return unit.work_claims.prolong(lease)
-
-    @contextmanager
-    def _file_claim(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[int]:
-        file = Path(str(self.engine.url.database))
-        only = file_scheduler_lock(file.with_name(f"{file.name}.scheduler-lock"), holder)
-        with only if kind is JobTrigger.SCHEDULE else nullcontext(), ExitStack() as held:
-            with self.write() as unit:
-                token = locks.add(unit.connection, kind, holder, now_ns)
-                held.enter_context(locks.file_owner_lock(locks.lock_file(self.engine, token)))
-            yield token
-
-    @contextmanager
-    def _postgresql_claim(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[int]:
-        with translate_errors(), postgresql_session(self.engine, holder) as session:
-            if kind is JobTrigger.SCHEDULE:
-                lock_scheduler(session)
-            with self.write() as unit:
-                token = locks.add(unit.connection, kind, holder, now_ns)
-                locks.lock_owner(session, token)
-            yield token
-
-    @property
-    def owner_token(self) -> int | None:
-        """Token of the process that owns the runs that are started here, if any."""
-        return None
 
     def close(self) -> None:
         """Close every connection."""
@@ -371,43 +352,6 @@ class SqlStorage:
 
     def _files(self) -> WindowFiles:
         return WindowFiles(self.data_dir / "windows")
-
-
-@dataclass(frozen=True, slots=True)
-class OwnedStorage(SqlStorage):
-    """Storage of a process that runs jobs: commits nothing once that is no longer so. See :meth:`SqlStorage.owned`."""
-
-    _: KW_ONLY
-    token: int
-    holder: str
-
-    @contextmanager
-    def write(self) -> Iterator[SqlUnitOfWork]:
-        """Commit on a clean exit while the claim holds, roll back on an exception.
-
-        Raises:
-            ClaimLostError: The claim was lost; nothing was committed.
-            ConflictError, StorageError: As :meth:`SqlStorage.write`.
-        """
-        with SqlStorage.write(self) as unit:
-            yield unit
-            unit.finish()
-            locks.check_claim(unit.connection, self.token, self.holder)
-
-    @property
-    def owner_token(self) -> int:
-        """Token of this process."""
-        return self.token
-
-    def holds(self) -> bool:
-        """Return whether the claim holds and the connection with its lock is alive."""
-        try:
-            with self.read() as unit:
-                return self.token in locks.living(unit.connection, [self.token]) and locks.has_claim(
-                    unit.connection, self.token
-                )
-        except StorageError:
-            return False
 
 
 @contextmanager

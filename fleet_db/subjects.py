@@ -11,16 +11,29 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
-from sqlalchemy import ColumnElement, Connection, Insert, bindparam, func, select
+from sqlalchemy import ColumnElement, Connection, Insert, bindparam, exists, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.values.dampers import GEAR_DAMPERS
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
+from estimation.values.trend import SUSPENSION, TREND
+from estimation.worklist.row import FACETS as SHOWN
 from fleet_db.rows import table_of
-from fleet_db.tables import MountingRow, SubjectVersionRow, TrackEpochWindowRow, WindowRow
+from fleet_db.tables import MountingRow, ResultRow, SubjectVersionRow, TrackEpochWindowRow, WindowRow
 
-VERSIONS, MOUNTINGS = table_of(SubjectVersionRow), table_of(MountingRow)
+VERSIONS, MOUNTINGS, RESULTS = table_of(SubjectVersionRow), table_of(MountingRow), table_of(ResultRow)
 MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)
+OF_VEHICLES = frozenset({Facet.HUNTING, Facet.RECORDINGS, GEAR_DAMPERS.stage, SUSPENSION.stage})
+"""Facets of a vehicle that its wheelsets follow."""
+BESIDE = MOUNTINGS.alias("beside")
+WITH_STEP = exists().where(
+    RESULTS.c.stage == TREND.stage,
+    RESULTS.c.subject == MOUNTINGS.c.wheelset,
+    RESULTS.c.superseded_ns.is_(None),
+    RESULTS.c.head.is_not(None),
+)
+"""The trend in force has a step: what may have caused it is looked for in the trends beside it, and in all sections."""
 
 
 @dataclass(slots=True)
@@ -30,6 +43,7 @@ class Subjects:
     connection: Connection
     _raised: set[tuple[str, str, str]] = field(default_factory=set)  # since they were written last
     _written: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+    _shown: set[str] = field(default_factory=set)
 
     def raised(self, kind: SubjectKind, subject: str | None, facet: str) -> None:
         """Let a facet have another version.
@@ -38,6 +52,28 @@ class Subjects:
             subject: Its code or serial; None is what is on no section.
         """
         self._raised.add((str(kind), subject or "", str(facet)))
+        if kind is SubjectKind.WHEELSET and subject is not None and facet in SHOWN:
+            self.show(subject)
+
+    def show(self, wheelset: str) -> None:
+        """Let the row of a wheelset in the worklist be made again when this transaction ends."""
+        self._shown.add(wheelset)
+
+    def take_shown(self) -> list[str]:
+        """Return the serials whose row of the worklist is to be made again, in their order; they are forgotten here."""
+        taken = sorted(self._shown)
+        self._shown.clear()
+        return taken
+
+    def windows(self, wheelset: str, hunting_in: str | None = None) -> None:
+        """Let the windows of a wheelset have another version: their states, qualities or mileages.
+
+        Args:
+            hunting_in: Vehicle of one of them in which the wheelset hunts, or did before it was replaced or removed.
+        """
+        self.raised(SubjectKind.WHEELSET, wheelset, Facet.WINDOWS)
+        if hunting_in is not None:
+            self.raised(SubjectKind.VEHICLE, hunting_in, Facet.HUNTING)
 
     def growth(self, facets: Collection[str], subject: tuple[SubjectKind, str] | None = None) -> int:
         """Return by how much this transaction lets the sum of versions grow, of a subject or of all."""
@@ -61,13 +97,38 @@ class Subjects:
             self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
         return self._sections(WINDOWS.c.vehicle == code, MEMBERS.c.vehicle == code)
 
+    def section_on_file(self, code: str) -> None:
+        """Something on file of a section has changed, or its layout: the signatures of all wheelsets rest on that."""
+        self.raised(SubjectKind.SECTION, code, Facet.REGISTRY)
+        for serial in self.connection.scalars(select(MOUNTINGS.c.wheelset).distinct()):
+            self.raised(SubjectKind.WHEELSET, serial, Facet.LAYOUTS)
+
     def flush(self) -> None:
         """Write the versions, in one order in all transactions: they wait for each other and never in a circle."""
+        self._follow()
         rows = [{"kind": kind, "subject": subject, "facet": facet} for kind, subject, facet in sorted(self._raised)]
         if rows:
             self.connection.execute(_raise(self.connection.dialect.name), rows)
         self._written.update(self._raised)
         self._raised.clear()
+
+    def _follow(self) -> None:
+        """Raise what wheelsets are beside: their vehicle, the trends of the other wheelsets of it, and all rails."""
+        vehicles = {subject for kind, subject, facet in self._raised if kind == "vehicle" and facet in OF_VEHICLES}
+        trends = {subject for _, subject, facet in self._raised if facet == TREND.stage}
+        mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.to_ns.is_(None))
+        following = []
+        if vehicles:
+            following.append(mounted.where(MOUNTINGS.c.vehicle.in_(sorted(vehicles))))
+        if trends:
+            own = (BESIDE.c.wheelset.in_(sorted(trends)), BESIDE.c.to_ns.is_(None))
+            same = (BESIDE.c.vehicle == MOUNTINGS.c.vehicle, BESIDE.c.wheelset != MOUNTINGS.c.wheelset)
+            following.append(mounted.where(WITH_STEP, exists().where(*own, *same)))
+        if any(kind == "section" and facet == Facet.REGISTRY for kind, _, facet in self._raised):
+            following.append(mounted.where(WITH_STEP))
+        for statement in following:
+            for serial in self.connection.scalars(statement):
+                self.raised(SubjectKind.WHEELSET, serial, Facet.BESIDE)
 
     def _sections(self, windows: ColumnElement[bool], members: ColumnElement[bool]) -> Sequence[str]:
         """Raise the sections that windows are on, or were when their epoch was computed; return them."""

@@ -140,23 +140,19 @@ RULES: Mapping[str, Rule] = {
     "reprofilings": _of_wheelset,
     "measured_profiles": _of_wheelset,
     "results": _of_result,
-    "wheelset_changes": _of_wheelset,
     "wheelset_bins": _of_wheelset,
     "window_bin_tables": _of_wheelset,
     "window_positions": _of_wheelset,
     "window_adhesion": _of_wheelset,
     "window_dampers": _of_vehicle,
-    "gear_dampers": _of_vehicle,
     "webhooks": _of_webhook,
     "webhook_fleets": _of_webhook,
     "webhook_deliveries": _of_webhook,
-    "looks": _of_wheelset,
     "rail_cells": _of_wheelset,
     "roll_ups": _of_wheelset,
     "roll_up_states": _of_wheelset,
     "rolling_sums": _of_wheelset,
     "wear_signatures": _of_wheelset,
-    "signature_answers": _of_wheelset,
     "worklist_entries": _of_fleet,
     "worklist_alerts": _of_wheelset,
 }
@@ -164,7 +160,6 @@ SHARED = frozenset(
     {
         "feed_branches",
         "idempotency_keys",
-        "job_owners",
         "job_runs",
         "purges",
         "section_adhesion",
@@ -176,6 +171,7 @@ SHARED = frozenset(
         "track_sections",
         "track_versions",
         "vehicle_classes",
+        "work_leases",
         "alembic_version",
     }
 )
@@ -193,7 +189,6 @@ HIDDEN = frozenset(
         "webhook_secrets",
         "window_due",
         "work_claims",
-        "work_leases",
     }
 )
 """Tables that a bound caller does not see at all."""

@@ -21,9 +21,6 @@ from estimation.values.worklist import (
     WorklistState,
 )
 
-FORM = 1
-"""Grows with every change of what a row says, so that rows are made again; a row that waits to be made has none."""
-
 
 def to_document(row: WorklistRow) -> str:
     """Return a row as JSON."""

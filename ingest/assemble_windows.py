@@ -10,9 +10,8 @@ from collections.abc import Callable, Mapping
 from estimation.jobs.job import Job, JobContext
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.held import HeldRecordings
+from ingest.held import HeldRecordings, missing
 from ingest.intake.decoding import decode_received
-from ingest.lost_recordings import missing
 from ingest.receiver import ChunkReceipt, Receiver
 
 NAME = "assemble_windows"

@@ -43,7 +43,6 @@ def open_bus(interface: str, channel: str, **options: Any) -> can.BusABC:  # noq
 
     Args:
         interface: One of ``INTERFACES``.
-        channel: Channel of the interface, such as can0.
 
     Raises:
         ParameterError: No such interface, or it cannot be opened on this machine.
@@ -96,7 +95,6 @@ def send(
     Args:
         batch: Frames in the order of time.
         stop: Ends the sending when set, within a frame.
-        clock_s: A clock that runs in seconds.
 
     Raises:
         ConflictError: The bus refused a frame.

@@ -41,7 +41,6 @@ def derivative(values: FloatArray, interval_s: float, times: int = 1) -> FloatAr
 
     Args:
         values: (n,) every ``interval_s``.
-        interval_s: Sampling interval, s.
     """
     result = values
     for _ in range(times):
@@ -58,7 +57,6 @@ def derivative_with_gaps(
     Args:
         tick: (n,) sampling instants, increasing.
         values: (n,) samples; NaN where not valid.
-        interval_s: Sampling interval, s.
         bridged: Samples in a row that may be missing or not valid: for the derivative of their neighbours a straight
             line stands for them. Their own derivative is NaN.
     """

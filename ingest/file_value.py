@@ -40,7 +40,7 @@ from pydantic_core import core_schema
 from estimation.errors import ParameterError
 from estimation.values.file_units import FileDefault, FileForm, FileUnit, Key
 from estimation.values.json_value import JsonValue
-from estimation.values.utc_text import utc_text
+from estimation.values.quantities import utc_text
 from ingest.input_file import (
     Code,
     FreeText,
@@ -66,9 +66,13 @@ def between(lowest: float, highest: float) -> Interval:
 
 @dataclass(frozen=True, slots=True)
 class As:
-    """The field is read as another table, whose ``plan()`` is its value."""
+    """The field is read as another table, whose ``plan()``, where it has one, is its value.
+
+    ``defaults`` are values of fields that a file need not have there.
+    """
 
     table: type
+    defaults: tuple[tuple[str, object], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +96,7 @@ class ValueTable(InputTable):
     """The table that a frozen value is read from."""
 
     value_type: ClassVar[type]
+    fixed: ClassVar[Mapping[str, object]]  # fields that no file has, and that have no default
     _value: Any = PrivateAttr()
 
     @property
@@ -102,7 +107,8 @@ class ValueTable(InputTable):
     @model_validator(mode="after")
     def _make(self) -> Self:
         given = frozenset(_alias(self, name) for name in self.model_fields_set)
-        self._value = _made(self.value_type, {name: getattr(self, name) for name in type(self).model_fields}, given)
+        content = {name: getattr(self, name) for name in type(self).model_fields}
+        self._value = _made(self.value_type, {**self.fixed, **content}, given)
         return self
 
 
@@ -117,10 +123,14 @@ def read_value(file: InputFile, value_type: type[T], location: Location = ()) ->
 
 
 @cache
-def table_of(value_type: type) -> type[ValueTable]:
+def table_of(value_type: type, defaults: tuple[tuple[str, object], ...] = ()) -> type[ValueTable]:
     """Return the table that a dataclass is read from."""
-    table: type[ValueTable] = create_model(value_type.__name__, __base__=ValueTable, **_columns(value_type))
-    table.value_type = value_type
+    columns = _columns(value_type)
+    for name in columns.keys() & dict(defaults):
+        kind, column = columns[name]
+        columns[name] = (kind, pydantic.Field(alias=column.alias, default=dict(defaults)[name]))
+    table: type[ValueTable] = create_model(value_type.__name__, __base__=ValueTable, **columns)
+    table.value_type, table.fixed = value_type, {name: value for name, value in defaults if name not in columns}
     return table
 
 
@@ -144,6 +154,11 @@ def _written(value: Any, metadata: tuple[object, ...]) -> JsonValue:  # noqa: AN
     if unit is not None:
         return unit.write(value)
     return list(value) if isinstance(value, tuple) else value.value if isinstance(value, StrEnum) else value
+
+
+def keys_of(value_type: type) -> tuple[str, ...]:
+    """Return the keys that a file may have of a value."""
+    return tuple(column.alias for _, column in _columns(value_type).values())
 
 
 def taken(value_type: type[T], wider: object, **changes: object) -> T:
@@ -208,7 +223,7 @@ def _in_file(hint: Any) -> Any:  # noqa: ANN401 - any type of a field
 def _inner(hint: Any, metadata: tuple[object, ...]) -> Any:  # noqa: ANN401 - any type of a field
     for one in metadata:
         if isinstance(one, As):
-            return Annotated[table_of(one.table), AfterValidator(_plan)]
+            return Annotated[table_of(one.table, one.defaults), AfterValidator(_plan)]
         if one is FileForm.CHOICE:
             return Annotated[Literal[tuple(map(str, hint))], AfterValidator(hint)]
         if one in _TEXTS:
@@ -239,7 +254,7 @@ def nanoseconds(value: object) -> int:
 
 
 def _plan(table: ValueTable) -> Any:  # noqa: ANN401 - whatever it stands for
-    return table.value.plan()
+    return table.value.plan() if hasattr(table.value, "plan") else table.value
 
 
 def _member(names: type[StrEnum]) -> Callable[[str], StrEnum]:

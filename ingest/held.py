@@ -1,21 +1,29 @@
-"""Recordings at which decoding failed: they stay stored with their reason, and are tried again ever more rarely."""
+"""Recordings at which decoding failed: they stay stored with their reason, and are tried again ever more rarely.
+
+Raw recordings that were found lost or damaged when windows were to be made again from them.
+
+They are kept in quarantine. Once their file is there again, copied back or received, their windows are made again: what
+changed meanwhile reaches them.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from estimation.errors import TreadwatchError
+from estimation.errors import PassingFaultError, TreadwatchError
 from estimation.failures import after_failure
 from estimation.jobs.isolation import fails_alone
 from estimation.storage import Clock
 from estimation.values.reasons import Reason
 from estimation.values.runs import Quarantined, SubjectKind, resolved
+from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
-from fleet_db.storage import SqlStorage
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import STAGE
 from fleet_db.stores.stale_spans import StaleSpan
+from ingest.assembly import extent
 
 ASSEMBLY = "assemble_windows"
 
@@ -30,11 +38,7 @@ class HeldRecordings:
     clock: Clock
 
     def hold(self, record: ChunkRecord, error: Exception) -> ChunkRecord:
-        """Keep a failure at a stored recording; return its receipt, with the reason.
-
-        Raises:
-            StorageError: The database cannot be reached.
-        """
+        """Keep a failure at a stored recording; return its receipt, with the reason."""
         unexpected = None if isinstance(error, TreadwatchError) else error
         _log.warning("recording %s of %s is held: %s", record.digest, record.vehicle, error, exc_info=unexpected)
         with self.storage.write() as unit:
@@ -68,11 +72,16 @@ class HeldRecordings:
 
     def release(self, digest: str) -> None:
         """End the quarantine of a recording, if it was in one."""
-        with self.storage.read() as unit:
-            item = unit.quarantine.get(SubjectKind.RECORDING, digest, STAGE)
-        if item is not None and item != resolved(item):
-            with self.storage.write() as unit:
-                unit.quarantine.put(resolved(item))
+        release_recording(self.storage, digest, STAGE)
+
+
+def release_recording(storage: SqlStorage, digest: str, stage: str) -> None:
+    """End the quarantine of a recording in a stage, if it was in one."""
+    with storage.read() as unit:
+        item = unit.quarantine.get(SubjectKind.RECORDING, digest, stage)
+    if item is not None and item != resolved(item):
+        with storage.write() as unit:
+            unit.quarantine.put(resolved(item))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +97,7 @@ class HeldVehicles:
         return item is not None and item.waits(_inputs(spans), self.clock.now_ns())
 
     def hold(self, vehicle: str, spans: Sequence[StaleSpan], error: Exception) -> None:
-        """Keep a failure at the stale spans of a vehicle, where others may succeed.
-
-        Raises:
-            StorageError: The database cannot be reached.
-        """
+        """Keep a failure at the stale spans of a vehicle, where others may succeed."""
         unexpected = None if isinstance(error, TreadwatchError) else error
         _log.warning("windows of vehicle %s could not be assembled again: %s", vehicle, error, exc_info=unexpected)
         if fails_alone(error):
@@ -115,3 +120,73 @@ class HeldVehicles:
 
 def _inputs(spans: Sequence[StaleSpan]) -> str:
     return f"{len(spans)} spans up to {max(span.id for span in spans)}"
+
+
+CAUSE = "its raw file is there again"
+
+
+@dataclass(frozen=True, slots=True)
+class LostRecordings:
+    """The quarantine of recordings that windows could not be made of again."""
+
+    storage: SqlStorage
+    raw: RawStore
+    clock: Clock
+
+    def note(self, unit: SqlUnitOfWork, lost: Iterable[ChunkRecord]) -> None:
+        """Keep that recordings were missing, in the transaction that stores what could be made without them."""
+        for record in lost:
+            fault: PassingFaultError
+            came = PassingFaultError("could not be read when windows were made again")
+            try:
+                fault = self.raw.fault(record.digest, record.suffix) or came
+            except PassingFaultError as away:  # of the store: the recording was missing all the same
+                fault = away
+            _hold(unit, record, fault, self.clock.now_ns())
+
+    def waits(self, record: ChunkRecord) -> bool:
+        """Whether a recording was missing when windows were made again, and they wait for it."""
+        with self.storage.read() as unit:
+            item = unit.quarantine.get(SubjectKind.RECORDING, record.digest, ASSEMBLY)
+        return item is not None and item != resolved(item)
+
+    def look(self, vehicle: str | None = None) -> None:
+        """Look for missing recordings, and let the windows of those that are there again be made again.
+
+        Args:
+            vehicle: The only one, whether another attempt is due or not; None for all that are due.
+        """
+        now_ns = self.clock.now_ns()
+        with self.storage.read() as unit:
+            held = [(item, unit.chunks.get(item.key)) for item in missing(unit)]
+        for item, record in held:
+            if record is None or record.state is not ChunkState.DECODED or record.purged_ns is not None:
+                self._resolve(item)  # it counts for no window, or will be decoded as a whole
+            elif record.vehicle == vehicle or (vehicle is None and not item.waits(record.vehicle, now_ns)):
+                try:
+                    fault = self.raw.fault(record.digest, record.suffix)
+                except PassingFaultError:
+                    return  # of the store: nothing is known of what is in it
+                if fault is None:
+                    self._resolve(item, record)
+                else:
+                    with self.storage.write() as unit:
+                        _hold(unit, record, fault, now_ns)
+
+    def _resolve(self, item: Quarantined, *found: ChunkRecord) -> None:
+        """End the quarantine of a recording, and let the windows of one that was found be made again."""
+        with self.storage.write() as unit:
+            for record in found:
+                for from_ns, to_ns in extent(record):
+                    unit.stale_spans.add(record.vehicle, from_ns, to_ns + 1, f"recording {record.digest[:12]}: {CAUSE}")
+            unit.quarantine.put(resolved(item))
+
+
+def missing(unit: SqlUnitOfWork) -> list[Quarantined]:
+    """Return what is in quarantine of recordings whose windows wait for their raw file."""
+    return [item for item in unit.quarantine.held(ASSEMBLY) if item.kind is SubjectKind.RECORDING]
+
+
+def _hold(unit: SqlUnitOfWork, record: ChunkRecord, fault: PassingFaultError, now_ns: int) -> None:
+    subject = (SubjectKind.RECORDING, record.digest, ASSEMBLY)
+    unit.quarantine.put(after_failure(unit.quarantine.get(*subject), subject, record.vehicle, fault, now_ns))

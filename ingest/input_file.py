@@ -107,11 +107,7 @@ class InputFile:
         return self.error_type(reason, file=self.path, line=next(written, None), field=dotted(location) or None)
 
     def at(self, location: Location) -> Any:  # noqa: ANN401 - whatever the file holds there
-        """Return what is at a place of the file.
-
-        Args:
-            location: Keys and indices from the root of the file.
-        """
+        """Return what is at a place of the file."""
         found: Any = self.values
         for part in location:
             found = found[part]
@@ -119,10 +115,6 @@ class InputFile:
 
     def parse(self, model: type[Model], location: Location = ()) -> Model:
         """Return the content, or what is at a place of it, as a model.
-
-        Args:
-            model: The schema of the whole file, or of what is at ``location``.
-            location: Keys and indices from the root of the file; empty for the whole file.
 
         Raises:
             InputError: As ``error_type``: a key is missing, unknown, of another type or out of range. Of several errors
@@ -165,9 +157,6 @@ def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFil
 def parse_toml(text: str, path: Path, error_type: type[InputError] = InputError) -> InputFile:
     """Return the content of a TOML text.
 
-    Args:
-        error_type: The error to raise, here and when the content is parsed.
-
     Raises:
         InputError: As ``error_type``: it is no TOML.
     """
@@ -181,9 +170,6 @@ def parse_toml(text: str, path: Path, error_type: type[InputError] = InputError)
 
 def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFile:
     """Return the content of a JSON file that holds one object.
-
-    Args:
-        error_type: The error to raise, here and when the content is parsed.
 
     Raises:
         InputError: As ``error_type``: the file cannot be read, is no JSON, or holds something else than an object.
@@ -227,11 +213,7 @@ def _table_location(names: Sequence[str], counts: dict[Location, int], *, is_arr
 
 
 def dotted(location: Location) -> str:
-    """Return a location as in ``vehicles[1].wheelsets[0].serial``.
-
-    Args:
-        location: Keys and indices from the root of the file.
-    """
+    """Return a location as in ``vehicles[1].wheelsets[0].serial``."""
     text = ""
     for part in location:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part

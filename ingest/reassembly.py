@@ -18,11 +18,9 @@ from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import decode_again
 from fleet_db.stores.stale_spans import StaleSpan
 from ingest.align.clock import CONTEXT_NS
-from ingest.assembly import Assembler, extent
-from ingest.held import HeldVehicles
-from ingest.lost_recordings import LostRecordings
+from ingest.assembly import Assembler, SpanAssembly, extent
+from ingest.held import HeldVehicles, LostRecordings
 from ingest.recordings import Span
-from ingest.span_assembly import SpanAssembly
 from ingest.span_commit import NO_CHANGES, SpanChanges, commit, still_so
 
 MOST_FRAMES = 1_000_000
@@ -142,7 +140,7 @@ class Reassembler:
             cause = f"recording {record.digest[:12]}: {OTHER_BUS}"
             for first_ns, last_ns in extent(record):
                 unit.stale_spans.add(record.vehicle, first_ns, last_ns + 1, cause)
-            decode_again(unit.connection, record, OTHER_BUS, self.clock.now_ns())
+            decode_again(unit.chunks, record, OTHER_BUS, self.clock.now_ns())
         return commit(unit, assembly, self.clock.now_ns(), verify=True)
 
     def _next_piece(self, unit: SqlUnitOfWork, vehicle: str, span: Span) -> Span | None:

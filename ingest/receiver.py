@@ -25,17 +25,25 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler
 from ingest.catalogue import Catalogue
-from ingest.deleted import DeletedRecordings
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import write_bundle
-from ingest.exchange.intake import checked_exchange
-from ingest.exchange.overlaps import check_alone
+from ingest.exchange.intake import check_alone, checked_exchange
 from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
-from ingest.own_bus.choice import BusChoice
+from ingest.own_bus.bus import BusChoice
 from ingest.reassembly import Reassembler
-from ingest.receipts import Announce, enter_receipt, of_another_vehicle, to_nobody
-from ingest.received import Decoded, ReceivedFile, check_undecided, printable_name, read_or_raise
+from ingest.receipts import (
+    Announce,
+    Chunk,
+    Decoded,
+    DeletedRecordings,
+    ReceivedFile,
+    check_undecided,
+    enter_receipt,
+    of_another_vehicle,
+    read_or_raise,
+    to_nobody,
+)
 from ingest.recordings import Recording, Recordings
 from ingest.span_commit import NO_CHANGES, commit, still_so
 
@@ -58,8 +66,6 @@ class Receiver:
     """Takes recordings in.
 
     Args:
-        storage, raw: Where receipts and windows, and where raw bytes go.
-        catalogue: The frames of the vehicles' buses, or the choice among several.
         window_length_s: Length of a window; a whole number of sampling intervals.
         deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
     """
@@ -286,22 +292,8 @@ class Receiver:
     def _receipt(self, path: Path, vehicle: str, digest: str) -> tuple[ChunkRecord, bool]:
         """Return the committed receipt, and whether it had been there before."""
         suffix = _suffix_of(path)
-        now_ns = self._clock.now_ns()
-        record = ChunkRecord(
-            digest=digest,
-            vehicle=vehicle,
-            suffix=suffix,
-            size_bytes=self._raw.size(digest, suffix),
-            state=ChunkState.STORED,
-            reason=None,
-            first_ns=None,
-            last_ns=None,
-            frames=0,
-            counts={},
-            received_ns=now_ns,
-            recorded_ns=now_ns,
-            file_name=printable_name(path),
-        )
+        chunk = Chunk(vehicle, suffix, str(path), sender=None)
+        record = replace(chunk.receipt(digest, self._raw.size(digest, suffix), self._clock.now_ns()), reason=None)
         with self._storage.write() as unit:
             found, known = enter_receipt(unit, record, self._deleted)
         if found.vehicle != vehicle:

@@ -12,16 +12,15 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
 from estimation.values.file_units import MM
 from estimation.values.json_value import JsonValue
+from estimation.values.quantities import utc_text
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
-from estimation.values.utc_text import utc_text
 from estimation.vehicle.vehicle_class import class_document
 from fleet_db.atomic_files import write_atomically
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import entry_of
-from ingest.profiles.stored_profile import SUFFIX, stored_profile_text
-from ingest.registry_schema import FORMAT
-from ingest.section_line import COLUMNS as LINE_COLUMNS
-from ingest.track_file import COLUMNS, GAUGE_COLUMNS, LAYOUT_COLUMNS
+from ingest.profiles.wheel_profile import SUFFIX, stored_profile_text
+from ingest.registry_file import FORMAT
+from ingest.track_file import COLUMNS, GAUGE_COLUMNS, LAYOUT_COLUMNS, LINE_COLUMNS
 
 Entry = dict[str, JsonValue]
 MOST_VEHICLES = 1 << 31

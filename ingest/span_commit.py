@@ -12,8 +12,7 @@ from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.assembled import AssembledWindow, StoredWindow
 from fleet_db.telemetry import window_digest
 from ingest.align.windows import MountedWindow
-from ingest.assembly import Assembler
-from ingest.span_assembly import SpanAssembly, registry_lookup
+from ingest.assembly import Assembler, SpanAssembly, registry_lookup
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,6 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
 
     Args:
         unit: An open transaction; nothing is committed here.
-        recorded_ns: Our time, ns UTC.
         verify: Whether the files of windows that have not changed are read and checked.
     """
     wanted = {_key(each.window): each for each in map(_assembled, assembly.windows)}

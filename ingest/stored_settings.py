@@ -15,8 +15,7 @@ from estimation.errors import DamagedError, ParameterError
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import decode_undecoded
 from ingest.catalogue import Catalogue
-from ingest.own_bus.bus import OwnBus
-from ingest.own_bus.choice import BusChoice
+from ingest.own_bus.bus import BusChoice, OwnBus
 
 LENGTH, BUSES = "window_length_ns", "buses"
 OTHERS = ""
@@ -96,7 +95,7 @@ def _changed(found: Mapping[str, StoredBus], given: Mapping[str, StoredBus]) -> 
 def _make_stale(unit: SqlUnitOfWork, changed: Iterable[str], named: frozenset[str], now_ns: int) -> None:
     for vehicle in sorted({code for name in changed for code in _vehicles(unit, name, named)}):
         unit.stale_spans.add(vehicle, None, None, CHANGED)
-        decode_undecoded(unit.connection, vehicle, CHANGED, now_ns)
+        decode_undecoded(unit.chunks, vehicle, CHANGED, now_ns)
 
 
 def _vehicles(unit: SqlUnitOfWork, name: str, named: frozenset[str]) -> Iterator[str]:

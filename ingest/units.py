@@ -86,10 +86,6 @@ _PER_S_PER_S = re.compile(r"/\(?ss\)?$|/s/s$")
 def unit_of(name: str, allowed: Iterable[Quantity]) -> Unit:
     """Return the unit of a name as files write it: ``m/s^2``, ``m/s²`` and ``m/s2`` are one.
 
-    Args:
-        name: As written.
-        allowed: What it may measure.
-
     Raises:
         ParameterError: The name is no unit that is known, or measures something else.
     """

@@ -51,9 +51,6 @@ def shipped_classes() -> tuple[str, ...]:
 def shipped_path(code: str) -> Path:
     """Return the file of a class that the package ships.
 
-    Args:
-        code: As ``shipped_classes`` lists it.
-
     Raises:
         NotFoundError: There is no such class.
     """
@@ -70,9 +67,6 @@ def class_of_package(code: str) -> VehicleClass | None:
 
 def shipped_class(code: str) -> VehicleClass:
     """Return a class that the package ships.
-
-    Args:
-        code: As ``shipped_classes`` lists it.
 
     Raises:
         NotFoundError: There is no such class.

@@ -9,16 +9,8 @@ from typing import Annotated
 import orjson
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    TextColumn,
-    TimeElapsedColumn,
-)
 
+from api.progress import bar
 from estimation.errors import ParameterError
 
 
@@ -49,7 +41,7 @@ def compare(
     except OSError as error:
         raise ParameterError(f"{out}: no folder can be made there: {error.strerror}", field="--out") from error
     studies = []
-    with Progress(*_columns(), console=Console(stderr=True)) as progress:
+    with bar(Console(stderr=True)) as progress:
         step = progress.add_task("begin", total=1)
 
         def show(what: str, done: int, of: int) -> None:
@@ -71,7 +63,3 @@ def compare(
     for sentence in report.sentences_of(studies):
         console.print(sentence, highlight=False, soft_wrap=True)
     console.print(f"wrote comparison.png, comparison.md, comparison.json to {out}", highlight=False, soft_wrap=True)
-
-
-def _columns() -> tuple[ProgressColumn, ...]:
-    return SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()

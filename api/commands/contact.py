@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from estimation.contact.table import ContactMethod
+from estimation.contact.geometry import ContactMethod
 from ingest.profiles.formats import format_names
-from ingest.profiles.origin import Origin
+from ingest.profiles.points import Origin
 
 
 class OutputFormat(StrEnum):

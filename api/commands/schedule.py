@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from api.commands.worker_options import DaskScheduler, Workers
 
 
-def schedule(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -> None:
+def schedule(
+    *,
+    wait: Annotated[
+        bool, typer.Option("--wait", help="Stand by while another scheduler is at work, and take its place.")
+    ] = False,
+    workers: Workers = None,
+    dask_scheduler: DaskScheduler = None,
+) -> None:
     """Run the jobs on schedule until asked to stop; refused where another scheduler is at work on the database."""
     import threading
     from contextlib import closing
@@ -38,4 +49,4 @@ def schedule(*, workers: Workers = None, dask_scheduler: DaskScheduler = None) -
     with closing(opened) as storage, executor_of(settings) as executor:
         context = replace(job_context(settings, storage), executor=executor)
         jobs = (*scheduled_jobs(settings), *upkeep_jobs(settings))
-        serve_jobs(context, jobs, stopping, holder=process_name())
+        serve_jobs(context, jobs, stopping, holder=process_name(), wait=wait)

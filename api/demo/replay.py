@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from api.factory import job_context, open_store, raw_store, scheduled_jobs
+from api.progress import bar
 from api.settings import Settings
 from estimation.errors import StorageError
 from estimation.jobs.job import Job, JobContext, run_job
@@ -72,16 +72,9 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
         TreadwatchError: A recording was rejected.
         StorageError: A job failed.
     """
-    columns = (
-        SpinnerColumn(),
-        TextColumn("receiving and estimating, campaign by campaign"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[what]}"),
-        TimeElapsedColumn(),
-    )
     clock = ReplayClock(min(fleet.scenario.sessions.start_ns for fleet in fleets) - DAY_NS)
-    with closing(open_store(settings)) as storage, Progress(*columns, console=console) as progress:
+    shown = bar(console, "receiving and estimating, campaign by campaign", "{task.fields[what]}")
+    with closing(open_store(settings)) as storage, shown as progress:
         contents = [read_registry(fleet.report.registry) for fleet in fleets]
         for one in contents:
             _register(storage, one, clock.now_ns())
@@ -89,19 +82,19 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
         receiver = _receiver(settings, storage, clock)
         receiver.reassembler.work_off()  # the registry is new, and there is no recording yet
         campaigns = [(end, received) for fleet in fleets for end, received in _by_campaign(fleet)]
-        bar = progress.add_task("", total=len(campaigns), what="")
+        task = progress.add_task("", total=len(campaigns), what="")
         tally = _Tally()
         for end_ns, received in campaigns:
             clock.now = max(clock.now, end_ns)
             for one in contents:
                 _reprofile(storage, one, clock.now)
-            progress.update(bar, what="receiving")
+            progress.update(task, what="receiving")
             tally.receive(receiver, received)
-            tally.run_jobs(scheduled_jobs(settings), context, lambda job: progress.update(bar, what=job))
-            progress.update(bar, advance=1)
+            tally.run_jobs(scheduled_jobs(settings), context, lambda job: progress.update(task, what=job))
+            progress.update(task, advance=1)
         clock.now += HOUR_NS  # the runs after: windows on low friction are estimated again without it
-        tally.run_jobs(scheduled_jobs(settings), context, lambda job: progress.update(bar, what=job))
-        progress.update(bar, what="done")
+        tally.run_jobs(scheduled_jobs(settings), context, lambda job: progress.update(task, what=job))
+        progress.update(task, what="done")
     return tally.table()
 
 

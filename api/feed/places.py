@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 
-from prometheus_client.core import GaugeMetricFamily, Metric
-from prometheus_client.registry import Collector
+from prometheus_client.core import Metric
 
 from api.access.caller import Caller
 from api.access.rates import StreamPlaces
+from api.measures import gauge
 from api.problems import ProblemError
 
 TRY_AGAIN = {"Retry-After": "10"}
@@ -24,7 +24,7 @@ class Waits(StrEnum):
     LONG_POLL = "long_poll"
 
 
-class WaitingPlaces(Collector):
+class WaitingPlaces:
     """Counts who waits, refuses who would be too many, and shows it to Prometheus.
 
     Args:
@@ -53,13 +53,7 @@ class WaitingPlaces(Collector):
             finally:
                 self._waiting[how] -= 1
 
-    def describe(self) -> Iterable[Metric]:
-        """Return nothing that would have to be measured."""
-        return ()
-
-    def collect(self) -> Iterable[Metric]:
-        """Return the measures of now."""
-        family = GaugeMetricFamily("treadwatch_feed_waiting", "Clients that wait for news of the feed.", labels=["how"])
-        for how in Waits:
-            family.add_metric([how.value], self._waiting[how])
-        return [family]
+    def measures(self) -> list[Metric]:
+        """Return how many wait now, for Prometheus."""
+        waiting = {how.value: self._waiting[how] for how in Waits}
+        return [gauge("treadwatch_feed_waiting", "Clients that wait for news of the feed.", "how", waiting)]

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from api.plots.contact_summary import AMPLITUDE_MM, ContactSummary
-from estimation.contact.table import ContactTable
+from estimation.contact.geometry import ContactTable
 from estimation.values.arrays import FloatArray
 
 INTERVAL = 1.96  # standard deviations

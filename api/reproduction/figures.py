@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from api.reproduction.study import Case
-from estimation.contact.table import ContactTable
+from estimation.contact.geometry import ContactTable
 from estimation.values.geometry import COMBINATIONS, BinStatus
 
 TITLES = {

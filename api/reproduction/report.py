@@ -8,7 +8,7 @@ import numpy as np
 
 from api.reproduction.figures import LEAST_SAMPLES, SCALE
 from api.reproduction.study import GAUGE, INCLINATION, SPEED, STANDARD_DEVIATION, WEAR_DEPTH, Case
-from estimation.contact.table import ContactTable
+from estimation.contact.geometry import ContactTable
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import COMBINATIONS
 from estimation.values.json_value import JsonValue

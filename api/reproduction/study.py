@@ -12,9 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.table import ContactTable
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.estimators import paper_equations
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry

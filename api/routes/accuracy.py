@@ -36,9 +36,7 @@ Newest = Annotated[int, Query(ge=1, le=500, description="How many measurements a
 
 
 @router.get(
-    "/wheelsets/{serial}/contact",
-    response_model=wheel_contact.DesignContact,
-    responses={**described(404), **_TABLE},
+    "/wheelsets/{serial}/contact", response_model=wheel_contact.DesignContact, responses={**described(404), **_TABLE}
 )
 def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> Response:
     """Return rolling radii and conicity of the wheelset's design profile; as `text/csv`, the curve alone."""

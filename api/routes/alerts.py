@@ -9,12 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from api import cursors
-from api.answers import (
-    answer,
-    answer_payloads,
-    payload_of,
-    wants_table,
-)
+from api.answers import answer, answer_payloads, payload_of, wants_table
 from api.asking import AskedDep, AskedListDep
 from api.known import require_known
 from api.parameters import FleetFilter, Number, WheelsetFilter

@@ -18,8 +18,8 @@ from api.problems import ProblemError, described
 from api.schemas import recordings
 from api.services import Services, ServicesDep
 from estimation.errors import ConflictError, NotFoundError
-from ingest.intake.chunk import Chunk
 from ingest.logs import SUFFIXES
+from ingest.receipts import Chunk
 
 router = APIRouter(prefix="/v1/chunks", tags=["chunks"])
 OCTETS = "application/octet-stream"

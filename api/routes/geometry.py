@@ -7,10 +7,7 @@ from typing import Any
 
 from fastapi import APIRouter, Response
 
-from api.answers import (
-    answer_payload,
-    table_payload,
-)
+from api.answers import answer_payload, table_payload
 from api.asking import AskedDep, AskedListDep
 from api.contract import CSV, Accepted
 from api.parameters import AsOf, MeasuredFrom, MeasuredTo, Serial, not_in_the_future, not_purged, require_order

@@ -27,9 +27,7 @@ router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 
 
 @router.get(
-    "/{serial}/measured-profiles",
-    response_model=Page[registry.MeasuredProfilesRecord],
-    responses=described(400, 404),
+    "/{serial}/measured-profiles", response_model=Page[registry.MeasuredProfilesRecord], responses=described(400, 404)
 )
 def list_measured_profiles(asked: AskedListDep, serial: Serial) -> Response:
     """List when the profiles of the wheelset's wheels were measured, oldest first."""

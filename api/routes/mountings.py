@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from fastapi import APIRouter, Depends, Response
 
@@ -16,15 +17,15 @@ from api.schemas.common import Page
 from api.schemas.registry_changes import Dismounting, Exchange, ExchangeRecord, NewMounting
 from api.services import writer_slot
 from estimation.errors import ConflictError
+from estimation.values.quantities import utc_text
 from estimation.values.registry import Mounting
-from estimation.values.utc_text import utc_text
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.registry_entry.contents import RegistryContents
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 _ACT = [Depends(requires(Scope.ACT)), Depends(writer_slot)]
-_REFUSALS = described(404, 409, 412, 413, 415, 428)
+_post = partial(router.post, status_code=201, dependencies=_ACT, responses=described(404, 409, 412, 413, 415, 428))
 
 
 @router.get("/{serial}/mountings", response_model=Page[registry.MountingPeriod], responses=described(400, 404))
@@ -36,13 +37,7 @@ def list_mountings(asked: AskedListDep, serial: Serial) -> Response:
     return asked.numbered({"wheelset": serial}, found, lambda record: record.from_ns, registry.MountingPeriod.made)
 
 
-@router.post(
-    "/{serial}/mountings",
-    status_code=201,
-    dependencies=_ACT,
-    response_model=registry.MountingPeriod,
-    responses=_REFUSALS,
-)
+@_post("/{serial}/mountings", response_model=registry.MountingPeriod)
 def mount_wheelset(asked: ChangeDep, serial: Serial, body: NewMounting) -> Response:
     """Record that the wheelset is mounted; windows of that time are assembled for it.
 
@@ -50,16 +45,8 @@ def mount_wheelset(asked: ChangeDep, serial: Serial, body: NewMounting) -> Respo
     """
     change = RegistryRequest(asked, body)
     change.visible(lambda unit: unit.registry.vehicle(body.vehicle))
-    mounted = Mounting(
-        serial,
-        body.vehicle,
-        body.axle,
-        body.mounted_from,
-        None,
-        body.vehicle_odometer_km,
-        body.wheelset_mileage_km,
-        body.reversed,
-    )
+    readings = body.vehicle_odometer_km, body.wheelset_mileage_km
+    mounted = Mounting(serial, body.vehicle, body.axle, body.mounted_from, None, *readings, body.reversed)
     source = BodySource({"from": "mounted_from", "wheelset": ""})
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.MountingPeriod:
@@ -71,13 +58,7 @@ def mount_wheelset(asked: ChangeDep, serial: Serial, body: NewMounting) -> Respo
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
 
 
-@router.post(
-    "/{serial}/dismount",
-    status_code=201,
-    dependencies=_ACT,
-    response_model=registry.MountingPeriod,
-    responses=_REFUSALS,
-)
+@_post("/{serial}/dismount", response_model=registry.MountingPeriod)
 def dismount_wheelset(asked: ChangeDep, serial: Serial, body: Dismounting) -> Response:
     """Record that the wheelset was taken off; its open alerts are closed.
 
@@ -93,13 +74,7 @@ def dismount_wheelset(asked: ChangeDep, serial: Serial, body: Dismounting) -> Re
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply)
 
 
-@router.post(
-    "/{serial}/exchange",
-    status_code=201,
-    dependencies=_ACT,
-    response_model=ExchangeRecord,
-    responses=_REFUSALS,
-)
+@_post("/{serial}/exchange", response_model=ExchangeRecord)
 def exchange_wheelset(asked: ChangeDep, serial: Serial, body: Exchange) -> Response:
     """Record that the wheelset was taken off and another took its place, both or neither.
 
@@ -107,28 +82,14 @@ def exchange_wheelset(asked: ChangeDep, serial: Serial, body: Exchange) -> Respo
     """
     change = RegistryRequest(asked, body)
     change.visible(lambda unit: unit.registry.wheelset(body.fitted))
-    source = BodySource(
-        {
-            "to": "exchanged_at",
-            "from": "exchanged_at",
-            "wheelset_mileage_km": "fitted_mileage_km",
-            "wheelset": "fitted",
-        }
-    )
+    at = {"to": "exchanged_at", "from": "exchanged_at"}
+    source = BodySource({**at, "wheelset_mileage_km": "fitted_mileage_km", "wheelset": "fitted"})
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> ExchangeRecord:
         ended = _ended(unit, serial, body.exchanged_at)
         change.visible(lambda seen: seen.registry.vehicle(ended.vehicle))
-        fitted = Mounting(
-            body.fitted,
-            ended.vehicle,
-            ended.axle,
-            body.exchanged_at,
-            None,
-            body.vehicle_odometer_km,
-            body.fitted_mileage_km,
-            body.reversed,
-        )
+        readings = body.vehicle_odometer_km, body.fitted_mileage_km
+        fitted = Mounting(body.fitted, ended.vehicle, ended.axle, body.exchanged_at, None, *readings, body.reversed)
         change.enter(unit, decision, RegistryContents(mountings=(ended, fitted)), source)
         return ExchangeRecord(removed=registry.MountingPeriod.made(ended), fitted=registry.MountingPeriod.made(fitted))
 

@@ -25,8 +25,7 @@ Together = Annotated[
     float, Query(ge=0.0, le=3650.0, description="What becomes due so soon after a visit is turned in it.")
 ]
 NominalRadii = Annotated[
-    bool,
-    Query(description="Take the radius on file for that of both wheels; else diameters are not checked."),
+    bool, Query(description="Take the radius on file for that of both wheels; else diameters are not checked.")
 ]
 Cut = Annotated[float | None, Query(ge=0.0, le=100.0, description="Radius that a turning takes off at least.")]
 LeastRadius = Annotated[float | None, Query(gt=0.0, le=1000.0, description="Least radius of a wheel.")]
@@ -77,7 +76,7 @@ def plan_reprofiling(
         made_at=to_rfc3339(now_ns),
         horizon_days=horizon_days,
         together_days=together_days,
-        limits=worklist.turning_limits(limits),
+        limits=worklist.TurningLimits.made(limits),
         items=[worklist.turning_plan_line(line, rows[line.candidate.serial]) for line in lines],
         links=worklist.plan_links(fleet, vehicle),
     )

@@ -21,17 +21,14 @@ from fleet_db.receipts import ChunkRecord
 from ingest.corrections import Author, RecordingCorrections
 
 router = APIRouter(
-    prefix="/v1/recordings",
-    tags=["recordings"],
-    dependencies=[Depends(requires(Scope.INGEST)), Depends(writer_slot)],
+    prefix="/v1/recordings", tags=["recordings"], dependencies=[Depends(requires(Scope.INGEST)), Depends(writer_slot)]
 )
 Why = Annotated[
     str,
     Query(min_length=1, max_length=2000, pattern=recordings.WORDS, description="Why.", examples=["Of a test bench"]),
 ]
 By = Annotated[
-    str | None,
-    Query(min_length=1, max_length=200, pattern=recordings.WORDS, description="Who, where no key says it."),
+    str | None, Query(min_length=1, max_length=200, pattern=recordings.WORDS, description="Who, where no key says it.")
 ]
 NOBODY = "unknown"
 _REFUSALS = described(404, 409, 413, 415)
@@ -43,12 +40,7 @@ def reassign_recording(asked: NewDep, digest: Digest, body: recordings.Reassignm
     with asked.read() as unit:
         unit.registry.vehicle(body.vehicle)  # one of another fleet is not found
     author = _author(asked.caller, body)
-    return _correct(
-        asked,
-        digest,
-        body,
-        lambda made: made.reassign(digest, body.vehicle, author),
-    )
+    return _correct(asked, digest, body, lambda made: made.reassign(digest, body.vehicle, author))
 
 
 @router.post("/{digest}/retry", response_model=recordings.RecordingWithHistory, responses=_REFUSALS)
@@ -56,10 +48,7 @@ def retry_recording(asked: NewDep, digest: Digest, body: recordings.Retry) -> Re
     """Let a rejected or waiting recording be decoded again, by the next run of `assemble_windows`."""
     author = _author(asked.caller, body)
     return _correct(
-        asked,
-        digest,
-        body,
-        lambda made: made.retry(digest, author, our_clock_was_behind=body.clock_was_behind),
+        asked, digest, body, lambda made: made.retry(digest, author, our_clock_was_behind=body.clock_was_behind)
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 from typing import NoReturn
@@ -28,19 +29,13 @@ from ingest.vehicle_class_file import parse_vehicle_class
 
 router = APIRouter(prefix="/v1")
 _ADMIN = [Depends(requires(Scope.ADMIN)), Depends(writer_slot)]
-_NEW = described(404, 409, 413, 415)
-_CHANGED = described(404, 409, 412, 413, 415, 428)
+_ADMIN_OF_ALL = [Depends(requires(Scope.ADMIN, all_fleets=True)), Depends(writer_slot)]
+_post = partial(router.post, status_code=201, responses=described(404, 409, 413, 415))
+_put = partial(router.put, dependencies=_ADMIN, responses=described(404, 409, 412, 413, 415, 428))
 _VEHICLE_FIELDS = {"max_speed_km_h": "max_speed_m_s"}
 
 
-@router.post(
-    "/vehicles",
-    tags=["vehicles"],
-    status_code=201,
-    dependencies=_ADMIN,
-    response_model=registry.Vehicle,
-    responses=_NEW,
-)
+@_post("/vehicles", tags=["vehicles"], dependencies=_ADMIN, response_model=registry.Vehicle)
 def add_vehicle(asked: NewDep, body: NewVehicle) -> Response:
     """Enter a vehicle; recordings that came under its name before are decoded."""
     change = RegistryRequest(asked, body)
@@ -53,9 +48,7 @@ def add_vehicle(asked: NewDep, body: NewVehicle) -> Response:
     return change.change(None, apply)
 
 
-@router.put(
-    "/vehicles/{code}", tags=["vehicles"], dependencies=_ADMIN, response_model=registry.Vehicle, responses=_CHANGED
-)
+@_put("/vehicles/{code}", tags=["vehicles"], response_model=registry.Vehicle)
 def change_vehicle(asked: PutDep, code: Code, body: VehicleChange) -> Response:
     """Change a vehicle; its windows are made or estimated again where they rest on what has changed.
 
@@ -70,14 +63,7 @@ def change_vehicle(asked: PutDep, code: Code, body: VehicleChange) -> Response:
     return change.change(lambda unit: registry.vehicle(unit.registry.vehicle(code)), apply, HTTPStatus.OK)
 
 
-@router.post(
-    "/wheelsets",
-    tags=["wheelsets"],
-    status_code=201,
-    dependencies=_ADMIN,
-    response_model=registry.Wheelset,
-    responses=_NEW,
-)
+@_post("/wheelsets", tags=["wheelsets"], dependencies=_ADMIN, response_model=registry.Wheelset)
 def add_wheelset(asked: NewDep, body: NewWheelset) -> Response:
     """Enter a wheelset, which is mounted nowhere yet."""
     change = RegistryRequest(asked, body)
@@ -90,9 +76,7 @@ def add_wheelset(asked: NewDep, body: NewWheelset) -> Response:
     return change.change(None, apply)
 
 
-@router.put(
-    "/wheelsets/{serial}", tags=["wheelsets"], dependencies=_ADMIN, response_model=registry.Wheelset, responses=_CHANGED
-)
+@_put("/wheelsets/{serial}", tags=["wheelsets"], response_model=registry.Wheelset)
 def change_wheelset(asked: PutDep, serial: Serial, body: WheelsetChange) -> Response:
     """Change a wheelset; with another nominal radius its windows are estimated again.
 
@@ -107,13 +91,11 @@ def change_wheelset(asked: PutDep, serial: Serial, body: WheelsetChange) -> Resp
     return change.change(lambda unit: registry.wheelset(unit.registry.wheelset(serial)), apply, HTTPStatus.OK)
 
 
-@router.post(
+@_post(
     "/vehicle-classes",
     tags=["vehicles"],
-    status_code=201,
-    dependencies=[Depends(requires(Scope.ADMIN, all_fleets=True)), Depends(writer_slot)],
+    dependencies=_ADMIN_OF_ALL,
     response_model=vehicle_classes.VehicleClassRepresentation,
-    responses=_NEW,
 )
 def add_vehicle_class(asked: NewDep, body: VehicleClassFile) -> Response:
     """Register a vehicle class, or a new version of it; its vehicles are estimated again where it differs.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from http import HTTPStatus
 from typing import Annotated
 
@@ -9,10 +10,7 @@ from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel
 
 from api.access.scopes import Scope, requires
-from api.answers import (
-    answer,
-    require_match,
-)
+from api.answers import answer, require_match
 from api.asking import AskedChange, AskedListDep, ChangeDep
 from api.idempotency import idempotent_post
 from api.parameters import CODE
@@ -26,11 +24,11 @@ from estimation.errors import NotFoundError
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
-from ingest.registry_entry.restored import refuse_contradicted
+from ingest.registry_entry.enter import refuse_contradicted
 
 router = APIRouter(prefix="/v1/registry", tags=["registry"])
 _ADMIN = [Depends(requires(Scope.ADMIN)), Depends(writer_slot)]
-_REFUSALS = described(404, 409, 412, 413, 415, 428)
+_post = partial(router.post, status_code=201, dependencies=_ADMIN, responses=described(404, 409, 412, 413, 415, 428))
 _OF_VEHICLE = frozenset({RecordKind.VEHICLE, RecordKind.SENSOR_CHANGE})
 _SHARED = frozenset({RecordKind.SECTION, RecordKind.VEHICLE_CLASS})
 KindFilter = Annotated[RecordKind | None, Query(description="Only records of this kind.")]
@@ -47,9 +45,7 @@ def list_registry_history(asked: AskedListDep, kind: KindFilter = None, of: KeyF
     return asked.page(filters, rows, lambda event: event.id, registry_changes.decision)
 
 
-@router.post(
-    "/void", status_code=201, dependencies=_ADMIN, response_model=registry_changes.RegistryDecision, responses=_REFUSALS
-)
+@_post("/void", response_model=registry_changes.RegistryDecision)
 def void_record(asked: ChangeDep, body: Body) -> Response:
     """Take a record out that was wrong; what rests on it is made again, and `as_of` keeps what was believed.
 
@@ -58,13 +54,7 @@ def void_record(asked: ChangeDep, body: Body) -> Response:
     return _decide(asked, body, RecordAction.VOIDED)
 
 
-@router.post(
-    "/restore",
-    status_code=201,
-    dependencies=_ADMIN,
-    response_model=registry_changes.RegistryDecision,
-    responses=_REFUSALS,
-)
+@_post("/restore", response_model=registry_changes.RegistryDecision)
 def restore_record(asked: ChangeDep, body: Body) -> Response:
     """Put a record back that was voided, as it was.
 

@@ -12,11 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from api import cursors
 from api.access.caller import NOBODY_NAMED, Caller, CallerDep
 from api.access.scopes import Scope, requires
-from api.answers import (
-    IfMatch,
-    answer,
-    require_match,
-)
+from api.answers import IfMatch, answer, require_match
 from api.asking import AskedDep, AskedListDep
 from api.known import require_known
 from api.problems import ProblemError, ProblemItem, described

@@ -47,9 +47,7 @@ class KeyWithSecret(Key):
 
 
 class AuditRecord(
-    Derived,
-    of=AuditEntry,
-    columns="id recorded_at owner key_prefix method path status object address request_id",
+    Derived, of=AuditEntry, columns="id recorded_at owner key_prefix method path status object address request_id"
 ):
     """One change, or one request that was refused for want of a right."""
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any, Self
 
 import numpy as np
 from pydantic import Field
 
 from api.accuracy.placed import Placed
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
+from api.schemas.derived import Derived
 from api.schemas.geometry import MM, Bins, bin_table
 from api.schemas.registry import segment
 from api.schemas.wheel_contact import ProfileContact, profile_contact
@@ -25,7 +27,7 @@ from estimation.accuracy.fleet_accuracy import (
 )
 from estimation.accuracy.wheel_contact import WheelContact
 from estimation.contact.profiles import Profile
-from estimation.contact.wear import wear_measures
+from estimation.contact.wear import WearMeasures, wear_measures
 from estimation.errors import ProfileError
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.geometry import GeometryRecord
@@ -38,23 +40,10 @@ NOT_OBSERVABLE = Reason(
 )
 
 
-class WheelMeasures(Representation):
+class WheelMeasures(Derived, of=WearMeasures):
     """Flange and tread of one wheel as measured (EN 15313); null where the profile does not show it."""
 
     profile: str = Field(description="Name of the profile.", examples=["WS-0001-left"])
-    flange_thickness_mm: float | None = Field(
-        description="Sd: flange face to flange back, 10 mm beyond the tread.", examples=[32.5]
-    )
-    flange_height_mm: float | None = Field(
-        description="Sh: tip of the flange over the tread 70 mm from the flange back.", examples=[28.0]
-    )
-    flange_gradient_mm: float | None = Field(
-        description="qR: lateral distance of the face 10 mm beyond the tread from that 2 mm short of the tip.",
-        examples=[10.8],
-    )
-    hollow_mm: float | None = Field(
-        description="Depth of the tread below the highest point farther out; 0 for a new wheel.", examples=[0.0]
-    )
     reason: str | None
     reason_code: ReasonCode | None
 
@@ -103,16 +92,10 @@ class MeasuredAtBins(Representation):
     rolling_radius_difference_std_mm: list[float | None] = Field(description="Standard deviation at each bin.")
 
 
-class ConicityCompared(Representation):
+class ConicityCompared(Derived, of=ConicityPair, without=("amplitude",), also=("covered",)):
     """Equivalent conicity at one amplitude (EN 15302), measured and estimated."""
 
     amplitude_mm: float
-    measured_1: Uncertain = Field(description="From the measured profiles; `n_windows` is 0.")
-    estimated_1: Uncertain = Field(description="Of the estimate; at 3 mm it may be extrapolated, see its reason.")
-    covered: bool | None = Field(
-        description="Whether the estimate's 95 % interval, widened by the error of the measurement, covers it; null"
-        " where either is unknown."
-    )
 
 
 class ProfileComparison(Representation):
@@ -175,30 +158,16 @@ def comparison_path(serial: str, at_ns: int) -> str:
 
 def conicity_compared(pair: ConicityPair) -> ConicityCompared:
     """Return the representation of the conicity at one amplitude, measured and estimated."""
-    return ConicityCompared(
-        amplitude_mm=round(pair.amplitude * MM, 3),
-        measured_1=uncertain(pair.measured),
-        estimated_1=uncertain(pair.estimated),
-        covered=pair.covered,
-    )
+    return ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3))
 
 
 def _measures(wheel: Profile) -> WheelMeasures:
+    why, found = None, WearMeasures(*[np.nan] * 4)
     try:
         found = wear_measures(wheel)
     except ProfileError as error:
         why = Reason(ReasonCode.PROFILE_INCOMPLETE, str(error))
-        nothing = dict.fromkeys(("flange_thickness_mm", "flange_height_mm", "flange_gradient_mm", "hollow_mm"), None)
-        return WheelMeasures(profile=wheel.name, **nothing, reason=why.text, reason_code=why.code)
-    return WheelMeasures(
-        profile=wheel.name,
-        flange_thickness_mm=finite(found.flange_thickness, MM),
-        flange_height_mm=finite(found.flange_height, MM),
-        flange_gradient_mm=finite(found.flange_gradient, MM),
-        hollow_mm=finite(found.hollow, MM),
-        reason=None,
-        reason_code=None,
-    )
+    return WheelMeasures.made(found, profile=wheel.name, reason=text_of(why), reason_code=code_of(why))
 
 
 def _estimate(found: Comparison, record: GeometryRecord) -> EstimateOfDate:
@@ -215,7 +184,7 @@ def _estimate(found: Comparison, record: GeometryRecord) -> EstimateOfDate:
         measured_to=to_rfc3339(record.to_ns),
         recorded_at=to_rfc3339(record.recorded_ns),
         n_windows=record.geometry.windows,
-        bins=bin_table(record),
+        bins=bin_table(record.geometry),
     )
 
 
@@ -239,24 +208,21 @@ def _at_bins(found: Comparison) -> MeasuredAtBins | None:
     )
 
 
-class Coverage(Representation):
+class Coverage(Derived, of=CoverageCount, also=("fraction",)):
     """How many 95 % intervals cover what was measured; those without estimate or measurement are not counted."""
 
-    compared: int = Field(description="Intervals that were compared with a measurement.")
-    covered: int = Field(description="Of these, the ones that cover it.")
-    fraction_1: float | None = Field(description="Share that is covered; null where nothing was compared.")
     fraction_interval_95_1: tuple[float, float] | None = Field(
         description="95 % interval of the share (Clopper and Pearson), as if comparisons were independent."
     )
 
+    @classmethod
+    def made(cls, value: CoverageCount, **own: Any) -> Self:  # noqa: ANN401 - as of every derived class
+        """Return the representation of a count."""
+        return super().made(value, fraction_interval_95_1=value.interval_95, **own)
 
-class CoverageOfGroup(Representation):
+
+class CoverageOfGroup(Derived, of=CoveragePair):
     """The coverage of some comparisons, and of those that check the product."""
-
-    everything: Coverage = Field(description="Of all comparisons.")
-    independent: Coverage = Field(
-        description="Of those whose estimate was made without a measurement of the same profiles."
-    )
 
 
 class CoverageAtAmplitude(CoverageOfGroup):
@@ -331,12 +297,12 @@ def accuracy(found: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[
         amplitude_mm=LIMIT_AMPLITUDE * MM,
         on_file=on_file,
         considered=len(placed.rows),
-        coverage=CoverageOfGroup(**_pair(found.at_limit)),
+        coverage=CoverageOfGroup.made(found.at_limit),
         coverage_by_amplitude=[
-            CoverageAtAmplitude(amplitude_mm=round(a * MM, 3), **_pair(pair)) for a, pair in found.by_amplitude.items()
+            CoverageAtAmplitude.made(pair, amplitude_mm=round(a * MM, 3)) for a, pair in found.by_amplitude.items()
         ],
-        coverage_by_vehicle_class=[CoverageOfKey(key=k, **_pair(pair)) for k, pair in found.by_vehicle_class.items()],
-        coverage_by_track_section=[CoverageOfKey(key=k, **_pair(pair)) for k, pair in found.by_section.items()],
+        coverage_by_vehicle_class=[CoverageOfKey.made(pair, key=k) for k, pair in found.by_vehicle_class.items()],
+        coverage_by_track_section=[CoverageOfKey.made(pair, key=k) for k, pair in found.by_section.items()],
         not_compared=[NotCompared(reason_code=code, measurements=n) for code, n in found.not_compared.items()],
         measurements=[_row(row) for row in placed.rows],
         unreadable=[
@@ -361,19 +327,6 @@ def table(rows: Sequence[MeasurementRow]) -> tuple[Sequence[str], list[Sequence[
         )
         for row in rows
     ]
-
-
-def _pair(pair: CoveragePair) -> dict[str, Coverage]:
-    return {"everything": _coverage(pair.all), "independent": _coverage(pair.independent)}
-
-
-def _coverage(count: CoverageCount) -> Coverage:
-    return Coverage(
-        compared=count.compared,
-        covered=count.covered,
-        fraction_1=count.fraction,
-        fraction_interval_95_1=count.interval_95,
-    )
 
 
 def _row(row: PlacedComparison) -> MeasurementRow:

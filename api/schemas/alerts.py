@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, WithJsonSchema
 
-from api.schemas.common import Links, Representation, Request, finite
+from api.schemas.common import Links, Representation, Request
+from api.schemas.derived import Derived
 from api.schemas.evidence import AnyEvidence, evidence_of
 from api.schemas.registry import segment
-from api.times import Moment, Timestamp, to_rfc3339
+from api.times import Moment
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.values.alerts import Alert as AlertValue
-from estimation.values.alerts import AlertEvent, AlertEventKind, AlertScope, CloseReason, Condition, Severity
+from estimation.values.alerts import AlertEvent, AlertScope, Condition
 from fleet_db.stores.alert_queries import AlertOutline
 
 _WORDS = r"^[^\x00]*$"
@@ -43,51 +44,30 @@ class DisplayState(StrEnum):
     PENDING = "pending"
 
 
-class Alert(Representation):
+class Alert(
+    Derived,
+    of=AlertValue,
+    also=("scope",),
+    columns="id fleet wheelset scope track_section fleet_alert_id kind severity condition display_state opened_at"
+    " last_seen_at cleared_at closed_at close_reason close_reason_code occurrence_count probability_1 raise_limit"
+    " clear_limit limit_unit evidence action acknowledged_by acknowledged_at shelved_until shelved_reason external_refs"
+    " rules_version version links",
+):
     """One alert of one wheelset, or one fleet alert that stands for many; at most one of a kind is open at a time."""
 
-    id: int = Field(examples=[17])
-    fleet: str = Field(examples=["demo"])
-    wheelset: str | None = Field(examples=["WS-0001"], description="Null for an alert of a fleet or a section.")
-    scope: AlertScope = Field(description="Whether it is about a wheelset, the fleet or a track section.")
-    track_section: str | None = Field(description="Code of the section that it is about; null for all others.")
-    fleet_alert_id: int | None = Field(description="The fleet alert that this one is a member of.")
     kind: AlertKind
-    severity: Severity
-    condition: Condition
     display_state: DisplayState
-    opened_at: Timestamp
-    last_seen_at: Timestamp
-    cleared_at: Timestamp | None
-    closed_at: Timestamp | None
     close_reason: str | None
-    close_reason_code: CloseReason | None
-    occurrence_count: int
-    probability_1: float | None
-    raise_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
-    clear_limit: float | None = Field(description="As it was when the alert fired, in the unit of `limit_unit`.")
     limit_unit: str | None = Field(examples=["1"], description="Unit of both limits; fixed for a kind.")
     evidence: AnyEvidence = Field(
         description="Numbers, intervals, windows and limits that led to it; of a fleet alert, how many members it has."
     )
-    action: str = Field(description="Suggested action, from a code list.", examples=["reprofile"])
-    acknowledged_by: str | None
-    acknowledged_at: Timestamp | None
-    shelved_until: Timestamp | None
-    shelved_reason: str | None
-    external_refs: list[str]
-    rules_version: str | None = Field(description="The rules that it was raised by.")
-    version: int
     links: Links
 
 
-class Event(Representation):
+class Event(Derived, of=AlertEvent, without=("sequence",), columns="event recorded_at actor note alert"):
     """Something that happened to an alert, with the alert as it was right after."""
 
-    event: AlertEventKind
-    recorded_at: Timestamp
-    actor: str
-    note: str
     alert: Alert
 
 
@@ -159,10 +139,6 @@ def display_state(alert: AlertValue | AlertOutline, now_ns: int) -> DisplayState
     return DisplayState(alert.condition.value)
 
 
-def _time(t_ns: int | None) -> str | None:
-    return None if t_ns is None else to_rfc3339(t_ns)
-
-
 def _links(record: AlertValue) -> dict[str, str]:
     own = f"/v1/alerts/{record.alert_id}"
     links = {"self": own, "events": f"{own}/events"}
@@ -179,50 +155,22 @@ def _links(record: AlertValue) -> dict[str, str]:
 
 def alert(record: AlertValue, now_ns: int) -> Alert:
     """Return the representation of an alert at this time."""
-    return Alert(
-        id=record.alert_id,
-        fleet=record.fleet,
-        wheelset=record.wheelset,
-        scope=record.scope,
-        track_section=record.track_section,
-        fleet_alert_id=record.fleet_alert_id,
-        kind=record.kind,
-        severity=record.severity,
-        condition=record.condition,
-        display_state=display_state(record, now_ns),
-        opened_at=to_rfc3339(record.opened_ns),
-        last_seen_at=to_rfc3339(record.last_seen_ns),
-        cleared_at=_time(record.cleared_ns),
-        closed_at=_time(record.closed_ns),
-        close_reason=None if record.close_reason is None else record.close_reason.sentence,
-        close_reason_code=record.close_reason,
-        occurrence_count=record.occurrence_count,
-        probability_1=finite(record.probability),
-        raise_limit=finite(record.raise_limit),
-        clear_limit=finite(record.clear_limit),
-        limit_unit=None if record.scope is AlertScope.FLEET else LIMIT_UNITS.get(record.kind),
-        evidence=evidence_of(record),
-        action=record.action,
-        acknowledged_by=record.acknowledged_by,
-        acknowledged_at=_time(record.acknowledged_ns),
-        shelved_until=_time(record.shelved_until_ns),
-        shelved_reason=record.shelved_reason,
-        external_refs=list(record.external_refs),
-        rules_version=record.rules_version,
-        version=record.version,
-        links=_links(record),
-    )
+    return Alert.made(record, **_own(record, now_ns))
+
+
+def _own(record: AlertValue, now_ns: int) -> dict[str, Any]:
+    return {
+        "display_state": display_state(record, now_ns),
+        "close_reason": None if record.close_reason is None else record.close_reason.sentence,
+        "limit_unit": None if record.scope is AlertScope.FLEET else LIMIT_UNITS.get(record.kind),
+        "evidence": evidence_of(record),
+        "links": _links(record),
+    }
 
 
 def event(record: AlertEvent) -> Event:
     """Return the representation of an event; the alert's display state is the one at the event."""
-    return Event(
-        event=record.kind,
-        recorded_at=to_rfc3339(record.recorded_ns),
-        actor=record.actor,
-        note=record.note,
-        alert=alert(record.alert, record.recorded_ns),
-    )
+    return Event.made(record, alert=alert(record.alert, record.recorded_ns))
 
 
 class AlertSort(StrEnum):
@@ -249,4 +197,4 @@ def alert_row(record: AlertValue, now_ns: int, place: tuple[str | None, int | No
         place: Vehicle and axle that its wheelset ran under when it was opened.
     """
     vehicle, axle = place
-    return AlertRow(**dict(alert(record, now_ns)), vehicle=vehicle, axle=axle)
+    return AlertRow.made(record, **_own(record, now_ns), vehicle=vehicle, axle=axle)

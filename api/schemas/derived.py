@@ -15,6 +15,7 @@ from functools import cache, partial
 from typing import Annotated, Any, ClassVar, Self, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
+import pydantic
 from pydantic import Field
 
 from api.schemas.common import Representation, Uncertain, finite, finite_list, uncertain
@@ -62,24 +63,18 @@ def fields_of(kind: type) -> tuple[FieldOf, ...]:
 
 def field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
     """Return what a type with its metadata says of a field."""
-    served = PLAIN
-    if get_origin(hint) is Annotated:
-        hint, *metadata = get_args(hint)
-        served = next((one for one in metadata if isinstance(one, Served)), PLAIN)
-    nullable = False
-    if get_origin(hint) in {Union, types.UnionType}:
-        parts = [part for part in get_args(hint) if part is not types.NoneType]
-        nullable, hint = True, parts[0]
-    if get_origin(hint) is Annotated:  # metadata of files inside of a type that may be None
-        hint = get_args(hint)[0]
+    served, nullable = PLAIN, False
+    while get_origin(hint) in {Annotated, Union, types.UnionType}:
+        if get_origin(hint) is Annotated:
+            hint, *metadata = get_args(hint)
+            served = next((one for one in metadata if isinstance(one, Served)), served)
+        else:
+            (hint,) = (part for part in get_args(hint) if part is not types.NoneType)
+            nullable = True
     return FieldOf(key, hint, nullable, served)
 
 
-Convert = Callable[[Any], Any]
-
-
-def _through(convert: Convert, value: object) -> Any:  # noqa: ANN401 - as served
-    return None if value is None else convert(value)
+Convert = Callable[[Any], Any] | None  # None where a value is served as it is
 
 
 def served_type(field: FieldOf) -> tuple[Any, Convert]:
@@ -94,9 +89,10 @@ def served_type(field: FieldOf) -> tuple[Any, Convert]:
         return list[parts[0]], sorted  # type: ignore[valid-type]  # as the value declares it
     if origin is tuple:
         kind, convert = served_type(field_of("", parts[0]))
-        return list[kind], lambda items: [convert(item) for item in items]  # type: ignore[valid-type]  # a type all the same
+        return list[kind], list if convert is None else lambda items: [convert(item) for item in items]  # type: ignore[valid-type]  # a type all the same
     if origin is not None and issubclass(origin, Mapping):
-        return dict[parts[0], parts[1]], dict  # type: ignore[valid-type]  # as the value declares it
+        of = parts[1] if isinstance(parts[1], type) else pydantic.JsonValue
+        return dict[parts[0], of], dict  # type: ignore[valid-type]  # as the value declares it
     return _single(hint, field)
 
 
@@ -112,7 +108,7 @@ def _single(hint: Any, field: FieldOf) -> tuple[Any, Convert]:  # noqa: ANN401 -
         return float, lambda number: number * scale
     if hint in MODELS:
         return MODELS[hint], MODELS[hint].made
-    return hint, lambda item: item
+    return hint, None
 
 
 MODELS: dict[type, type[Derived]] = {}
@@ -126,10 +122,6 @@ def _served_fields(of: type, without: Collection[str], also: Collection[str]) ->
     return [field for field in (*fields_of(of), *properties) if field.key not in without]
 
 
-def _made(key: str, convert: Convert, value: object) -> Any:  # noqa: ANN401 - as served
-    return _through(convert, getattr(value, key))
-
-
 class Derived(Representation):
     """A representation of a value, whose own class describes its fields.
 
@@ -137,7 +129,7 @@ class Derived(Representation):
     ``columns`` the names of the fields as the columns of a table have them, where that is not the order of the class.
     """
 
-    makers: ClassVar[Mapping[str, Convert]] = {}
+    makers: ClassVar[Mapping[str, tuple[str, Convert]]] = {}
 
     def __init_subclass__(
         cls,
@@ -158,11 +150,11 @@ class Derived(Representation):
             kind, convert = (str, text_of) if field.hint is Reason else served_type(field)
             is_nullable = field.nullable or not field.served.finite or field.hint is Reason
             derived[field.name] = kind | None if is_nullable else kind
-            makers[field.name] = partial(_made, field.key, convert)
+            makers[field.name] = field.key, convert
             setattr(cls, field.name, field.words)
             if field.hint is Reason:
                 derived[f"{field.name}_code"] = ReasonCode | None
-                makers[f"{field.name}_code"] = partial(_made, field.key, code_of)
+                makers[f"{field.name}_code"] = field.key, code_of
                 if field.name != "reason":
                     setattr(cls, f"{field.name}_code", Field(description="Its code."))
         places, named = columns.split(), derived | own
@@ -171,14 +163,19 @@ class Derived(Representation):
         MODELS.setdefault(of, cls)
 
     @classmethod
-    def parts(cls, value: Any) -> dict[str, Any]:  # noqa: ANN401 - of the value's class
+    def parts(cls, value: Any, without: Collection[str] = ()) -> dict[str, Any]:  # noqa: ANN401 - of the value's class
         """Return the fields that a value fills in."""
-        return {name: make(value) for name, make in cls.makers.items()}
+        filled = {}
+        for name, (key, convert) in cls.makers.items():
+            if name not in without:
+                item = getattr(value, key)
+                filled[name] = item if convert is None or item is None else convert(item)
+        return filled
 
     @classmethod
     def made(cls, value: Any, **own: Any) -> Self:  # noqa: ANN401 - of the value's class; fields of the model
         """Return the representation of a value, with the fields that are not its own; those win."""
-        return cls(**{name: make(value) for name, make in cls.makers.items() if name not in own}, **own)
+        return cls(**cls.parts(value, own), **own)
 
 
 def provenance(result: AnyResult) -> dict[str, Any]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pydantic import Field, JsonValue
+import numpy as np
+from pydantic import Field
 
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
+from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.schemas.unestimated import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
@@ -18,8 +20,8 @@ from estimation.values.geometry import (
     BinStatus,
     BinValues,
     Centre,
-    CentreOrigin,
     GeometryRecord,
+    WheelsetGeometry,
 )
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
@@ -57,41 +59,35 @@ class ConicityAtAmplitude(Representation):
     equivalent_conicity_1: Uncertain
 
 
-class ConicityCentre(Representation):
+class ConicityCentre(Derived, of=Centre):
     """The point a conicity is about; in EN 15302 it is the one about equal rolling radii."""
 
-    displacement_mm: float | None = Field(
-        description="Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left."
-    )
-    rolling_line_std_mm: float | None = Field(
-        description="Standard deviation of where both rolling radii are equal, against that: a bogie holds wheels of "
-        "different diameters off it. What it changes is part of the intervals."
-    )
-    origin: CentreOrigin = Field(description="From where the displacement is counted.")
+
+_NOT_MADE_FROM = ("wheelset", "baseline", "interval", "mileage_km", "from_ns", "to_ns", "geometry", "recorded_ns")
 
 
-class Provenance(Representation):
+class Provenance(Derived, of=GeometryRecord, without=_NOT_MADE_FROM):
     """What an estimate was made from; the same inputs and code give the same numbers."""
 
-    code_version: str
-    input_digest: str
     parameter_key: str
-    parameters: dict[str, JsonValue]
     track_versions: dict[str, list[int]] = Field(
         description="By section, the versions of its alignment that the windows were estimated with, increasing."
     )
 
 
-class Geometry(Representation):
+_AS_BINS = (
+    *("bin_edges", "samples", "rolling_radius_sum", "rolling_radius_difference", "contact_angle_sum"),
+    *("contact_angle_difference", "amplitude", "conicity", "parameter_key"),
+)
+
+
+class Geometry(Derived, of=WheelsetGeometry, without=_AS_BINS):
     """Contact geometry of one wheelset, estimated from the data since its last reprofiling.
 
     Where nothing was ever estimated the numbers are null, the bins empty, and `unestimated_because` explains it.
     """
 
     wheelset: str = Field(examples=["WS-0001"])
-    status: Status
-    reason: str | None
-    reason_code: ReasonCode | None
     unestimated_because: UnestimatedBecause | None = Field(
         description="Why nothing is estimated now, by its windows; null where something is, and with `as_of`."
     )
@@ -100,10 +96,6 @@ class Geometry(Representation):
     measured_from: Timestamp | None = Field(description="Begin of its data; null without a geometry.")
     measured_to: Timestamp | None = Field(description="End of its data, not included; null without a geometry.")
     recorded_at: Timestamp | None = Field(description="When it was recorded; null without a geometry.")
-    n_windows: int
-    equivalent_conicity_1: Uncertain
-    equivalent_conicity_amplitude_mm: float | None = Field(description="3 mm, or the largest amplitude covered.")
-    centre: ConicityCentre | None = Field(description="The point the conicity is about; null without a conicity.")
     equivalent_conicity_at_3_mm_1: Uncertain = Field(
         description="What limits are compared with; where the motion does not cover 3 mm extrapolated, see `reason`."
     )
@@ -111,8 +103,6 @@ class Geometry(Representation):
         description="Windows since the last reprofiling that are not believed, by reason; null without a geometry."
     )
     conicity_by_amplitude: list[ConicityAtAmplitude]
-    nonlinearity_parameter_per_mm: Uncertain
-    zero_crossing_mm: Uncertain = Field(description="Lateral displacement at which both rolling radii are equal.")
     bins: Bins
     provenance: Provenance | None = Field(description="What it was made from; null without a geometry.")
     links: Links
@@ -127,66 +117,31 @@ def _column(values: BinValues, scale: float) -> BinColumn:
     )
 
 
-def _centre(found: Centre) -> ConicityCentre:
-    return ConicityCentre(
-        displacement_mm=finite(found.displacement, MM),
-        rolling_line_std_mm=finite(found.std, MM),
-        origin=found.origin,
-    )
-
-
 def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> Geometry:
     """Return the representation of a geometry estimate.
 
     Args:
         without: Why it holds no number; None where it does, or as it was recorded at a time.
     """
-    found = record.geometry
-    reason = found.reason if without is None else without.reason
-    own = f"/v1/wheelsets/{segment(record.wheelset)}"
-    return Geometry(
-        wheelset=record.wheelset,
-        status=found.status,
-        reason=text_of(reason),
-        reason_code=code_of(reason),
-        unestimated_because=None if without is None else unestimated_because(without),
-        baseline=record.baseline,
-        mileage_km=finite(record.mileage_km),
-        measured_from=to_rfc3339(record.from_ns),
-        measured_to=to_rfc3339(record.to_ns),
-        recorded_at=to_rfc3339(record.recorded_ns),
-        n_windows=found.windows,
-        equivalent_conicity_1=uncertain(found.equivalent_conicity),
-        equivalent_conicity_amplitude_mm=finite(found.reported_amplitude, MM),
-        centre=None if found.centre is None else _centre(found.centre),
-        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
-        windows_left_out=_left_out(record),
-        conicity_by_amplitude=[
-            ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
-            for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)
-        ],
-        nonlinearity_parameter_per_mm=uncertain(found.nonlinearity),
-        zero_crossing_mm=uncertain(found.zero_crossing, MM),
-        bins=bin_table(record),
-        provenance=Provenance(
-            code_version=record.code_version,
-            input_digest=record.input_digest,
-            parameter_key=found.parameter_key,
-            parameters=dict(record.parameters),
+    shown = _geometry(record.wheelset, record.baseline, record.geometry, without)
+    own = shown.links["self"]
+    shown.links["as_recorded"] = f"{own}?as_of={to_rfc3339(record.recorded_ns)}"
+    for section, versions in sorted(record.track_versions.items()):
+        path = f"/v1/track-sections/{segment(section)}/alignment?version={versions[-1]}"
+        shown.links[f"alignment:{section}"] = path
+    of_record = {
+        "mileage_km": finite(record.mileage_km),
+        "measured_from": to_rfc3339(record.from_ns),
+        "measured_to": to_rfc3339(record.to_ns),
+        "recorded_at": to_rfc3339(record.recorded_ns),
+        "windows_left_out": _left_out(record),
+        "provenance": Provenance.made(
+            record,
+            parameter_key=record.geometry.parameter_key,
             track_versions={section: list(versions) for section, versions in record.track_versions.items()},
         ),
-        links={
-            "self": f"{own}/geometry",
-            "as_recorded": f"{own}/geometry?as_of={to_rfc3339(record.recorded_ns)}",
-            "wheelset": own,
-            "trend": f"{own}/trend",
-            "windows": f"{own}/windows",
-            **{
-                f"alignment:{section}": f"/v1/track-sections/{segment(section)}/alignment?version={versions[-1]}"
-                for section, versions in sorted(record.track_versions.items())
-            },
-        },
-    )
+    }
+    return shown.model_copy(update=of_record)
 
 
 def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEstimate | None = None) -> Geometry:
@@ -195,39 +150,46 @@ def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEsti
     Args:
         without: The same by its windows; None of a time that has passed.
     """
-    own = f"/v1/wheelsets/{segment(serial)}"
-    unknown = uncertain(Estimate.unknown(reason))
-    empty = BinColumn(value=[], std=[], status=[])
-    return Geometry(
-        wheelset=serial,
+    unknown, empty = Estimate.unknown(reason), BinValues(np.zeros(0), np.zeros(0), ())
+    nothing = WheelsetGeometry(
+        bin_edges=np.zeros(1),
+        samples=np.zeros(0),
+        rolling_radius_sum=empty,
+        rolling_radius_difference=empty,
+        contact_angle_sum=empty,
+        contact_angle_difference=empty,
+        amplitude=np.zeros(0),
+        conicity=(),
+        reported_amplitude=np.nan,
+        equivalent_conicity=unknown,
+        nonlinearity=unknown,
+        zero_crossing=unknown,
+        windows=0,
+        parameter_key="",
         status=Status.UNESTIMATED,
-        reason=reason.text,
-        reason_code=reason.code,
-        unestimated_because=None if without is None else unestimated_because(without),
+        reason=reason,
+    )
+    return _geometry(serial, baseline, nothing, without)
+
+
+def _geometry(serial: str, baseline: int, found: WheelsetGeometry, without: WithoutEstimate | None) -> Geometry:
+    reason = found.reason if without is None else without.reason
+    own = f"/v1/wheelsets/{segment(serial)}"
+    of_record = ("mileage_km", "measured_from", "measured_to", "recorded_at", "windows_left_out", "provenance")
+    return Geometry.made(
+        found,
+        **dict.fromkeys(of_record, None),
+        wheelset=serial,
+        reason=text_of(reason),
+        reason_code=code_of(reason),
+        unestimated_because=unestimated_because(without),
         baseline=baseline,
-        mileage_km=None,
-        measured_from=None,
-        measured_to=None,
-        recorded_at=None,
-        n_windows=0,
-        equivalent_conicity_1=unknown,
-        equivalent_conicity_amplitude_mm=None,
-        centre=None,
-        equivalent_conicity_at_3_mm_1=unknown,
-        windows_left_out=None,
-        conicity_by_amplitude=[],
-        nonlinearity_parameter_per_mm=unknown,
-        zero_crossing_mm=unknown,
-        bins=Bins(
-            lower_mm=[],
-            upper_mm=[],
-            samples_1=[],
-            rolling_radius_sum_mm=empty,
-            rolling_radius_difference_mm=empty,
-            contact_angle_sum_rad=empty,
-            contact_angle_difference_rad=empty,
-        ),
-        provenance=None,
+        equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
+        conicity_by_amplitude=[
+            ConicityAtAmplitude(amplitude_mm=float(amplitude) * MM, equivalent_conicity_1=uncertain(conicity))
+            for amplitude, conicity in zip(found.amplitude, found.conicity, strict=True)
+        ],
+        bins=bin_table(found),
         links={"self": f"{own}/geometry", "wheelset": own, "trend": f"{own}/trend", "windows": f"{own}/windows"},
     )
 
@@ -239,9 +201,8 @@ def _left_out(record: GeometryRecord) -> dict[str, int] | None:
     return {code: count for code, count in stored.items() if isinstance(count, int)}
 
 
-def bin_table(record: GeometryRecord) -> Bins:
+def bin_table(found: WheelsetGeometry) -> Bins:
     """Return the bin table of an estimate."""
-    found = record.geometry
     edges = [float(edge) * MM for edge in found.bin_edges]
     return Bins(
         lower_mm=edges[:-1],
@@ -267,15 +228,16 @@ def table(geometry_: Geometry) -> tuple[Sequence[str], list[Sequence[object]]]:
     return header, list(zip(*columns, strict=True))
 
 
-class Interval(Representation):
+class Interval(
+    Derived,
+    of=GeometryRecord,
+    without=("geometry", "input_digest", "track_versions", "parameters", "code_version", "recorded_ns"),
+    columns="wheelset baseline interval mileage_km measured_from measured_to n_windows status reason reason_code"
+    " equivalent_conicity_at_3_mm_1",
+):
     """What was estimated from one stretch of mileage between two visits to the lathe."""
 
-    wheelset: str = Field(examples=["WS-0001"])
-    baseline: int
     interval: int = Field(description="Number of the mileage interval since the last reprofiling, from 0.")
-    mileage_km: float | None = Field(description="Weighted mean mileage of its windows since the wheelset was new.")
-    measured_from: Timestamp
-    measured_to: Timestamp
     n_windows: int
     status: Status
     reason: str | None
@@ -315,13 +277,9 @@ class DataQuality(Representation):
 def interval(record: GeometryRecord) -> Interval:
     """Return the representation of what was estimated from one stretch of mileage."""
     found = record.geometry
-    return Interval(
-        wheelset=record.wheelset,
-        baseline=record.baseline,
+    return Interval.made(
+        record,
         interval=record.interval or 0,
-        mileage_km=finite(record.mileage_km),
-        measured_from=to_rfc3339(record.from_ns),
-        measured_to=to_rfc3339(record.to_ns),
         n_windows=found.windows,
         status=found.status,
         reason=text_of(found.reason),

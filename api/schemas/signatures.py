@@ -8,10 +8,12 @@ from typing import Literal
 from pydantic import Field
 
 from api.schemas.common import Links
-from api.schemas.derived import Derived
+from api.schemas.derived import Derived, provenance
 from api.schemas.registry import segment
+from api.times import Timestamp
 from estimation.signatures.answer import most_likely
 from estimation.values import signatures as values
+from estimation.values.results import Result
 
 
 class StateOfWear(Derived, of=values.StateProbability):
@@ -30,7 +32,7 @@ class _Said(Derived, of=values.SignatureAnswer, without=("used",)):
     """What the library says."""
 
 
-class SignatureAnswer(_Said, of=values.SignatureRecord, without=("answer", "signatures")):
+class SignatureAnswer(_Said, of=values.SignatureFinding, without=("answer", "signatures")):
     """What a library of other wheelsets' raw signals says of this one; never mixed into its geometry."""
 
     method: Literal["signature"] = Field(description="How the conicity was found; that of the geometry is `geometry`.")
@@ -38,18 +40,23 @@ class SignatureAnswer(_Said, of=values.SignatureRecord, without=("answer", "sign
     used_entries: list[UsedEntry] = Field(
         description="Those that count most, at most ten; without those of fleets that you do not see."
     )
+    recorded_at: Timestamp
+    code_version: str
+    input_digest: str
     links: Links
 
 
-def signature_answer(record: values.SignatureRecord, seen: Collection[str]) -> SignatureAnswer:
+def signature_answer(result: Result[values.SignatureFinding], seen: Collection[str]) -> SignatureAnswer:
     """Return the representation of an answer.
 
     Args:
         seen: Wheelsets of the library that may be named.
     """
-    found, own = record.answer, f"/v1/wheelsets/{segment(record.wheelset)}"
+    assert result.value is not None
+    found, own = result.value.answer, f"/v1/wheelsets/{segment(result.subject)}"
     return SignatureAnswer.made(
-        record,
+        result.value,
+        **provenance(result),
         **dict(_Said.made(found)),
         method=values.METHOD,
         state=StateOfWear.made(most_likely(found.states)) if found.states else None,

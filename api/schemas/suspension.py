@@ -11,10 +11,7 @@ from estimation.values.trend import SuspensionChange, SuspensionFinding
 
 
 class SuspensionResult(
-    Derived,
-    of=SuspensionFinding,
-    without=("vehicle", "ratio", "ratio_std"),
-    also=("stiffness_ratio",),
+    Derived, of=SuspensionFinding, without=("vehicle", "ratio", "ratio_std"), also=("stiffness_ratio",)
 ):
     """Yaw stiffness over longitudinal creep coefficient of the vehicle, from its passes of one section."""
 

@@ -8,12 +8,12 @@ from typing import Any
 from pydantic import Field, JsonValue
 
 from api.schemas.common import Links, Representation, finite, finite_list
+from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.track.convergence import Iterated
-from estimation.values.quantities import Status
-from estimation.values.reasons import ReasonCode, code_of, text_of
-from estimation.values.track import AlignmentRecord, AlignmentSource, TrackAlignment, TrackReport, TrackSectionRecord
+from estimation.values.reasons import ReasonCode
+from estimation.values.track import AlignmentRecord, TrackAlignment, TrackReport, TrackSectionRecord
 
 MM = 1000.0
 
@@ -26,19 +26,15 @@ class LinePoint(Representation):
     longitude_deg: float
 
 
-class TrackSection(Representation):
+class TrackSection(
+    Derived,
+    of=TrackSectionRecord,
+    without=("line",),
+    columns="code number name rail_profile rail_inclination_1 nominal_gauge_mm length_m tonnage_mgt_per_year"
+    " coordinates links",
+):
     """A section of line; `number` identifies it on the vehicle's bus."""
 
-    code: str = Field(examples=["main-1"])
-    number: int
-    name: str
-    rail_profile: str = Field(examples=["56E1"])
-    rail_inclination_1: float = Field(examples=[0.05])
-    nominal_gauge_mm: float = Field(examples=[1435.0])
-    length_m: float
-    tonnage_mgt_per_year: float | None = Field(
-        description="Traffic, million gross tonnes a year. Null: the registry does not say.", examples=[18.0]
-    )
     coordinates: list[LinePoint] | None = Field(description="WGS84. Null: positions are not checked by GNSS.")
     links: Links
 
@@ -71,17 +67,9 @@ class Convergence(Representation):
     change_1: float | None = Field(description="By the last round, of stiffness ratios.")
 
 
-class AlignmentReport(Representation):
+class AlignmentReport(Derived, of=TrackReport, without=("input_digest", "report", "report_id")):
     """What a run of the alignment job found of a section, and from what."""
 
-    section: str
-    version: int | None = Field(description="In force after that run; null where there is none yet.")
-    made_version: bool = Field(description="Whether that run made the version.")
-    status: Status
-    reason: str | None = Field(description="Why nothing is estimated, or why an estimate has not converged.")
-    reason_code: ReasonCode | None
-    recorded_at: Timestamp
-    n_windows: int
     passes: int
     wheelsets: int = Field(description="Lives of profiles, by mileage interval.")
     mean_passes_1: float | None = Field(description="Per place that has any.")
@@ -100,22 +88,12 @@ class AlignmentReport(Representation):
     refused_windows_by_code: dict[ReasonCode, int] = Field(description="Windows without a pass, by reason.")
     parameters: dict[str, JsonValue] = Field(description="Settings that shaped it; empty where none were kept.")
     journeys: list[Journey]
-    code_version: str
     links: Links
 
 
-class AlignmentVersion(Representation):
+class AlignmentVersion(Derived, of=AlignmentRecord, without=("alignment_std_m", "points", "superseded_ns")):
     """A version of what is known of a section, without its columns."""
 
-    section: str
-    version: int
-    status: Status
-    source: AlignmentSource = Field(examples=["fleet"])
-    cut_off_m: float | None = Field(description="Longer wavelengths are not in it; null where all are.")
-    scale_std_1: float | None = Field(description="Relative, of a common stretch that it leaves open.")
-    gauge_known: bool
-    same_since_version: int = Field(description="It differs from this one by less than that left unknown.")
-    recorded_at: Timestamp | None
     links: Links
 
 
@@ -133,11 +111,16 @@ class Alignment(AlignmentVersion):
     report: AlignmentReport | None = Field(description="Of the run that made it; null of a recording as registered.")
 
 
-class AlignmentSummary(AlignmentVersion):
+class AlignmentSummary(
+    Derived,
+    of=AlignmentRecord,
+    without=("superseded_ns",),
+    columns="section version status source cut_off_m scale_std_1 gauge_known same_since_version recorded_at links"
+    " points alignment_std_mm",
+):
     """A version in the list of versions."""
 
-    points: int
-    alignment_std_mm: float | None = Field(description="Median along the section; null of a recording as registered.")
+    links: Links
 
 
 def _point(distance_m: float, latitude_deg: float, longitude_deg: float) -> LinePoint:
@@ -147,15 +130,8 @@ def _point(distance_m: float, latitude_deg: float, longitude_deg: float) -> Line
 def section(record: TrackSectionRecord) -> TrackSection:
     """Return the representation of a track section."""
     own = f"/v1/track-sections/{segment(record.code)}"
-    return TrackSection(
-        code=record.code,
-        number=record.number,
-        name=record.name,
-        rail_profile=record.rail_profile,
-        rail_inclination_1=record.rail_inclination,
-        nominal_gauge_mm=record.nominal_gauge_m * MM,
-        length_m=record.length_m,
-        tonnage_mgt_per_year=record.tonnage_mgt_per_year,
+    return TrackSection.made(
+        record,
         coordinates=None if record.line is None else [_point(*point) for point in record.line],
         links={
             "self": own,
@@ -169,8 +145,9 @@ def section(record: TrackSectionRecord) -> TrackSection:
 def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackReport | None) -> Alignment:
     """Return the representation of an alignment."""
     unknown: list[float | None] = [None] * len(found.s)
-    return Alignment(
-        **_version(record),
+    return Alignment.made(
+        record,
+        links=_links(record),
         position_m=[float(s) for s in found.s],
         alignment_mm=finite_list(found.alignment, MM),
         alignment_std_mm=finite_list(found.alignment_std, MM),
@@ -183,9 +160,7 @@ def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackRepo
 
 def alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
     """Return the representation of a version without its columns."""
-    return AlignmentSummary(
-        **_version(record), points=record.points, alignment_std_mm=finite(record.alignment_std_m, MM)
-    )
+    return AlignmentSummary.made(record, links=_links(record))
 
 
 def report(record: TrackReport) -> AlignmentReport:
@@ -193,15 +168,8 @@ def report(record: TrackReport) -> AlignmentReport:
     own = f"/v1/track-sections/{segment(record.section)}"
     report = record.report
     in_force = {} if record.version is None else {"alignment": _path(record.section, record.version)}
-    return AlignmentReport(
-        section=record.section,
-        version=record.version,
-        made_version=record.made,
-        status=record.status,
-        reason=text_of(record.reason),
-        reason_code=code_of(record.reason),
-        recorded_at=to_rfc3339(record.recorded_ns),
-        n_windows=record.windows,
+    return AlignmentReport.made(
+        record,
         residual_rms_mm=_scaled(report.get("residual_rms_m"), MM),
         alignment_std_mm=_scaled(report.get("alignment_std_m"), MM),
         mean_passes_1=_scaled(report.get("mean_passes")),
@@ -209,7 +177,6 @@ def report(record: TrackReport) -> AlignmentReport:
         covered_1=_scaled(report.get("covered")),
         convergence=[_convergence(item) for item in _listed(report.get("convergence"))],
         journeys=[_journey(item) for item in _listed(report.get("journeys"))],
-        code_version=record.code_version,
         links={"self": f"{own}/alignment-report", "section": own, **in_force},
         **_as_stored(report),
     )
@@ -273,18 +240,6 @@ def _path(section: str, version: int) -> str:
     return f"/v1/track-sections/{segment(section)}/alignment?version={version}"
 
 
-def _version(record: AlignmentRecord) -> dict[str, Any]:
-    """Return the fields that every representation of a version has."""
+def _links(record: AlignmentRecord) -> dict[str, str]:
     own = f"/v1/track-sections/{segment(record.section)}"
-    return {
-        "section": record.section,
-        "version": record.version,
-        "status": record.status,
-        "source": record.source,
-        "cut_off_m": finite(record.cut_off_m),
-        "scale_std_1": finite(record.scale_std),
-        "gauge_known": record.gauge_known,
-        "same_since_version": record.same_since,
-        "recorded_at": None if record.recorded_ns is None else to_rfc3339(record.recorded_ns),
-        "links": {"self": _path(record.section, record.version), "section": own, "alignments": f"{own}/alignments"},
-    }
+    return {"self": _path(record.section, record.version), "section": own, "alignments": f"{own}/alignments"}

@@ -8,6 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from api.schemas.common import Links, Representation, finite, finite_list, uncertain
+from api.schemas.derived import Derived
 from api.schemas.geometry import MM, ConicityAtAmplitude
 from api.schemas.registry import segment
 from estimation.accuracy.wheel_contact import RailShare, WheelContact
@@ -19,13 +20,8 @@ SHOWN = 8e-3  # m of lateral displacement
 DECIMALS = 6  # of millimetres: a nanometre
 
 
-class Rails(Representation):
+class Rails(Derived, of=RailShare):
     """Rails as they are laid on some of the track."""
-
-    rail_profile: str = Field(examples=["60E1"])
-    rail_inclination_1: float = Field(examples=[0.025])
-    nominal_gauge_mm: float = Field(examples=[1435.0])
-    share_1: float = Field(description="Share of the running on them.", examples=[1.0])
 
 
 class ContactCurve(Representation):
@@ -83,7 +79,7 @@ def profile_contact(found: WheelContact | Reason) -> ProfileContact:
         status=Status.ESTIMATED,
         reason=None,
         reason_code=None,
-        rails=[_rails(one) for one in found.rails],
+        rails=[Rails.made(one) for one in found.rails],
         curve=_curve(found),
         zero_crossing_mm=finite(found.zero_crossing, MM),
         conicity_by_amplitude=[
@@ -111,15 +107,6 @@ def table(contact: ProfileContact) -> tuple[Sequence[str], list[Sequence[object]
     if contact.curve is None:
         return header, []
     return header, list(zip(*(getattr(contact.curve, name) for name in header), strict=True))
-
-
-def _rails(one: RailShare) -> Rails:
-    return Rails(
-        rail_profile=one.rail,
-        rail_inclination_1=one.inclination,
-        nominal_gauge_mm=one.gauge * MM,
-        share_1=one.share,
-    )
 
 
 def _curve(found: WheelContact) -> ContactCurve:

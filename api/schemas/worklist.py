@@ -8,15 +8,16 @@ from pydantic import Field
 
 from api.schemas import registry
 from api.schemas.alerts import AlertKind
-from api.schemas.common import Links, Representation, Uncertain, finite, uncertain
+from api.schemas.common import Links, Representation, Uncertain, finite
+from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.times import Timestamp, to_rfc3339
 from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii
-from estimation.values.alerts import Condition, Severity
+from estimation.values.alerts import Severity
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.worklist import AxlePosition, BogiePlace, OpenAlert, Urgency, WorklistRow, WorklistState
+from estimation.values.worklist import AxlePosition, OpenAlert, Urgency, WorklistRow, WorklistState
 from fleet_db.stores.worklist import WorklistOrder
 from fleet_db.worklist_documents import from_document
 
@@ -26,11 +27,8 @@ WorklistSort = StrEnum(  # type: ignore[misc] # mypy wants the members written o
 )
 
 
-class WorklistPosition(Representation):
+class WorklistPosition(Derived, of=AxlePosition):
     """Where a wheelset is under its vehicle; nulls where the vehicle has no bogies or its class is not on file."""
-
-    bogie: int | None = Field(description="Number of the bogie, from 1 in the order of the axles.", examples=[1])
-    place: BogiePlace | None = Field(description="Which of the bogie's two, in the order of the axle numbers.")
 
 
 class WorklistReason(Representation):
@@ -40,39 +38,36 @@ class WorklistReason(Representation):
     text: str = Field(description="In words.", examples=["due in 12,400 km (p10 8,000 km)"])
 
 
-class WorklistAlert(Representation):
+class WorklistAlert(Derived, of=OpenAlert):
     """An open alert, in short."""
 
-    id: int = Field(description="Number of the alert.", examples=[1])
     kind: AlertKind
-    severity: Severity
-    condition: Condition
-    opened_at: Timestamp
-    acknowledged: bool
-    shelved_until: Timestamp | None
 
 
-class WheelsetState(Representation):
+_OWN = ("distance_to_limit_km", "date_of_limit_ns", "forecast_reason", "mileage", "reasons")
+
+
+class WheelsetState(
+    Derived,
+    of=WorklistState,
+    without=_OWN,
+    columns="status urgency urgency_rank reasons conicity_1 measured_until slope_1_per_1000_km limit_1"
+    " probability_over_limit_1 distance_to_limit_km since_trend_km date_of_limit mileage_km mileage_at last_data_at"
+    " alerts worst_severity",
+):
     """How a wheelset is now: what is stored of it, kept current with every change."""
 
-    status: Status = Field(description="Of the conicity now.")
-    urgency: Urgency
+    status: Status
+    conicity_1: Uncertain
+    last_data_at: Timestamp | None
     urgency_rank: int = Field(description="1 is the most urgent class of `urgency`.", examples=[3])
     reasons: list[WorklistReason] = Field(description="Why it is so urgent, the most important reason first.")
-    conicity_1: Uncertain = Field(description="Equivalent conicity at 3 mm of the current profile.")
-    measured_until: Timestamp | None = Field(description="End of the newest data behind the conicity.")
-    slope_1_per_1000_km: Uncertain = Field(description="Of the trend since the last reprofiling.")
-    limit_1: float | None = Field(description="Conicity limit that the trend is held against.")
-    probability_over_limit_1: float | None = Field(description="That the limit is exceeded; null means unknown.")
     distance_to_limit_km: DistanceForecast = Field(
         description="Still to run from `mileage_km`: the trend's own distance less `since_trend_km`."
     )
-    since_trend_km: float | None = Field(description="Run since the last point of the trend.")
     date_of_limit: DateForecast
     mileage_km: float | None = Field(description="Since new, by the last reading that is believed.")
     mileage_at: Timestamp | None = Field(description="When it was read.")
-    last_data_at: Timestamp | None = Field(description="End of the newest data that are estimated or wait for it.")
-    alerts: list[WorklistAlert] = Field(description="Open alerts, the worst first.")
     worst_severity: Severity | None = Field(description="Of the open alerts; null where none is open.")
 
 
@@ -94,7 +89,7 @@ def wheelset_row(row: WorklistRow) -> WheelsetRow:
         vehicle=None if mounting is None else mounting.vehicle,
         vehicle_class=row.vehicle_class,
         axle=None if mounting is None else mounting.axle,
-        position=None if row.position is None else _position(row.position),
+        position=None if row.position is None else WorklistPosition.made(row.position),
         state=_state(row.state),
     )
 
@@ -104,50 +99,17 @@ def row_of_document(document: str) -> WheelsetRow:
     return wheelset_row(from_document(document))
 
 
-def _position(position: AxlePosition) -> WorklistPosition:
-    return WorklistPosition(bogie=position.bogie, place=position.place)
-
-
 def _state(state: WorklistState) -> WheelsetState:
-    return WheelsetState(
-        status=state.status,
-        urgency=state.urgency,
+    return WheelsetState.made(
+        state,
         urgency_rank=state.urgency.rank,
-        reasons=[_reason(reason) for reason in state.reasons],
-        conicity_1=uncertain(state.conicity),
-        measured_until=_moment(state.measured_until_ns),
-        slope_1_per_1000_km=uncertain(state.slope_per_1000_km),
-        limit_1=finite(state.limit),
-        probability_over_limit_1=finite(state.probability_over_limit),
+        reasons=[WorklistReason(code=reason.code, text=reason.text) for reason in state.reasons],
         distance_to_limit_km=distance_forecast(state.distance_to_limit_km, state.forecast_reason),
-        since_trend_km=finite(state.since_trend_km),
         date_of_limit=date_forecast(state.date_of_limit_ns, state.forecast_reason),
         mileage_km=None if state.mileage is None else state.mileage.mileage_km,
         mileage_at=None if state.mileage is None else to_rfc3339(state.mileage.at_ns),
-        last_data_at=_moment(state.last_data_ns),
-        alerts=[_alert(alert) for alert in state.alerts],
         worst_severity=state.alerts[0].severity if state.alerts else None,
     )
-
-
-def _reason(reason: Reason) -> WorklistReason:
-    return WorklistReason(code=reason.code, text=reason.text)
-
-
-def _alert(alert: OpenAlert) -> WorklistAlert:
-    return WorklistAlert(
-        id=alert.alert_id,
-        kind=alert.kind,
-        severity=alert.severity,
-        condition=alert.condition,
-        opened_at=to_rfc3339(alert.opened_ns),
-        acknowledged=alert.acknowledged,
-        shelved_until=_moment(alert.shelved_until_ns),
-    )
-
-
-def _moment(t_ns: int | None) -> str | None:
-    return None if t_ns is None else to_rfc3339(t_ns)
 
 
 _MM = 1e3
@@ -178,14 +140,8 @@ class TurningPlanLine(Representation):
     not_checked: list[str] = Field(description="Which limits could not be held against it, and why.")
 
 
-class TurningLimits(Representation):
+class TurningLimits(Derived, of=DiameterLimits):
     """The limits that the plan was made with; null was not checked."""
-
-    cut_mm: float | None
-    minimum_radius_mm: float | None
-    axle_difference_mm: float | None
-    bogie_difference_mm: float | None
-    vehicle_difference_mm: float | None
 
 
 class TurningPlan(Representation):
@@ -250,17 +206,6 @@ def turning_plan_line(line: PlanLine, row: WorklistRow) -> TurningPlanLine:
         radius_mm=None if one.radii is None else finite(min(one.radii.wheels), _MM),
         radius_after_mm=finite(line.radius_after, _MM),
         not_checked=list(line.not_checked),
-    )
-
-
-def turning_limits(limits: DiameterLimits) -> TurningLimits:
-    """Return the representation of the limits."""
-    return TurningLimits(
-        cut_mm=finite(limits.cut, _MM),
-        minimum_radius_mm=finite(limits.minimum_radius, _MM),
-        axle_difference_mm=finite(limits.axle_difference, _MM),
-        bogie_difference_mm=finite(limits.bogie_difference, _MM),
-        vehicle_difference_mm=finite(limits.vehicle_difference, _MM),
     )
 
 

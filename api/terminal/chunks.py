@@ -11,8 +11,8 @@ import typer
 
 from api import logs
 from api.factory import SystemClock, once_the_database_answers, open_store, process_name, raw_store, receiver
+from api.progress import counted
 from api.settings import load_settings
-from api.terminal.keeping import counted
 from api.tracing import start_tracing
 from estimation.errors import StoppedError, StorageError
 from estimation.jobs.stop_signals import stop_on_signals
@@ -26,15 +26,7 @@ _log = logging.getLogger(__name__)
 
 
 def work(*, once: bool) -> None:
-    """Decode what is received until a stop is requested.
-
-    Args:
-        once: Whether to end when nothing waits any more.
-
-    Raises:
-        MigrationError: The database is at another migration.
-        StorageError: It cannot be used, and nobody brings it back.
-    """
+    """Decode what is received until a stop is requested."""
     settings = load_settings()
     logs.configure(settings)
     start_tracing()
@@ -68,12 +60,7 @@ def work(*, once: bool) -> None:
 def scrub_and_report(mb_per_s: float | None, *, resume: bool) -> None:
     """Read every raw file again and print what is damaged or missing.
 
-    Args:
-        mb_per_s: Megabytes a second at most; None for as fast as the disk.
-
     Raises:
-        StorageError: The database cannot be used.
-        PassingFaultError: The folder of raw recordings is not mounted.
         typer.Exit: Code 1: something is damaged or missing.
     """
     settings = load_settings()

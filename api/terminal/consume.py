@@ -41,17 +41,7 @@ _log = logging.getLogger(__name__)
 
 
 def consume(health: HealthAddress | None) -> None:
-    """Consume the topic.
-
-    Args:
-        health: Where to serve health and metrics; None for nowhere.
-
-    Raises:
-        ParameterError: No brokers are set, or a property of the client cannot be used.
-        PassingFaultError: The client is not installed.
-        MigrationError: The database is at another migration.
-        StorageError: It cannot be used, and nobody brings it back.
-    """
+    """Consume the topic."""
     settings = load_settings()
     logs.configure(settings)
     start_tracing()

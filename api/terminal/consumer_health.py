@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 
 from prometheus_client import CollectorRegistry
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
-from prometheus_client.registry import Collector
 
+from api.measures import Measured, counter, gauge
 from api.terminal.health_server import Answer, Health, HealthAddress, json_answer, served
-from ingest.topic.outcomes import Outcome
+from ingest.topic.reference import Outcome
 from ingest.topic.status import ConsumerStatus
 
 PREFIX = "treadwatch_consumer_"
@@ -32,7 +32,7 @@ def serving_consumer_health(address: HealthAddress, status: ConsumerStatus) -> I
 def registered(status: ConsumerStatus) -> CollectorRegistry:
     """Return the measures of a consumer."""
     registry = CollectorRegistry()
-    registry.register(_Measures(status))
+    registry.register(Measured(partial(_measures, status)))
     return registry
 
 
@@ -47,35 +47,24 @@ def _readiness(status: ConsumerStatus) -> Answer:
     return json_answer(status.alive and not status.faults, facts)
 
 
-class _Measures(Collector):
-    def __init__(self, status: ConsumerStatus) -> None:
-        self._status = status
-
-    def collect(self) -> Iterable[Metric]:
-        status = self._status
-        messages = CounterMetricFamily(
-            f"{PREFIX}messages", "Messages of the topic by what became of them.", labels=["outcome"]
-        )
-        for outcome in Outcome:
-            messages.add_metric([outcome.value], status.outcomes[outcome])
-        yield messages
-        yield CounterMetricFamily(f"{PREFIX}chunks_decoded", "Chunks that were decoded.", value=status.decoded)
-        yield CounterMetricFamily(
-            f"{PREFIX}chunks_not_decoded", "Chunks that could not be decoded.", value=status.not_decoded
-        )
-        gauges = {
-            "partitions": ("Partitions that are this consumer's.", status.partitions),
-            "messages_waiting": ("Messages of these partitions that are not taken yet.", status.behind_by),
-            "last_message_timestamp_seconds": (
-                "When the last message was taken; 0 before the first.",
-                status.last_message_s or 0.0,
-            ),
-            "last_reference_age_seconds": ("How old the last reference was when it was taken.", status.last_age_s),
-        }
-        for name, (text, value) in gauges.items():
-            yield GaugeMetricFamily(f"{PREFIX}{name}", text, value=value)
-        up = GaugeMetricFamily(f"{PREFIX}up", "Whether it works.", labels=["what"])
-        faults = {**status.faults, **({} if status.behind is None else {"backlog": status.behind})}
-        for what in ("broker", "raw", "database", "backlog"):
-            up.add_metric([what], 0.0 if what in faults else 1.0)
-        yield up
+def _measures(status: ConsumerStatus) -> list[Metric]:
+    outcomes = {outcome.value: status.outcomes[outcome] for outcome in Outcome}
+    gauges = {
+        "partitions": ("Partitions that are this consumer's.", status.partitions),
+        "messages_waiting": ("Messages of these partitions that are not taken yet.", status.behind_by),
+        "last_message_timestamp_seconds": (
+            "When the last message was taken; 0 before the first.",
+            status.last_message_s or 0.0,
+        ),
+        "last_reference_age_seconds": ("How old the last reference was when it was taken.", status.last_age_s),
+    }
+    faults = {**status.faults, **({} if status.behind is None else {"backlog": status.behind})}
+    up = {what: 0.0 if what in faults else 1.0 for what in ("broker", "raw", "database", "backlog")}
+    failed = "Chunks that could not be decoded."
+    return [
+        counter(f"{PREFIX}messages", "Messages of the topic by what became of them.", "outcome", outcomes),
+        CounterMetricFamily(f"{PREFIX}chunks_decoded", "Chunks that were decoded.", value=status.decoded),
+        CounterMetricFamily(f"{PREFIX}chunks_not_decoded", failed, value=status.not_decoded),
+        *(GaugeMetricFamily(f"{PREFIX}{name}", text, value=value) for name, (text, value) in gauges.items()),
+        gauge(f"{PREFIX}up", "Whether it works.", "what", up),
+    ]

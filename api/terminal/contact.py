@@ -17,16 +17,21 @@ import typer
 from api.plots.contact import save_contact_figure
 from api.plots.contact_summary import AMPLITUDE_MM, ContactSummary, contact_summary
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity, nonlinearity_parameter
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import (
+    ContactMethod,
+    ContactTable,
+    RadiusDifferenceCurve,
+    WheelsetOnTrack,
+    contact_table,
+    radius_difference_curve,
+)
 from estimation.contact.profiles import TREAD_DATUM, ProfileKind, is_design, rail_profile, wheel_profile
-from estimation.contact.radius_difference import RadiusDifferenceCurve, radius_difference_curve
 from estimation.contact.smoothed_profile import SmoothedProfile, exact
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import InputError, ParameterError
 from estimation.values.arrays import FloatArray
 from ingest.profiles.files import read_measured_profile
-from ingest.profiles.gauge_side import LEAST_LEAN, lean
-from ingest.profiles.origin import Origin
+from ingest.profiles.orientation import LEAST_LEAN, lean
+from ingest.profiles.points import Origin
 
 LEAST_PLAY_MM = 2.5  # a flange of 32.5 mm, the thickest of EN 13715, leaves 5 mm at 1435 and 1360 mm
 LEAST_TURN = 2e-3  # rad, of a wheel against its design
@@ -74,11 +79,7 @@ def contact_of(
     method: ContactMethod,
     speed_km_h: float = 120.0,
 ) -> Contact:
-    """Return a wheelset on a track from the names or files of its profiles.
-
-    Raises:
-        ProfileError, ParameterError, ContactError: As `measured_shapes`; an inclination or a dimension that is none.
-    """
+    """Return a wheelset on a track from the names or files of its profiles."""
     shapes = measured_shapes(wheels, rail, options)
     wheelset = WheelsetOnTrack(
         left_wheel=shapes.left_wheel.profile,
@@ -188,11 +189,7 @@ def parse_inclination(text: str) -> float:
 
 
 def save_picture(contact: Contact, out: Path | None) -> None:
-    """Write the contact geometry of a wheelset as PNG.
-
-    Raises:
-        ParameterError: No file is given.
-    """
+    """Write the contact geometry of a wheelset as PNG."""
     if out is None:
         raise ParameterError("a picture needs --out FILE.png", field="--format")
     conicity, std = _conicity(_curve(contact)), _std(contact)
@@ -214,11 +211,7 @@ def refusals() -> Iterator[None]:
 
 
 def table_text(contact: Contact, *, as_json: bool) -> str:
-    """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone.
-
-    Args:
-        as_json: JSON with the conicity at every amplitude, or else CSV.
-    """
+    """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone."""
     return _json(contact) if as_json else _csv(contact)
 
 
@@ -240,11 +233,7 @@ def _curve(contact: Contact) -> RadiusDifferenceCurve:
 
 def _std(contact: Contact) -> FloatArray:
     return conicity_std(
-        contact.wheelset,
-        contact.shapes,
-        _DISPLACEMENT_MM * 1e-3,
-        _AMPLITUDE_MM * 1e-3,
-        method=contact.method,
+        contact.wheelset, contact.shapes, _DISPLACEMENT_MM * 1e-3, _AMPLITUDE_MM * 1e-3, method=contact.method
     )
 
 

@@ -36,17 +36,7 @@ MARKER = "made-by-treadwatch-demo"
 
 
 def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> None:
-    """Simulate, receive, estimate, serve, and print tables of estimate beside truth.
-
-    Args:
-        scenario: Name of a built-in scenario, or a TOML file.
-        folder: The demo's own folder; emptied first.
-        port: Port of the API; another if it is taken.
-        keep_serving: Whether to serve on until a signal comes.
-
-    Raises:
-        StorageError: ``folder`` holds files that are not the demo's, a job failed, or the API did not start.
-    """
+    """Simulate, receive, estimate, serve, and print tables of estimate beside truth."""
     began = time.monotonic()
     console = Console()
     plans = [ending_now(load_scenario(name), time.time_ns()) for name in (scenario, *BESIDE.get(scenario, ()))]

@@ -28,19 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 def watch(folder: Path, vehicle: str | None, quiet_s: float, *, once: bool) -> None:
-    """Watch a folder.
-
-    Args:
-        vehicle: Of all files; None for the one in each name.
-        quiet_s: A file that has not changed for so long is complete, s.
-        once: Whether to end when nothing is left that could be taken.
-
-    Raises:
-        InputError: There is no such folder.
-        ConflictError: Another process watches it.
-        MigrationError: The database is at another migration.
-        StorageError: It cannot be used, and nobody brings it back.
-    """
+    """Watch a folder."""
     settings = load_settings()
     logs.configure(settings)
     if not folder.is_dir():

@@ -9,11 +9,12 @@ from dataclasses import replace
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import TaskID
 from rich.table import Table
 
 from api import logs
 from api.factory import job_context, open_store, process_name, scheduled_jobs
+from api.progress import bar
 from api.settings import Settings
 from api.terminal.reasons import fleet_reasons, summary_lines
 from api.tracing import start_tracing
@@ -26,15 +27,7 @@ from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
 
 def run_jobs_once(name: str | None, settings: Settings) -> bool:
-    """Run every job, or one, print what the runs did, and return whether all succeeded.
-
-    Args:
-        name: Of the one job; None for all.
-
-    Raises:
-        ParameterError: There is no job of that name.
-        StorageError: The database cannot be used.
-    """
+    """Run every job, or one, print what the runs did, and return whether all succeeded."""
     logs.configure(settings)
     start_tracing()
     jobs = _chosen(settings, name)
@@ -43,9 +36,11 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
     stop_on_signals(stopping)
     with closing(open_store(settings)) as storage, executor_of(settings) as executor:
         context = replace(job_context(settings, storage), stopping=stopping.is_set, executor=executor)
-        with storage.owned(JobTrigger.CLI, process_name(), context.clock.now_ns()) as owned:
+        with storage.owned(JobTrigger.CLI, process_name(), context.lease_s) as owned:
             runs = run_in_order(jobs, replace(context, storage=owned), console)
         Console().print(summary(runs))
+        for unfit in executor.unfit if executor is not None else ():
+            typer.echo(f"left out: {unfit}")
         with storage.read() as unit:
             without = summary_lines(fleet_reasons(unit))
     for line in without:
@@ -72,14 +67,7 @@ def run_in_order(
         context: What the jobs may touch.
     """
     runs = []
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
+    with bar(console) as progress:
         for job in jobs:
             task = progress.add_task(job.description, total=None)
 

@@ -18,14 +18,7 @@ Event = dict[str, Any]
 
 
 def read_state(file: Path | None) -> str | None:
-    """Return the cursor that an earlier call kept; None where there is none.
-
-    Args:
-        file: Of the state; None for no state.
-
-    Raises:
-        InputError: The file is no state of this command; nothing of it is overwritten.
-    """
+    """Return the cursor that an earlier call kept; None where there is none."""
     if file is None or not file.exists():
         return None
     try:

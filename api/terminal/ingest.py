@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
@@ -11,13 +10,14 @@ from pathlib import Path
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from api import factory, logs
 from api.factory import SystemClock, open_store
+from api.progress import bar
 from api.settings import load_settings
 from api.terminal.reasons import line_of
+from api.terminal.store import user_name
 from api.times import to_rfc3339
 from api.topic import publishing
 from api.tracing import start_tracing
@@ -56,17 +56,7 @@ def ingest_and_report(
 ) -> None:
     """Receive recordings, and print a summary.
 
-    Args:
-        source: Recordings and folders of them, or exchanges.
-        vehicle: Vehicle of all recordings; by default the part of each file name before ``__``.
-        registry: File of fleets, vehicles, wheelsets and sections to load first.
-        catalogues: Mapping files of buses of one's own; by default those of the settings.
-        take_deleted: Whether recordings that were deleted are taken in again.
-
     Raises:
-        InputError: A path does not exist, a folder holds no recording, or the name of a file that was given does not
-            contain its vehicle; a mapping file cannot be used.
-        StorageError: The database cannot be used.
         typer.Exit: Code 1: a recording was rejected.
     """
     settings = load_settings()
@@ -76,7 +66,7 @@ def ingest_and_report(
     with closing(open_store(settings)) as storage, publishing(settings, lambda: storage) as announce:
         if registry is not None:
             load_and_say(registry, storage, console)
-        taken_by = getpass.getuser() if take_deleted else None
+        taken_by = user_name() if take_deleted else None
         receiver = factory.receiver(
             settings, storage, SystemClock(), catalogues, deleted_taken_by=taken_by, announce=announce
         )
@@ -168,15 +158,7 @@ def receive_with_progress(
     receiver: Receiver, recordings: Sequence[tuple[Path, str]], console: Console
 ) -> Iterator[Outcome]:
     """Receive recordings under a progress bar; yield each with its receipt or its error."""
-    columns = (
-        SpinnerColumn(),
-        TextColumn("receiving recordings"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[frames]:,} frames"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
+    with bar(console, "receiving recordings", "{task.fields[frames]:,} frames") as progress:
         task = progress.add_task("", total=len(recordings), frames=0)
         frames = 0
         for path, outcome in receiver.receive_files(recordings):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 from pathlib import Path
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from api.factory import SystemClock, open_store, raw_store, retention_of
+from api.progress import counted
 from api.settings import load_settings
 from fleet_db.keeping.backup import BackupPlan, back_up
 from fleet_db.keeping.deep_check import DeepCheck, check_deep
@@ -24,12 +22,7 @@ LISTED = 50
 def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) -> None:
     """Write a backup and print what it holds.
 
-    Args:
-        windows, recordings: Whether with the samples of windows, and with recordings; None: with those of a folder.
-
     Raises:
-        ConflictError: Another backup, restore or purge is running.
-        StorageError: Database, data folder or backup folder cannot be used.
         typer.Exit: Code 1: files that the database refers to are missing or damaged; they are listed.
     """
     settings, plan = load_settings(), BackupPlan(windows, recordings)
@@ -48,13 +41,7 @@ def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) 
 def restore_and_report(folder: Path, name: str | None) -> None:
     """Restore a backup and print what is there now.
 
-    Args:
-        name: Of the backup; None for the newest.
-
     Raises:
-        InputError: There is no such backup, or it is damaged.
-        ConflictError: The database has content.
-        StorageError: Database or data folder cannot be used.
         typer.Exit: Code 1: files are missing; they are listed.
     """
     settings = load_settings()
@@ -73,8 +60,6 @@ def check_and_report() -> None:
     """Compare everything that is stored and print what does not belong together.
 
     Raises:
-        MigrationError: The database is at another migration.
-        StorageError: Database or data folder cannot be used.
         typer.Exit: Code 1: something is damaged or lost.
     """
     settings = load_settings()
@@ -92,13 +77,7 @@ def check_and_report() -> None:
 
 
 def purge_and_report() -> None:
-    """Delete what has been kept long enough and print how much of each kind.
-
-    Raises:
-        InputError: The retention file is wrong.
-        ConflictError: A backup, restore or other purge is running.
-        StorageError: Database or data folder cannot be used.
-    """
+    """Delete what has been kept long enough and print how much of each kind."""
     settings = load_settings()
     with closing(open_store(settings)) as storage:
         done = purge(storage, raw_store(settings), retention_of(settings), SystemClock().now_ns(), lambda: None)
@@ -120,12 +99,3 @@ def _list(what: str, lines: tuple[str, ...]) -> None:
         typer.echo(f"{what}: {len(lines) - LISTED:,} more")
     if lines:
         raise typer.Exit(1)
-
-
-@contextmanager
-def counted(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show a progress bar; yield what moves it."""
-    columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("", total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)

@@ -11,7 +11,7 @@ import typer
 from api.access.key_ring import Wanted, make_key
 from api.factory import open_store
 from api.settings import Settings, load_settings
-from api.terminal.user import user_here
+from api.terminal.store import columns, reading, user_here, writing
 from api.times import to_rfc3339
 from estimation.errors import ParameterError
 from fleet_db.access_records import ApiKey, AuditEntry
@@ -25,16 +25,7 @@ _HEAD = ("prefix", "owner", "scopes", "fleets", "created", "expires", "last used
 def create_and_print(
     owner: str, scopes: Sequence[str], fleets: Sequence[str], days: float | None, *, all_fleets: bool
 ) -> None:
-    """Make a key; print it alone on standard output, and what to do with it on standard error.
-
-    Args:
-        days: After which it expires; None for never.
-        all_fleets: Whether it sees all.
-
-    Raises:
-        ParameterError: It is not said which fleets it sees, or a value is wrong.
-        NotFoundError: There is no such fleet.
-    """
+    """Make a key; print it alone on standard output, and what to do with it on standard error."""
     if all_fleets == bool(fleets):
         raise ParameterError("say which fleets the key sees: --fleet CODE, or --all-fleets", field="fleet")
     if days is not None and not 0.0 < days <= MOST_DAYS:
@@ -62,22 +53,16 @@ def make_stored_key(settings: Settings, wanted: Wanted) -> tuple[ApiKey, str]:
 
 def key_list() -> str:
     """Return all keys, one a line."""
-    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+    with reading() as unit:
         found = unit.api_keys.page(None, None)
     now_ns = time.time_ns()
     rows = [_HEAD, *(_row(key, now_ns) for key in found)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
+    return columns(rows)
 
 
 def revoke_and_print(prefix: str) -> None:
-    """Revoke a key and say so.
-
-    Raises:
-        NotFoundError: There is none.
-        ConflictError: It is revoked already.
-    """
-    with closing(open_store(load_settings())) as storage, storage.write() as unit:
+    """Revoke a key and say so."""
+    with writing() as unit:
         revoked = unit.api_keys.revoke(prefix, time.time_ns())
         _note(unit, "revoke", revoked)
     typer.echo(f"key {revoked.prefix} of {revoked.owner} is revoked")

@@ -15,7 +15,8 @@ from rich.console import Console
 
 from api import factory, logs
 from api.factory import SystemClock, open_store
-from api.reference_measures import ReferenceMeasures
+from api.measures import Measured
+from api.reference_measures import reference_measures
 from api.settings import Settings, load_settings
 from api.terminal.health_server import HealthAddress
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes
@@ -26,9 +27,8 @@ from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import check_head
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus
-from ingest.live.buses import ReceivedBus, receive_buses
 from ingest.live.listening import BusSource
-from ingest.live.receiver import LiveSettings
+from ingest.live.receiver import LiveSettings, ReceivedBus, receive_buses
 from ingest.live.status import LiveStatus, Reports, Say
 from ingest.live.storing import Stores
 from ingest.receipts import to_nobody
@@ -57,15 +57,7 @@ def receive_and_report(
 ) -> None:
     """Receive live buses until SIGTERM or SIGINT, and print a summary.
 
-    Args:
-        registry: File of fleets, vehicles, wheelsets and sections to load first.
-        catalogues: Mapping files of buses of one's own; by default those of the settings.
-        health: Where to serve health and metrics; None for nowhere.
-
     Raises:
-        InputError: The bus, the registry, a mapping file or the health port cannot be used.
-        ConflictError: Another process receives one of the vehicles.
-        MigrationError: The database is at another migration.
         typer.Exit: Code 1: a recording was rejected.
     """
     settings = load_settings()
@@ -85,7 +77,7 @@ def receive_and_report(
         if references is not None:
             stack.callback(references.close)
         if health is not None:
-            more = [] if references is None else [ReferenceMeasures(lambda: references)]
+            more = [] if references is None else [Measured(lambda: reference_measures(references))]
             port = stack.enter_context(serving_health(health.host, health.port, statuses, more))
             say(f"health and metrics at http://{health.host}:{port}")
         receive_buses(

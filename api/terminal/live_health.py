@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from types import MappingProxyType
 
 from prometheus_client import CollectorRegistry
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.core import Metric
 from prometheus_client.registry import Collector
 
+from api.measures import Measured, counter, gauge
 from api.terminal.health_server import Answer, Health, json_answer, served
 from ingest.live.status import LiveStatus
 
@@ -76,7 +77,7 @@ def registered(statuses: Mapping[str, LiveStatus]) -> CollectorRegistry:
         statuses: What is measured, by the vehicle.
     """
     registry = CollectorRegistry()
-    registry.register(_Measures(statuses))
+    registry.register(Measured(partial(_measures, statuses)))
     return registry
 
 
@@ -103,29 +104,19 @@ def _silent_s(status: LiveStatus) -> float | None:
     return None if since_s is None else round(max(0.0, time.time() - since_s), 1)
 
 
-class _Measures(Collector):
-    def __init__(self, statuses: Mapping[str, LiveStatus]) -> None:
-        self._statuses = statuses
+def _measures(statuses: Mapping[str, LiveStatus]) -> Iterator[Metric]:
+    def of_all(name: str) -> dict[str, float]:
+        return {vehicle: getattr(status, name) or 0.0 for vehicle, status in statuses.items()}
 
-    def collect(self) -> Iterable[Metric]:
-        statuses = self._statuses.items()
-        for name, text in COUNTERS.items():
-            counter = CounterMetricFamily(f"{PREFIX}{name}", text, labels=["vehicle"])
-            for vehicle, status in statuses:
-                counter.add_metric([vehicle], getattr(status, name))
-            yield counter
-        for name, text in GAUGES.items():
-            gauge = GaugeMetricFamily(f"{PREFIX}{name}", text, labels=["vehicle"])
-            for vehicle, status in statuses:
-                gauge.add_metric([vehicle], getattr(status, name))
-            yield gauge
-        for name, text in TIMES.items():
-            stamp = GaugeMetricFamily(f"{PREFIX}{name}_timestamp_seconds", text, labels=["vehicle"])
-            for vehicle, status in statuses:
-                stamp.add_metric([vehicle], getattr(status, f"{name}_s") or 0.0)
-            yield stamp
-        up = GaugeMetricFamily(f"{PREFIX}up", "Whether it works.", labels=["vehicle", "what"])
-        for vehicle, status in statuses:
-            for what in ("bus", "spool", "raw", "database", "recordings"):
-                up.add_metric([vehicle, what], 0.0 if what in status.faults else 1.0)
-        yield up
+    for name, text in COUNTERS.items():
+        yield counter(f"{PREFIX}{name}", text, "vehicle", of_all(name))
+    for name, text in GAUGES.items():
+        yield gauge(f"{PREFIX}{name}", text, "vehicle", of_all(name))
+    for name, text in TIMES.items():
+        yield gauge(f"{PREFIX}{name}_timestamp_seconds", text, "vehicle", of_all(f"{name}_s"))
+    up = {
+        (vehicle, what): 0.0 if what in status.faults else 1.0
+        for vehicle, status in statuses.items()
+        for what in ("bus", "spool", "raw", "database", "recordings")
+    }
+    yield gauge(f"{PREFIX}up", "Whether it works.", "vehicle what", up)

@@ -74,11 +74,7 @@ def _why(reasons: WindowReasons, row: WheelsetRow, most: int) -> WithoutEstimate
 
 
 def print_each(settings: Settings) -> None:
-    """Print of every mounted wheelset without an estimate why it has none, and what to do.
-
-    Raises:
-        StorageError: The database cannot be used.
-    """
+    """Print of every mounted wheelset without an estimate why it has none, and what to do."""
     with closing(open_store(settings)) as storage, storage.read() as unit:
         found = fleet_reasons(unit)
     for line in summary_lines(found) or ["every mounted wheelset has a conicity at 3 mm"]:

@@ -19,13 +19,7 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def reassemble_and_report(vehicle: str, begin: datetime | None, end: datetime | None) -> None:
-    """Make the windows of a vehicle in ``[begin, end)`` again and print what changed; None is an open end.
-
-    Raises:
-        NotFoundError: The registry does not know the vehicle.
-        ParameterError: The end is not after the begin, or a time is outside the years that can be stored.
-        StorageError: The raw recordings or the database cannot be reached.
-    """
+    """Make the windows of a vehicle in ``[begin, end)`` again and print what changed; None is an open end."""
     from_ns, to_ns = _nanoseconds(begin, "--from"), _nanoseconds(end, "--to")
     if from_ns is not None and to_ns is not None and to_ns <= from_ns:
         raise ParameterError("is not after --from", field="--to")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 from collections.abc import Iterable, Sequence
 from contextlib import closing
 
@@ -12,6 +11,7 @@ from api import factory, logs
 from api.factory import SystemClock, open_store
 from api.settings import load_settings
 from api.terminal.ingest import changes_line
+from api.terminal.store import columns, reading, user_name
 from api.times import to_rfc3339
 from estimation.errors import TreadwatchError
 from estimation.values.runs import Quarantined, SubjectKind
@@ -28,28 +28,16 @@ MOST_LISTED = 10_000
 
 
 def recording_list(chosen: ChosenChunks, limit: int) -> str:
-    """Return recordings as lines, the newest first.
-
-    Args:
-        limit: At most so many.
-
-    Raises:
-        StorageError: The database cannot be used.
-    """
-    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+    """Return recordings as lines, the newest first."""
+    with reading() as unit:
         found = unit.chunks.page(chosen, limit)
     head = ("digest", "kind", "vehicle", "received", "first", "last", "frames", "state", "reason")
-    return _columns([head, *map(_line, found)])
+    return columns([head, *map(_line, found)])
 
 
 def recording_text(digest: str) -> str:
-    """Return the receipt of a recording and the record of what was done to it.
-
-    Raises:
-        NotFoundError, ConflictError: None or several have it.
-        StorageError: The database cannot be used.
-    """
-    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+    """Return the receipt of a recording and the record of what was done to it."""
+    with reading() as unit:
         record = receipt_of(unit, digest)
         changes = unit.recording_changes.list(record.digest)
     code = "" if record.reason is None else record.reason.code
@@ -68,7 +56,7 @@ def recording_text(digest: str) -> str:
         ("reason", "" if record.reason is None else record.reason.text),
         *((name.replace("_", " "), str(count)) for name, count in sorted(record.counts.items())),
     ]
-    return "\n".join([_columns(rows), *map(_change_line, changes)])
+    return "\n".join([columns(rows), *map(_change_line, changes)])
 
 
 def correct_and_report(
@@ -82,14 +70,7 @@ def correct_and_report(
 ) -> None:
     """Correct a recording, decode what has to be, make the windows again, and print how it stands.
 
-    Args:
-        digest: Of the recording, or the begin of it.
-        actor, why: Who, by default the user of the system, and why.
-        our_clock_was_behind: When it was received: for one that is tried again.
-
     Raises:
-        NotFoundError, ConflictError: There is none such, or it is not in a state for that.
-        StorageError: The database cannot be used.
         typer.Exit: Code 1: it could not be decoded.
     """
     settings, clock = load_settings(), SystemClock()
@@ -97,7 +78,7 @@ def correct_and_report(
     with closing(open_store(settings)) as storage:
         with storage.read() as unit:
             before = receipt_of(unit, digest)
-        corrections, author = RecordingCorrections(storage, clock), Author(actor or getpass.getuser(), why)
+        corrections, author = RecordingCorrections(storage, clock), Author(actor or user_name(), why)
         if vehicle is not None:
             record = corrections.reassign(before.digest, vehicle, author)
         elif action is RecordingAction.RETRY:
@@ -112,30 +93,22 @@ def correct_and_report(
         failed = _decode(receiver, (record.digest,) if record.state is ChunkState.STORED else ())
         failed += [error for code in {before.vehicle, record.vehicle} for error in _made_again(receiver, code)]
         with storage.read() as unit:
-            typer.echo(_columns([_line(receipt_of(unit, record.digest))]))
+            typer.echo(columns([_line(receipt_of(unit, record.digest))]))
     _report(failed)
 
 
 def quarantine_list(*, everything: bool) -> str:
-    """Return what is in quarantine as lines, by last failure.
-
-    Raises:
-        StorageError: The database cannot be used.
-    """
-    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+    """Return what is in quarantine as lines, by last failure."""
+    with reading() as unit:
         found = unit.quarantine.all(MOST_LISTED) if everything else unit.quarantine.held()
     head = ("kind", "key", "stage", "state", "reason code", "attempts", "first", "last", "next", "error")
-    return _columns([head, *map(_quarantine_line, found)])
+    return columns([head, *map(_quarantine_line, found)])
 
 
 def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
     """Let what is in quarantine be tried again: recordings now, the rest at the next run of the jobs.
 
-    Args:
-        kind, key: Only these; None for all.
-
     Raises:
-        StorageError: The database cannot be used.
         typer.Exit: Code 1: a recording could not be decoded.
     """
     settings, clock = load_settings(), SystemClock()
@@ -212,11 +185,4 @@ def _quarantine_line(item: Quarantined) -> tuple[str, ...]:
         str(item.attempts),
         *times,
         item.error,
-    )
-
-
-def _columns(rows: Sequence[tuple[str, ...]]) -> str:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows
     )

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import getpass
 from collections.abc import Mapping
-from contextlib import closing
 
 import typer
 
-from api.factory import SystemClock, open_store
-from api.settings import load_settings
+from api.factory import SystemClock
+from api.terminal.store import reading, user_name, writing
 from api.times import from_rfc3339, to_rfc3339
 from estimation.errors import ParameterError
 from estimation.values.json_value import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.registry_history import RecordKey
-from ingest.registry_entry.restored import refuse_contradicted
+from ingest.registry_entry.enter import refuse_contradicted
 
 LONG = ("packed", "parameters", "bogie", "sensors", "relative_std")  # values of a record that are not for reading
 
@@ -23,22 +21,10 @@ LONG = ("packed", "parameters", "bogie", "sensors", "relative_std")  # values of
 def decide_and_report(
     action: RecordAction, kind: RecordKind, subject: str, at: str | None, actor: str, why: str
 ) -> None:
-    """Void or restore a record and print what it is.
-
-    Args:
-        action: ``voided`` or ``restored``.
-        kind, subject, at: The record; its time is of RFC 3339.
-        actor: Who; empty is the user of the system.
-
-    Raises:
-        NotFoundError: There is no such record, or none was voided.
-        ConflictError: It cannot be taken out or put back as things are.
-        ParameterError: A time is missing or none, or no reason is given.
-        RegistryRefusedError: What is put back contradicts what is on file now.
-    """
+    """Void or restore a record and print what it is."""
     key = RecordKey(kind, subject, _at(kind, at))
     decision = Decision(actor or user_name(), why, SystemClock().now_ns())
-    with closing(open_store(load_settings())) as storage, storage.write() as unit:
+    with writing() as unit:
         decide = unit.corrections.void if action is RecordAction.VOIDED else unit.corrections.restore
         record = decide(key, decision)
         if action is RecordAction.RESTORED:
@@ -48,24 +34,9 @@ def decide_and_report(
     typer.echo(spans_line(spans))
 
 
-def user_name() -> str:
-    """Return the name of the user of the system; in a container it may have none."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError, ImportError):
-        return "command line"
-
-
 def history_lines(subject: str | None) -> list[str]:
-    """Return what was decided on records, a line each, the oldest first.
-
-    Args:
-        subject: Wheelset or section; None is all.
-
-    Raises:
-        StorageError: The database cannot be used.
-    """
-    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+    """Return what was decided on records, a line each, the oldest first."""
+    with reading() as unit:
         return [_line(event) for event in unit.registry_history.list(subject)]
 
 

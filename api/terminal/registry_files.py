@@ -11,12 +11,12 @@ import typer
 from api.factory import SystemClock, open_store
 from api.settings import load_settings
 from api.terminal.ingest import registry_lines
-from api.terminal.registry import spans_line, user_name
+from api.terminal.registry import spans_line
+from api.terminal.store import reading, user_name, writing
 from estimation.errors import InputError, TreadwatchError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
-from ingest.registry_entry.contents import Entry, RegistryRefusedError
-from ingest.registry_entry.contradiction import Rule
+from ingest.registry_entry.contents import Entry, RegistryRefusedError, Rule
 from ingest.registry_export import write_export
 from ingest.registry_file import load_registry
 
@@ -29,19 +29,10 @@ class _NothingStoredError(TreadwatchError):
 
 
 def load_and_report(file: Path, confirmed: Sequence[Rule], actor: str, why: str) -> None:
-    """Load a registry file and print what people must know of it; exit 2 and print all that is wrong, if anything is.
-
-    Args:
-        actor: Who; empty is the user of the system.
-        why: Kept with every record that changes.
-
-    Raises:
-        InputError: The file cannot be read, or is no registry.
-        StorageError: The database cannot be used.
-    """
+    """Load a registry file and print what people must know of it; exit 2 with all that is wrong, if anything is."""
     entry = _entry(confirmed, actor or user_name(), why)
     try:
-        with closing(open_store(load_settings())) as storage, storage.write() as unit:
+        with writing() as unit:
             loaded = load_registry(file, unit, entry.recorded_ns, entry)
             spans = len(unit.stale_spans.all())
     except RegistryRefusedError as error:
@@ -57,9 +48,6 @@ def check_and_report(file: Path, confirmed: Sequence[Rule]) -> None:
     """Print all that is wrong with a registry file or contradicts what is on file, and exit 1 if anything is.
 
     The file is loaded as :func:`load_and_report` does, in a transaction that is rolled back: nothing is stored.
-
-    Raises:
-        StorageError: The database cannot be used.
     """
     with closing(open_store(load_settings())) as storage:
         lines = _problems(file, storage, _entry(confirmed, "", ""))
@@ -88,16 +76,8 @@ def _roll_back() -> None:
 
 
 def export_and_report(file: Path) -> None:
-    """Write the registry as a file, and print how much it holds.
-
-    Args:
-        file: To be written.
-
-    Raises:
-        InputError: It exists, or cannot be written.
-        StorageError: The database cannot be used.
-    """
-    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+    """Write the registry as a file, and print how much it holds."""
+    with reading() as unit:
         found = write_export(file, unit)
     typer.echo(f"wrote {file}: {found.records:,} records, {len(found.files):,} files beside it")
 

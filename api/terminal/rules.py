@@ -18,11 +18,7 @@ _Settings = dict[tuple[str, str], str]
 
 
 def print_rules(book: RuleBook) -> None:
-    """Print the rules of all fleets and classes, and for every scope what it has of its own.
-
-    Args:
-        book: Of a file, or the shipped one.
-    """
+    """Print the rules of all fleets and classes, and for every scope what it has of its own."""
     console = Console()
     console.print(f"version: {book.version}", highlight=False)
     shipped, everywhere = _settings(RuleBook()), _settings(book)

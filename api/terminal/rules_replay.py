@@ -10,10 +10,10 @@ from pathlib import Path
 
 from rich import box
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from api.factory import SystemClock, open_store
+from api.progress import bar
 from api.rules_file import load_rules
 from api.settings import load_settings
 from api.times import from_rfc3339, to_rfc3339
@@ -31,17 +31,7 @@ _SHOWN = tuple(change for change in Change if change is not Change.SAME)
 
 
 def replay(from_: str, to: str | None, file: Path | None, fleet: str | None) -> None:
-    """Replay the rules in force and those of a file, and print how their alerts differ.
-
-    Args:
-        from_, to: Dates or times; ``to`` None is now.
-        file: Rules to try; None replays the rules in force alone.
-        fleet: Only its wheelsets; None is all.
-
-    Raises:
-        InputError: A time or the file is wrong.
-        NotFoundError: There is no such fleet.
-    """
+    """Replay the rules in force and those of a file, and print how their alerts differ."""
     settings, console = load_settings(), Console()
     span = (_moment(from_, "--from"), SystemClock().now_ns() if to is None else _moment(to, "--to"))
     if span[0] >= span[1]:
@@ -96,15 +86,8 @@ def _replayed(
     with storage.read() as unit:
         serials = [one.serial for one in unit.registry.wheelsets() if fleet in (None, one.fleet)]
         sections = [one.code for one in unit.tracks.sections()]
-    columns = (
-        SpinnerColumn(),
-        TextColumn("replaying the rules"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
     found: dict[str, Sequence[Difference]] = {}
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    with bar(Console(stderr=True), "replaying the rules") as progress:
         for serial in progress.track(serials):
             with storage.read() as unit:
                 history = history_of(unit, serial)

@@ -6,9 +6,9 @@ import threading
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from api.progress import bar
 from estimation.errors import ParameterError
 from estimation.jobs.stop_signals import stop_on_signals
 from ingest.bus import open_bus
@@ -58,12 +58,7 @@ def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, 
 
 
 def simulate_with_progress(
-    scenario: Scenario,
-    out: Path,
-    console: Console,
-    *,
-    vehicles: list[str] | None = None,
-    workers: int | None = None,
+    scenario: Scenario, out: Path, console: Console, *, vehicles: list[str] | None = None, workers: int | None = None
 ) -> FleetReport:
     """Simulate a scenario into ``out`` under a progress bar; arguments and errors as ``run_fleet``.
 
@@ -72,15 +67,7 @@ def simulate_with_progress(
         vehicles: Codes; None is all.
         workers: Processes; None is as many as cores.
     """
-    columns = (
-        SpinnerColumn(),
-        TextColumn("simulating the fleet"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[frames]:,} frames"),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
+    with bar(console, "simulating the fleet", "{task.fields[frames]:,} frames") as progress:
         task = progress.add_task("", total=None, frames=0)
         frames = 0
 

@@ -18,14 +18,7 @@ THOUSAND = 1000.0
 
 
 def print_stored_bytes(*, as_json: bool, hours_per_day: float | None) -> None:
-    """Print what is stored by kind, most first.
-
-    Args:
-        hours_per_day: Running of a wheelset to reckon with; None: as in the last days of data.
-
-    Raises:
-        StorageError: The database or the data folder cannot be read.
-    """
+    """Print what is stored by kind, most first."""
     settings = load_settings()
     with closing(open_store(settings)) as storage:
         raw = raw_store(settings)

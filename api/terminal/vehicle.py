@@ -24,25 +24,13 @@ def class_list() -> str:
 
 
 def named_class(name: str) -> VehicleClass:
-    """Return the class of a file, or a shipped one.
-
-    Args:
-        name: A path, or the name of a shipped class that is no file here.
-
-    Raises:
-        InputError: The file cannot be read, or something in it is wrong.
-    """
+    """Return the class of a file, or a shipped one."""
     path = Path(name)
     return shipped_class(name) if name in shipped_classes() and not path.is_file() else read_vehicle_class(path)
 
 
 def check_report(vehicle_class: VehicleClass, speed: float, conicity: float) -> str:
-    """Return modes, critical speeds, and what the sensors see.
-
-    Args:
-        speed: m/s.
-        conicity: Of all wheelsets.
-    """
+    """Return modes, critical speeds, and what the sensors see."""
     contact = LinearContact(conicity)
     running = Running(speed=speed, contact=contact)
     lines = [

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Collection, Iterable, Sequence
+from contextlib import closing
 from dataclasses import replace
 
 import typer
@@ -14,7 +14,7 @@ from api.factory import open_store
 from api.problems import ProblemError
 from api.schemas.alerts import LIMIT_UNITS
 from api.settings import load_settings
-from api.terminal.user import user_here
+from api.terminal.store import columns, reading, user_here, writing
 from api.times import from_rfc3339, to_rfc3339
 from api.webhooks.making import Wanted, in_state, make_webhook, place_of
 from api.webhooks.sending import sender_of
@@ -33,15 +33,7 @@ _HEAD = ("number", "state", "since", "waits for", "url", "description")
 def add_and_print(
     url: str, description: str, fleets: Collection[str], kinds: Collection[str], severities: Collection[str]
 ) -> None:
-    """Make a webhook; print its secret alone on standard output.
-
-    Args:
-        fleets, kinds, severities: Which events; none is no filter.
-
-    Raises:
-        ParameterError: The URL leads where nothing may be sent, or a filter names nothing.
-        NotFoundError: There is no such fleet.
-    """
+    """Make a webhook; print its secret alone on standard output."""
     _require(kinds, LIMIT_UNITS, "--kind")
     _require(severities, [one.value for one in Severity], "--severity")
     if len(description) > MOST_CHARACTERS or not description.isprintable():
@@ -52,7 +44,7 @@ def add_and_print(
     except RefusedTargetError as error:
         raise ParameterError(error.detail, field="url") from None
     wanted = Wanted(url, description, frozenset(fleets), frozenset(kinds), frozenset(severities), None)
-    with _writing() as unit:
+    with writing() as unit:
         made, secret = make_webhook(unit, wanted, user_here(), time.time_ns())
         _note(unit, "add", made)
     typer.echo(secret)
@@ -61,21 +53,14 @@ def add_and_print(
 
 def webhook_list() -> str:
     """Return all webhooks, one a line."""
-    with closing(open_store(load_settings())) as storage, storage.read() as unit:
+    with reading() as unit:
         found, waiting = unit.webhooks.page(None, None), unit.webhooks.waiting()
     rows = [_HEAD, *(_row(one, waiting.get(one.webhook_id)) for one in found)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    )
+    return columns(rows)
 
 
 def try_and_print(number: int) -> bool:
-    """Send one event that only tries a webhook out, say what came back, and return whether it was taken.
-
-    Raises:
-        NotFoundError: There is none.
-    """
+    """Send one event that only tries a webhook out, say what came back, and return whether it was taken."""
     settings = load_settings()
     with closing(open_store(settings)) as storage:
         trial = trial_of(storage, number, time.time_ns())
@@ -86,35 +71,23 @@ def try_and_print(number: int) -> bool:
 
 
 def put_and_print(number: int, *, active: bool) -> None:
-    """Make a webhook active, or pause it, and say so.
-
-    Raises:
-        NotFoundError: There is none.
-    """
+    """Make a webhook active, or pause it, and say so."""
     state = WebhookState.ACTIVE if active else WebhookState.PAUSED
-    with _writing() as unit:
+    with writing() as unit:
         changed = unit.webhooks.change(in_state(unit.webhooks.locked(number), state, time.time_ns()))
         _note(unit, "activate" if active else "pause", changed)
     typer.echo(f"webhook {number} is {state.value}")
 
 
 def replay_and_print(number: int, after: str | None, from_time: str | None) -> None:
-    """Let a webhook go on from another place of the feed and say so.
-
-    Args:
-        after, from_time: Behind which cursor or event, or from when on.
-
-    Raises:
-        ParameterError: Neither or both are given, or it is no place of the feed.
-        NotFoundError: There is no such webhook.
-    """
+    """Let a webhook go on from another place of the feed and say so."""
     if (after is None) == (from_time is None):
         raise ParameterError("give either --after or --from", field="--after")
     try:
         from_ns = None if from_time is None else from_rfc3339(from_time)
     except ValueError as error:
         raise ParameterError(str(error), field="--from") from None
-    with _writing() as unit:
+    with writing() as unit:
         known = unit.webhooks.locked(number)
         try:
             place = place_of(unit, known, after, from_ns, "/v1/alerts/feed")
@@ -125,22 +98,12 @@ def replay_and_print(number: int, after: str | None, from_time: str | None) -> N
 
 
 def delete_and_print(number: int) -> None:
-    """Delete a webhook and say so.
-
-    Raises:
-        NotFoundError: There is none.
-    """
-    with _writing() as unit:
+    """Delete a webhook and say so."""
+    with writing() as unit:
         known = unit.webhooks.locked(number)
         unit.webhooks.delete(number)
         _note(unit, "delete", known)
     typer.echo(f"webhook {number} is deleted")
-
-
-@contextmanager
-def _writing() -> Iterator[SqlUnitOfWork]:
-    with closing(open_store(load_settings())) as storage, storage.write() as unit:
-        yield unit
 
 
 def _require(given: Iterable[str], known: Collection[str], option: str) -> None:

@@ -19,9 +19,8 @@ from api.uploads.body import BodyLimits, UploadBody
 from estimation.errors import PassingFaultError, StorageError
 from fleet_db.raw import IncomingFile, RawStore
 from ingest.intake.backlog import BacklogWatch, Limit
-from ingest.intake.chunk import Chunk
-from ingest.intake.group import ReceiptGroup
-from ingest.intake.store import Arrival, ChunkStorage, Stored
+from ingest.intake.store import Arrival, ChunkStorage, ReceiptGroup, Stored
+from ingest.receipts import Chunk
 
 ResultT = TypeVar("ResultT")
 THREADS = 8

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import Counter as Tally
 from collections.abc import Sequence
 
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.core import Metric
 
+from api.measures import counter, gauge
 from fleet_db.storage import SqlStorage
 from fleet_db.webhook_records import Webhook, WebhookCount, WebhookState
 
@@ -23,31 +24,28 @@ def webhook_measures(storage: SqlStorage) -> list[Metric]:
 
 
 def _states(found: Sequence[WebhookCount]) -> Metric:
-    family = GaugeMetricFamily("treadwatch_webhooks", "Webhooks by state.", labels=["state"])
     states = Tally(one.webhook.state for one in found)
-    for state in WebhookState:
-        family.add_metric([state.value], states[state])
-    return family
+    numbers = {state.value: states[state] for state in WebhookState}
+    return gauge("treadwatch_webhooks", "Webhooks by state.", "state", numbers)
 
 
 def _attempts(found: Sequence[WebhookCount]) -> Metric:
-    labels = ["webhook", "outcome"]
-    family = CounterMetricFamily("treadwatch_webhook_attempts", "Attempts to hand over an event.", labels=labels)
-    for one in found:
-        number = str(one.webhook.webhook_id)
-        family.add_metric([number, "delivered"], one.delivered)
-        family.add_metric([number, "failed"], one.failed)
-    return family
+    numbers = {
+        (str(one.webhook.webhook_id), outcome): count
+        for one in found
+        for outcome, count in (("delivered", one.delivered), ("failed", one.failed))
+    }
+    return counter("treadwatch_webhook_attempts", "Attempts to hand over an event.", "webhook outcome", numbers)
 
 
 def _oldest(storage: SqlStorage, webhooks: Sequence[Webhook]) -> Metric:
     """Return since when events wait, also where no process delivers; of active webhooks alone."""
     text = "When the oldest event was recorded that an active webhook has not delivered; 0 where none waits."
-    family = GaugeMetricFamily("treadwatch_webhook_oldest_undelivered_timestamp_seconds", text, labels=["webhook"])
+    numbers = {}
     for one in webhooks:
         if one.state is not WebhookState.ACTIVE:
             continue
         with storage.seen_by(one.bound).read() as unit:
             waits = unit.alerts.feed(one.position, 1, fleets=one.fleets, kinds=one.kinds, severities=one.severities)
-        family.add_metric([str(one.webhook_id)], waits[0].recorded_ns / 1e9 if waits else 0.0)
-    return family
+        numbers[str(one.webhook_id)] = waits[0].recorded_ns / 1e9 if waits else 0.0
+    return gauge("treadwatch_webhook_oldest_undelivered_timestamp_seconds", text, "webhook", numbers)

@@ -17,9 +17,9 @@ def executor_of(settings: Settings) -> Iterator[WorkExecutor | None]:
     if settings.dask_scheduler is None and settings.worker_count == 1:
         yield None
         return
-    address = settings.dask_scheduler
-    executor = ProcessPool(settings, settings.worker_count) if address is None else DaskExecutor(address)
-    try:
-        yield executor
-    finally:
-        executor.close()
+    with (
+        ProcessPool(settings, settings.worker_count)
+        if settings.dask_scheduler is None
+        else DaskExecutor(settings) as made
+    ):
+        yield made

@@ -1,107 +1,152 @@
 """Units of work on the workers of a Dask scheduler, which are processes on any machines; the extra ``dask``.
 
 Dask carries keys and counts. Settings are not sent: each worker has those of its own environment, with which it opens
-the same database and the same files, and refuses a unit where it would estimate otherwise. A unit that Dask loses or
-does twice does no harm: the claims are in the database.
+the same database and the same files. Whether it does, it shows before it gets work. A unit that Dask loses or does
+twice does no harm: the claims are in the database.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
-import os
+import logging
 import threading
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from contextlib import contextmanager
+from functools import cache
+from typing import Any, TypeVar, cast
 
 from api.factory import process_name
-from api.settings import load_settings
-from api.workers.process import UnitDone, UnitOfWork, context_of, work_on
+from api.settings import Settings, load_settings
+from api.workers.process import context_of, in_worker
 from estimation.errors import PassingFaultError, TreadwatchError, WorkFailedError
-from estimation.jobs.job import JobContext, Work
+from estimation.jobs.job import JobContext, WorkExecutor
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import JobTrigger
+from fleet_db.atomic_files import passing_faults
+from fleet_db.storage import SqlStorage
 
 CONNECT_S = 10.0
 """How long the scheduler may take to answer, s."""
-LOOK_S = 5.0
-"""How often it is asked whether there are workers, while a unit is waited for, s."""
+LOOK_S = 1.0
+"""How often it is asked which workers there are, s."""
 WITHOUT_WORKERS_S = 30.0
-"""So long a unit waits for workers, s; they may be starting again."""
+"""So long units wait for workers, s; they may be starting again."""
+Result = TypeVar("Result")
+
+_log = logging.getLogger(__name__)
 
 
-@dataclass(slots=True)
-class DaskExecutor:
-    """Does units of work on the workers of a Dask scheduler. Implements ``estimation.jobs.job.WorkExecutor``.
+class DaskExecutor(WorkExecutor):
+    """Does units of work on the workers of a Dask scheduler, those that have shown that they are of this deployment.
 
     Args:
-        address: Of the scheduler, such as ``tcp://scheduler:8786``.
+        settings: Of the deployment, with the address of the scheduler, such as ``tcp://scheduler:8786``.
     """
 
-    address: str
-    _client: Any = None
-    _opening: threading.Lock = field(default_factory=threading.Lock)
+    def __init__(self, settings: Settings) -> None:
+        self._settings, self._address = settings, settings.dask_scheduler
+        self._client: Any = None
+        self._looking = threading.Lock()
+        self._looked_s, self._served_s = -LOOK_S, -WITHOUT_WORKERS_S
+        self._threads: dict[str, int] = {}
+        self._greeted: dict[str, str | None] = {}
+        self._sent: dict[Future[Any], frozenset[str]] = {}
 
     @property
     def width(self) -> int:
-        """Number of threads of all workers.
+        """Number of threads of the workers that are fit.
+
+        Raises:
+            WorkFailedError: The scheduler does not answer, or has no such workers.
+        """
+        self.look()
+        return max(1, self.threads())
+
+    @property
+    def unfit(self) -> Sequence[str]:
+        """Of the workers that get no work: who they are and why."""
+        return sorted(why for why in self._greeted.values() if why is not None)
+
+    def threads(self) -> int:
+        """Return how many units the workers of the moment do at once; 0 where there are none."""
+        with self._looking:
+            self._look()
+            return sum(self._threads[worker] for worker in self._fit())
+
+    def look(self) -> None:
+        """Greet workers that are new; give up what was sent to workers that are all gone.
+
+        Raises:
+            WorkFailedError: The scheduler does not answer, or there have been no workers that are fit for a while.
+        """
+        now_s = time.monotonic()
+        if self.threads():
+            self._served_s = now_s
+        elif now_s - self._served_s > WITHOUT_WORKERS_S:
+            others = "; ".join(["", *self.unfit])
+            raise WorkFailedError(f"the Dask scheduler at {self._address} has no workers of this deployment{others}")
+
+    def submit(self, work: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:  # noqa: ANN401 - of any work
+        """Return what will hold the result of ``work(context, *arguments)``; cancelled where all are gone.
 
         Raises:
             WorkFailedError: The scheduler does not answer, or has no workers.
         """
-        threads = self.threads()
-        if threads == 0:
-            raise WorkFailedError(f"the Dask scheduler at {self.address} has no workers")
-        return threads
-
-    def threads(self) -> int:
-        """Return how many units the workers of the moment do at once; 0 where there are none."""
-        return sum(int(count) for count in self._connected().ncores().values())
-
-    def pids(self) -> list[int]:
-        """Return the numbers of the processes of all workers, on whatever machine."""
-        return [int(number) for number in self._connected().run(os.getpid).values()]
-
-    def submit(self, context: JobContext, stage: Work, keys: Sequence[str]) -> Future[Mapping[str, int]]:
-        """Return what will hold the counts of a unit.
-
-        Args:
-            context: Of the job that hands the unit out.
-            stage, keys: The unit.
-
-        Raises:
-            WorkFailedError: The scheduler does not answer.
-        """
-        name = f"{stage.name}-{uuid.uuid4().hex}"  # another one each time: Dask keeps no result for later
-        unit = UnitOfWork(stage.name, tuple(keys))
-        client = self._connected()
-        sent = client.submit(work, unit, estimated_with(context), key=name, pure=False, retries=0)
-        future: Future[Mapping[str, int]] = Future()
-        future.set_running_or_notify_cancel()
-        threading.Thread(target=_hand_over, args=(client, sent, future), name=name, daemon=True).start()
+        self.look()
+        fit = self._fit()
+        # another call each time, and no attempt of Dask's own after an exception; workers that are gone it replaces
+        executor = self._client.get_executor(pure=False, retries=0, workers=fit, allow_other_workers=False)
+        future = cast("Future[Result]", executor.submit(_on_worker, work, *arguments, **named))
+        self._sent[future] = frozenset(fit)
+        future.add_done_callback(lambda done: self._sent.pop(done, None))
         return future
 
-    def close(self) -> None:
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002, FBT001, FBT002 - of the library
         """End the connection; units that have begun go on, under their claims."""
-        with self._opening:
+        with self._looking:
             if self._client is not None:
                 self._client.close(timeout=CONNECT_S)
             self._client = None
 
-    def _connected(self) -> Any:  # noqa: ANN401 - a client of a package that may be missing
-        with self._opening:
-            if self._client is not None and self._client.status != "running":
-                self._client.close(timeout=1.0)
-                self._client = None
-            if self._client is None:
-                self._client = _client(self.address)
-            return self._client
+    def _fit(self) -> list[str]:
+        return sorted(worker for worker, why in self._greeted.items() if why is None)
+
+    def _look(self) -> None:
+        if time.monotonic() - self._looked_s < LOOK_S:
+            return
+        if self._client is not None and self._client.status != "running":
+            self._client.close(timeout=1.0)
+            self._client = None
+        if self._client is None:
+            self._client = _client(str(self._address))
+        self._threads = {worker: int(count) for worker, count in self._client.ncores().items()}
+        new = self._threads.keys() - self._greeted.keys()
+        self._greeted = {worker: why for worker, why in self._greeted.items() if worker in self._threads}
+        if new:
+            self._greet(sorted(new))
+        for future, workers in list(self._sent.items()):
+            if workers.isdisjoint(self._threads):
+                future.cancel()
+        self._looked_s = time.monotonic()
+
+    def _greet(self, new: Sequence[str]) -> None:
+        """Let workers show that they have the version, the settings, the database and the files of this deployment."""
+        context = context_of(self._settings)
+        assert isinstance(context.storage, SqlStorage)
+        with _challenge(context.storage) as word:
+            answers = self._client.run(hello, word, estimated_with(context), workers=new, on_error="return")
+        for worker in new:
+            answer = answers.get(worker, "does not answer")
+            self._greeted[worker] = answer if answer is None or isinstance(answer, str) else f"{worker}: {answer!r}"
+            if answer is not None:
+                _log.warning("a worker gets no work: %s", self._greeted[worker])
 
 
-def _client(address: str) -> Any:  # noqa: ANN401 - the same
+def _client(address: str) -> Any:  # noqa: ANN401 - a client of a package that may be missing
     if importlib.util.find_spec("distributed") is None:
         raise PassingFaultError(
             "Dask is not installed: pip install 'treadwatch[dask]'", code=ReasonCode.WAITS_FOR_EXTRA
@@ -116,58 +161,56 @@ def _client(address: str) -> Any:  # noqa: ANN401 - the same
         raise WorkFailedError(f"the Dask scheduler at {address} does not answer: {error}") from error
 
 
-def _hand_over(client: Any, sent: Any, future: Future[Mapping[str, int]]) -> None:  # noqa: ANN401 - the same
-    """Wait for a unit; whatever Dask says of one that it has lost is that it was not done."""
-    try:
-        done = _waited_for(client, sent)
-    except BaseException as error:  # noqa: BLE001 - of Dask: a worker or the scheduler is gone
-        future.set_exception(WorkFailedError(f"Dask has lost a unit: {type(error).__name__}: {error}"))
-        return
-    finally:
-        sent.release()
-    if done.error is None:
-        future.set_result(done.counts)
-    else:
-        future.set_exception(WorkFailedError(done.error))
-
-
-def _waited_for(client: Any, sent: Any) -> UnitDone:  # noqa: ANN401 - the same
-    """Return what comes of a unit.
-
-    Raises:
-        WorkFailedError: There have been no workers for a while.
-    """
-    alone_s: float | None = None
-    while True:
+@contextmanager
+def _challenge(storage: SqlStorage) -> Iterator[str]:
+    """Yield a word that is in the database, as the holder of a lease, and in a file among the windows; for so long."""
+    word = f"hello-{uuid.uuid4().hex}"
+    file = storage.data_dir / "windows" / word
+    with storage.owned(JobTrigger.CLI, word, CONNECT_S), passing_faults(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(word, "ascii")
         try:
-            return cast("UnitDone", sent.result(timeout=LOOK_S))
-        except TimeoutError:
-            if client.ncores():
-                alone_s = None
-                continue
-        alone_s = time.monotonic() if alone_s is None else alone_s
-        if time.monotonic() - alone_s > WITHOUT_WORKERS_S:
-            raise WorkFailedError("there are no workers")
+            yield word
+        finally:
+            file.unlink()
+
+
+def hello(word: str, wanted: str) -> str | None:
+    """Return why the worker that this is called on is not to get work; None where it is.
+
+    Args:
+        wanted: What :func:`estimated_with` returns where the units come from.
+    """
+    try:
+        context = context_of(_settings())
+        storage = context.storage
+        assert isinstance(storage, SqlStorage)
+        with storage.read() as unit:
+            same_database = unit.work_claims.has_holder(word)
+    except TreadwatchError as error:
+        return f"{process_name()}: {error}"
+    if estimated_with(context) != wanted:
+        return f"{process_name()} has another version or other settings than the process that runs the job"
+    if not same_database:
+        return f"{process_name()} works with another database"
+    file = storage.data_dir / "windows" / word
+    try:
+        same_files = file.read_text("ascii") == word
+    except OSError:
+        same_files = False
+    return None if same_files else f"{process_name()} does not see the files of this deployment in {file.parent}"
 
 
 def estimated_with(context: JobContext) -> str:
-    """Return a digest of everything in the settings that shapes an estimate, and of the numerics."""
-    text = f"{context.code_version} {context.settings.estimation!r} {context.settings.alignment!r}"
-    return hashlib.sha256(text.encode()).hexdigest()
+    """Return a digest of everything in the settings that shapes a result, and of the numerics."""
+    return hashlib.sha256(f"{context.code_version} {context.settings!r}".encode()).hexdigest()
 
 
-def work(unit: UnitOfWork, wanted: str) -> UnitDone:
-    """Do a unit on a worker of Dask, with the settings of its own environment.
+_settings = cache(load_settings)
 
-    Args:
-        wanted: What :func:`estimated_with` returns where the unit comes from.
-    """
+
+def _on_worker(work: Callable[..., Result], *arguments: Any) -> Result:  # noqa: ANN401 - of any work
     try:
-        context = context_of(load_settings())
-    except TreadwatchError as error:
-        return UnitDone({}, f"{process_name()}: {error}")
-    if estimated_with(context) != wanted:
-        text = "has another version or other settings than the process that runs the job"
-        return UnitDone({}, f"{process_name()} {text}")
-    done = work_on(replace(context, holder=f"{process_name()}, Dask"), unit)
-    return done if done.error is None else replace(done, error=f"{process_name()}: {done.error}")
+        return in_worker(_settings(), work, *arguments)
+    except WorkFailedError as error:
+        raise WorkFailedError(f"{process_name()}: {error}") from None

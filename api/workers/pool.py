@@ -1,227 +1,176 @@
-"""Worker processes of this machine, each watched by a thread: one that is gone, still or too large is replaced.
+"""Worker processes of this machine: the standard library's pool, one for each worker.
 
-What a replaced worker had claimed is free at once, and its unit goes to the next one. How often workers have ended at a
-thing is counted in the database, so that no thing ends worker after worker.
+In a pool of several processes one that is killed breaks the futures of all, and nothing limits how long a unit takes:
+``python -m bench pools`` shows what becomes of that here and in other libraries. A pool of one process breaks alone,
+and a new one takes its place; the unit is handed out again by whoever handed it out.
 """
 
 from __future__ import annotations
 
 import logging
 import multiprocessing
-import threading
+import os
+import resource
+import signal
 import time
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass, field
-from multiprocessing.connection import Connection, wait
-from multiprocessing.context import ForkServerProcess
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
 from queue import SimpleQueue
+from typing import Any, TypeVar
 
-from api.factory import process_name
+from api.factory import open_store, process_name
 from api.settings import Settings
-from api.workers.process import UnitDone, UnitOfWork, run_worker
-from estimation.errors import StorageError, WorkFailedError
-from estimation.jobs.job import JobContext, Work
-from fleet_db.storage import SqlStorage
+from api.workers.process import begin, in_worker
+from estimation.errors import StorageError
+from estimation.jobs.job import WorkExecutor
 
 RECYCLED_AFTER = 500
 """Units after which a worker is replaced, whatever its memory: fragments of memory are never given back otherwise."""
-SIGNS_A_LEASE = 8
-"""How often a worker says that it lives during the length of a lease."""
 LARGEST = 2.0
 """A worker that has so many times the memory that it may have after a unit is ended during it."""
 START_S = 120.0
-"""A worker that starts says nothing for so long at most: it loads the numerics."""
-Handed = tuple[UnitOfWork, SqlStorage, Future[Mapping[str, int]]]
+"""A worker takes at most so long to start: it loads the numerics."""
+LOOK_S = 1.0
+"""How often a worker that is at work is looked at, s."""
+Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
 
 
-@dataclass(slots=True)
-class Worker:
-    """A running worker process."""
-
-    process: ForkServerProcess
-    connection: Connection
-    said_s: float
-    looked_s: float
-    memory_mb: float = 0.0
-    units: int = 0
-    begun: bool = False  # it has said something
-
-    @property
-    def holder(self) -> str:
-        """Name of the process in its claims."""
-        return process_name(self.process.pid)
-
-
-@dataclass(slots=True)
-class ProcessPool:
-    """Does units of work in processes of its own. Implements ``estimation.jobs.job.WorkExecutor``.
+class ProcessPool(WorkExecutor):
+    """Does units of work in processes of its own.
 
     Args:
-        count: How many workers there are; started when the first unit comes.
+        count: How many workers there are; each is started when the first unit comes to it.
     """
 
-    settings: Settings
-    count: int
-    _units: SimpleQueue[Handed | None] = field(default_factory=SimpleQueue)
-    _watchers: list[threading.Thread] = field(default_factory=list)
-    _workers: dict[int, Worker] = field(default_factory=dict)
-    _closing: threading.Event = field(default_factory=threading.Event)
-    _until_s: float = float("inf")  # of closing, on the monotonic clock
-    replaced: int = 0
+    def __init__(self, settings: Settings, count: int) -> None:
+        self._settings, self._count = settings, count
+        self._threads = ThreadPoolExecutor(count, thread_name_prefix="worker")
+        self._workers = [_Worker(settings) for _ in range(count)]
+        self._idle: SimpleQueue[_Worker] = SimpleQueue()
+        for worker in self._workers:
+            self._idle.put(worker)
+        self.replaced = 0
 
     @property
     def width(self) -> int:
         """Number of workers."""
-        return self.count
+        return self._count
 
     def pids(self) -> list[int]:
         """Return the numbers of the processes that are running now."""
-        return [worker.process.pid for worker in list(self._workers.values()) if worker.process.pid is not None]
+        return [worker.pid for worker in self._workers if worker.pid]
 
-    def submit(self, context: JobContext, stage: Work, keys: Sequence[str]) -> Future[Mapping[str, int]]:
-        """Return what will hold the counts of a unit.
+    def submit(self, work: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:  # noqa: ANN401 - of any work
+        """Return what will hold the result of ``work(context, *arguments)``, or ``BrokenExecutor``."""
+        assert not named
+        return self._threads.submit(self._done, work, arguments)
 
-        Args:
-            context: Of the job that hands the unit out.
-            stage, keys: The unit.
-        """
-        storage = context.storage
-        assert isinstance(storage, SqlStorage)
-        self._start()
-        future: Future[Mapping[str, int]] = Future()
-        self._units.put((UnitOfWork(stage.name, tuple(keys), storage.owner_token), storage, future))
-        return future
-
-    def close(self) -> None:
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:  # noqa: FBT001, FBT002 - of the library
         """Let the running units end, for as long as a shutdown may take, and end the workers."""
-        self._until_s = time.monotonic() + self.settings.shutdown_timeout_s
-        self._closing.set()
-        for _ in self._watchers:
-            self._units.put(None)
-        for watcher in self._watchers:
-            watcher.join()
+        self._threads.shutdown(wait=False, cancel_futures=cancel_futures)
+        until_s = time.monotonic() + self._settings.shutdown_timeout_s
+        for worker in self._workers:
+            worker.until_s = min(worker.until_s, until_s)
+        self._threads.shutdown(wait)
+        for worker in self._workers:
+            worker.end()
 
-    def _start(self) -> None:
-        if self._watchers:
-            return
-        for number in range(self.count):
-            watcher = threading.Thread(target=self._watch, args=(number,), name=f"worker {number}", daemon=True)
-            self._watchers.append(watcher)
-            watcher.start()
-
-    def _watch(self, number: int) -> None:
-        """Hand units to one worker after the other, until the pool is closed."""
-        while (handed := self._units.get()) is not None:
-            unit, storage, future = handed
-            if self._closing.is_set() or not future.set_running_or_notify_cancel():
-                future.cancel()
-                continue
-            try:
-                done = self._done(number, unit, storage)
-            except Exception as error:  # noqa: BLE001 - it is raised where the result is looked at
-                _log.exception("a unit of %s could not be handed to a worker", unit.stage)
-                done = UnitDone({}, str(error))
-            if done.error is None:
-                future.set_result(done.counts)
-            else:
-                future.set_exception(WorkFailedError(done.error))
-        self._end(number)
-
-    def _done(self, number: int, unit: UnitOfWork, storage: SqlStorage) -> UnitDone:
-        """Return what comes of a unit, whatever happens to workers meanwhile."""
-        while True:
-            worker = self._worker(number)
-            done = self._of_worker(worker, unit)
-            if done is None:
-                self._end(number)
-                self.replaced += 1
-                _freed(storage, worker, forgiven=self._closing.is_set())
-                if self._closing.is_set():
-                    return UnitDone({}, "the process is stopping")
-                continue
-            worker.units += 1
-            if worker.units >= RECYCLED_AFTER or worker.memory_mb > self.settings.worker_memory_mb:
-                _log.info(
-                    "worker %s is replaced after %d units, %.0f MB", worker.holder, worker.units, worker.memory_mb
-                )
-                self._end(number)
-            return done
-
-    def _worker(self, number: int) -> Worker:
-        worker = self._workers.get(number)
-        if worker is None:
-            worker = self._workers[number] = _started(self.settings, self._sign_s)
-        return worker
-
-    @property
-    def _sign_s(self) -> float:
-        return self.settings.lease_s / SIGNS_A_LEASE
-
-    def _of_worker(self, worker: Worker, unit: UnitOfWork) -> UnitDone | None:
-        """Return what comes of a unit in one worker; None where the worker is to be replaced."""
-        worker.said_s = worker.looked_s = time.monotonic()
+    def _done(self, work: Callable[..., Result], arguments: tuple[Any, ...]) -> Result:
+        worker = self._idle.get()
         try:
-            worker.connection.send(unit)
-            while True:
-                if wait([worker.connection, worker.process.sentinel], self._sign_s) and worker.connection.poll():
-                    said = worker.connection.recv()
-                    worker.said_s, worker.begun = time.monotonic(), True
-                    if isinstance(said, UnitDone):
-                        return said
-                    worker.memory_mb = said
-                elif not worker.process.is_alive():
-                    _log.warning("worker %s has ended: %s", worker.holder, worker.process.exitcode)
-                    return None
-                if (why := self._why_ended(worker)) is not None:
-                    _log.warning("worker %s is ended: %s", worker.holder, why)
-                    return None
-        except (EOFError, OSError):
-            worker.process.join(1.0)
-            _log.warning("worker %s has ended: %s", worker.holder, worker.process.exitcode)
-            return None
+            return worker.done(work, arguments)
+        except BrokenExecutor as error:
+            self.replaced += 1
+            _log.warning("worker %s has ended: %s", process_name(worker.pid), error)
+            worker.end()
+            raise
+        finally:
+            self._idle.put(worker)
 
-    def _why_ended(self, worker: Worker) -> str | None:
-        """Return why a worker that is at work is to be ended; None where it is not."""
-        now_s = time.monotonic()
-        stood_still_s = now_s - worker.looked_s - self._sign_s
-        worker.looked_s = now_s
-        if stood_still_s > self._sign_s:  # this process, perhaps its machine: what was said then is not read yet
-            worker.said_s += stood_still_s
-        if now_s - worker.said_s > (self.settings.lease_s if worker.begun else START_S):
-            return f"it has said nothing for {now_s - worker.said_s:.0f} s"
-        if worker.memory_mb > LARGEST * self.settings.worker_memory_mb:
-            return f"it has {worker.memory_mb:.0f} MB"
-        if self._closing.is_set() and now_s > self._until_s:
-            return "the process is stopping"
-        return None
 
-    def _end(self, number: int) -> None:
-        """End a worker that is at no unit, or not to be waited for."""
-        worker = self._workers.pop(number, None)
-        if worker is None:
+@dataclass(slots=True)
+class _Worker:
+    """One process after the other, each behind a pool that has no other.
+
+    Attributes:
+        until_s: When the pool is closed, on the monotonic clock.
+        units: How many the process has done.
+    """
+
+    settings: Settings
+    until_s: float = float("inf")
+    pool: ProcessPoolExecutor | None = None
+    pid: int = 0
+    units: int = 0
+
+    def done(self, work: Callable[..., Result], arguments: tuple[Any, ...]) -> Result:
+        """Return what comes of a unit.
+
+        Raises:
+            BrokenExecutor: The process has ended, or is to be killed; says why.
+        """
+        pool = self.pool or self._started()
+        future = pool.submit(in_worker, self.settings, work, *arguments)
+        begun_s = time.monotonic()
+        while True:
+            try:
+                result = future.result(LOOK_S)
+                break
+            except TimeoutError:
+                self._check(time.monotonic() - begun_s)
+        self.units += 1
+        if self.units >= RECYCLED_AFTER or _memory_mb(self.pid) > self.settings.worker_memory_mb:
+            _log.info("worker %s is replaced after %d units", process_name(self.pid), self.units)
+            self.end()
+        return result
+
+    def end(self) -> None:
+        """End the process, which is at no unit or has ended."""
+        if self.pool is not None:
+            self.pool.shutdown(wait=self.pid > 0)
+        self.pool, self.pid, self.units = None, 0, 0
+
+    def _started(self) -> ProcessPoolExecutor:
+        server = multiprocessing.get_context("forkserver")
+        server.set_forkserver_preload([in_worker.__module__])
+        self.pool = ProcessPoolExecutor(1, server, begin, (self.settings,))
+        try:
+            self.pid = self.pool.submit(os.getpid).result(START_S)
+        except TimeoutError:
+            raise BrokenExecutor(f"it has not started within {START_S:g} s") from None
+        return self.pool
+
+    def _check(self, took_s: float) -> None:
+        """Kill the process where it is not to go on."""
+        memory_mb = _memory_mb(self.pid)
+        if took_s > self.settings.unit_limit_s:
+            why = f"a unit has taken {took_s:.0f} s"
+        elif memory_mb > LARGEST * self.settings.worker_memory_mb:
+            why = f"it has {memory_mb:.0f} MB"
+        elif time.monotonic() > self.until_s:
+            why = "the process is stopping"
+        else:
             return
-        worker.connection.close()
-        worker.process.kill()
-        worker.process.join()
+        os.kill(self.pid, signal.SIGKILL)
+        if time.monotonic() > self.until_s:
+            self._forgive()
+        raise BrokenExecutor(why)
+
+    def _forgive(self) -> None:
+        """Let what the worker had claimed be free: that it is ended now does not count against that."""
+        try:
+            with closing(open_store(self.settings)) as storage, storage.write() as unit:
+                unit.work_claims.forgive(process_name(self.pid))
+        except StorageError as error:
+            _log.warning("the claims of worker %s could not be ended: %s", process_name(self.pid), error)
 
 
-def _started(settings: Settings, sign_s: float) -> Worker:
-    server = multiprocessing.get_context("forkserver")
-    server.set_forkserver_preload([run_worker.__module__])
-    ours, theirs = server.Pipe()
-    process = server.Process(target=run_worker, args=(theirs, settings, sign_s), daemon=True)
-    process.start()
-    theirs.close()
-    return Worker(process, ours, time.monotonic(), time.monotonic())
-
-
-def _freed(storage: SqlStorage, worker: Worker, *, forgiven: bool) -> None:
-    """Let what a worker that is gone had claimed be free at once; else it is when the lease ends."""
-    try:
-        with storage.write() as unit:
-            unit.work_claims.end_of(worker.holder, forgiven=forgiven)
-    except StorageError as error:
-        _log.warning("the claims of worker %s could not be ended: %s", worker.holder, error)
+def _memory_mb(pid: int) -> float:
+    """Return how much memory a process has, MB; 0 where the system does not say."""
+    pages = Path(f"/proc/{pid}/statm")
+    return int(pages.read_text("ascii").split()[1]) * resource.getpagesize() / 1e6 if pages.exists() else 0.0

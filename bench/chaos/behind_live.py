@@ -12,7 +12,7 @@ from bench.chaos.behind_memory import grown, resident_mb
 from bench.chaos.live_round import PATIENCE_S, LiveRound, stored_frames, transmitting
 from bench.chaos.small_deployment import Databases, faults
 from bench.report import BenchRow
-from ingest.dropped_frames import OVERFLOW_ID, count_dropped
+from ingest.frames import OVERFLOW_ID, count_dropped
 
 BUSY = 14
 """A bus with so many times the acceleration frames of the vehicle has eight times as many frames."""

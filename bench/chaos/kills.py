@@ -104,7 +104,7 @@ def estimate(settings: Settings) -> None:
     """Run the jobs once, as ``treadwatch estimate`` does."""
     with closing(open_store(settings)) as storage:
         context = job_context(settings, storage)
-        with storage.owned(JobTrigger.CLI, process_name(), context.clock.now_ns()) as owned:
+        with storage.owned(JobTrigger.CLI, process_name(), context.lease_s) as owned:
             for job in scheduled_jobs(settings):
                 run_job(job, job_context(settings, owned), JobTrigger.CLI)
 

@@ -16,8 +16,7 @@ from bench.chaos.live_round import SECOND_NS, LiveRound, acceleration_frames, st
 from bench.chaos.part import ChaosSettings
 from bench.chaos.small_deployment import PASSWORD, Databases, databases, faults
 from bench.report import BenchRow
-from ingest.dropped_frames import OVERFLOW_ID, count_dropped
-from ingest.frames import FrameBatch, take
+from ingest.frames import OVERFLOW_ID, FrameBatch, count_dropped, take
 
 KINDS = ("sqlite", "postgresql")
 OUTAGES_S = (1.0, 4.0, 15.0, 60.0, 300.0)

@@ -61,7 +61,7 @@ class Services:
         before = self.said().count("scheduler started")
         with self.log.open("ab") as log:
             self.scheduler = subprocess.Popen(  # noqa: S603 - our own command
-                [sys.executable, "-c", SCHEDULE, "schedule"],
+                [sys.executable, "-c", SCHEDULE, "schedule", "--wait"],
                 env=environment_of(self.settings),
                 stdout=log,
                 stderr=log,

@@ -7,18 +7,102 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 from scipy.special import betaincinv
 
-from estimation.accuracy.estimate_of_date import EstimateOfDate
 from estimation.accuracy.wheel_contact import AMPLITUDES, WheelContact
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, conicity_at_limit_amplitude
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.quantities import NORMAL_95, Estimate
+from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import WheelsetRecord
+from estimation.values.served import Served
+from estimation.values.trend import IdentityChange
+
+
+@dataclass(frozen=True, slots=True)
+class EstimateOfDate:
+    """The estimate that belongs to a measurement; ``reason`` is why there is none, or why it holds no number."""
+
+    record: GeometryRecord | None
+    reason: Reason | None
+
+
+def baseline_at(wheelset: WheelsetRecord, at_ns: int) -> tuple[int, float]:
+    """Return the number of reprofilings up to a time, and the mileage of the last of them (0 where there is none).
+
+    Args:
+        at_ns: Time, ns UTC; the profile of a reprofiling at that time is the new one.
+    """
+    turned = [item for item in wheelset.reprofilings if item.at_ns <= at_ns]
+    return len(turned), max(turned, key=lambda item: item.at_ns).mileage_km if turned else 0.0
+
+
+def estimate_of_date(
+    measurement: MeasuredProfiles,
+    wheelset: WheelsetRecord,
+    intervals: Sequence[GeometryRecord],
+    interval_km: float,
+    change: IdentityChange | None = None,
+) -> EstimateOfDate:
+    """Return the estimate that belongs to a measurement, or why there is none.
+
+    It is that of the mileage interval which contains the measurement, since the last reprofiling before it and with no
+    data of after the next. Where that interval has no conicity it is the nearest one that has, if its mileage is
+    within an interval of the measurement: in that distance a profile hardly wears.
+
+    Args:
+        change: Its last identity change: estimates of the other side are of another wheelset.
+    """
+    baseline, begin_km = baseline_at(wheelset, measurement.at_ns)
+    own = [one for one in intervals if one.baseline == baseline and one.interval is not None and one.geometry.windows]
+    if not own:
+        since = "the wheelset was new" if baseline == 0 else f"reprofiling {baseline}"
+        return EstimateOfDate(None, Reason(ReasonCode.NO_GEOMETRY, f"nothing was estimated since {since}"))
+    same = [one for one in own if _same_side(one, measurement.at_ns, change)]
+    if not same:
+        text = "all estimates of this profile are of another wheelset, or of one mounted the other way round"
+        return EstimateOfDate(None, Reason(ReasonCode.IDENTITY_DOUBTFUL, text))
+    containing = int((measurement.mileage_km - begin_km) // interval_km)
+    chosen = next((one for one in same if one.interval == containing), None)
+    if chosen is None or not _has_conicity(chosen):
+        chosen = _nearest(measurement, same, interval_km) or chosen
+    if chosen is None:
+        least = min(abs(one.mileage_km - measurement.mileage_km) for one in same)
+        text = f"the nearest estimate of this profile is {least:.0f} km from the measurement"
+        return EstimateOfDate(None, Reason(ReasonCode.NO_ESTIMATE_NEAR, text))
+    return EstimateOfDate(chosen, None if _has_conicity(chosen) else _why_not(chosen))
+
+
+def _nearest(
+    measurement: MeasuredProfiles, records: Sequence[GeometryRecord], within_km: float
+) -> GeometryRecord | None:
+    def apart(record: GeometryRecord) -> float:
+        return abs(record.mileage_km - measurement.mileage_km)
+
+    near = [one for one in records if _has_conicity(one) and apart(one) <= within_km]
+    return min(near, key=apart, default=None)
+
+
+def _has_conicity(record: GeometryRecord) -> bool:
+    return any(one.status is Status.ESTIMATED for one in record.geometry.conicity)
+
+
+def _why_not(record: GeometryRecord) -> Reason | None:
+    return record.geometry.reason or record.geometry.equivalent_conicity.reason
+
+
+def _same_side(record: GeometryRecord, at_ns: int, change: IdentityChange | None) -> bool:
+    if change is None:
+        return True
+    if at_ns >= change.after_ns:
+        return record.from_ns >= change.after_ns
+    return record.to_ns <= change.before_ns
+
 
 _NO_ESTIMATE = Reason(ReasonCode.NO_GEOMETRY, "there is no estimate")
 
@@ -28,11 +112,21 @@ class ConicityPair:
     """The equivalent conicity at one amplitude, measured and estimated."""
 
     amplitude: float  # m
-    measured: Estimate
-    estimated: Estimate
+    measured: Annotated[Estimate, Served("From the measured profiles; `n_windows` is 0.", "measured_1")]
+    estimated: Annotated[
+        Estimate, Served("Of the estimate; at 3 mm it may be extrapolated, see its reason.", "estimated_1")
+    ]
 
     @property
-    def covered(self) -> bool | None:
+    def covered(
+        self,
+    ) -> Annotated[
+        bool | None,
+        Served(
+            "Whether the estimate's 95 % interval, widened by the error of the measurement, covers it; "
+            "null where either is unknown."
+        ),
+    ]:
         """Whether the interval of the estimate covers the measurement; None where either is unknown."""
         return covers(self.estimated, self.measured)
 
@@ -66,11 +160,7 @@ class Comparison:
 
 
 def compared(
-    measurement: MeasuredProfiles,
-    contact: WheelContact | Reason,
-    estimate: EstimateOfDate,
-    *,
-    independent: bool | None,
+    measurement: MeasuredProfiles, contact: WheelContact | Reason, estimate: EstimateOfDate, *, independent: bool | None
 ) -> Comparison:
     """Return a measurement beside the estimate that belongs to it.
 
@@ -119,9 +209,6 @@ def covers(estimated: Estimate, measured: Estimate) -> bool | None:
 
     The measurement errs too: the half of the interval on its side and 1.96 of its standard deviations are added as
     squares.
-
-    Args:
-        measured: With its standard deviation, of the same quantity in the same unit.
     """
     if estimated.value is None or estimated.low is None or estimated.high is None:
         return None
@@ -136,8 +223,8 @@ def covers(estimated: Estimate, measured: Estimate) -> bool | None:
 class CoverageCount:
     """How many intervals were compared with a measurement, and how many covered it."""
 
-    compared: int = 0
-    covered: int = 0
+    compared: Annotated[int, Served("Intervals that were compared with a measurement.")] = 0
+    covered: Annotated[int, Served("Of these, the ones that cover it.")] = 0
 
     @staticmethod
     def of(outcomes: Iterable[bool | None]) -> CoverageCount:
@@ -146,7 +233,9 @@ class CoverageCount:
         return CoverageCount(len(known), sum(known))
 
     @property
-    def fraction(self) -> float | None:
+    def fraction(
+        self,
+    ) -> Annotated[float | None, Served("Share that is covered; null where nothing was compared.", "fraction_1")]:
         """Share that is covered; None where nothing was compared."""
         return self.covered / self.compared if self.compared else None
 
@@ -193,8 +282,10 @@ class PlacedComparison:
 class CoveragePair:
     """A count of all comparisons, and of those whose estimate was made without a measurement of the same wheels."""
 
-    all: CoverageCount
-    independent: CoverageCount
+    all: Annotated[CoverageCount, Served("Of all comparisons.", "everything")]
+    independent: Annotated[
+        CoverageCount, Served("Of those whose estimate was made without a measurement of the same profiles.")
+    ]
 
 
 @dataclass(frozen=True, slots=True)

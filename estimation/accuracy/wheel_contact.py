@@ -9,14 +9,20 @@ from typing import Annotated
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import (
+    ContactMethod,
+    ContactTable,
+    RadiusDifferenceCurve,
+    WheelsetOnTrack,
+    contact_table,
+    refined_curve,
+)
 from estimation.contact.profiles import Profile, rail_profile
-from estimation.contact.radius_difference import RadiusDifferenceCurve, refined_curve
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import NORMAL_95, Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.served import MM, Served
 
 AMPLITUDES: FloatArray = np.arange(1, 9, dtype=np.float64) * 1e-3  # m
 REACH = 12e-3  # m: an amplitude of 8 mm about a centre that is 4 mm off
@@ -27,10 +33,10 @@ STEP = 0.1e-3  # m
 class RailShare:
     """Rails as they are laid on some of the track, and the share of the running on them."""
 
-    rail: str  # name of the profile
-    inclination: float  # tangent
-    gauge: float  # m, nominal
-    share: float  # 0 to 1
+    rail: Annotated[str, Served(name="rail_profile", example="60E1")]  # name of the profile
+    inclination: Annotated[float, Served(name="rail_inclination_1", example=0.025)]  # tangent
+    gauge: Annotated[float, Served(name="nominal_gauge_mm", scale=MM, example=1435.0)]  # m, nominal
+    share: Annotated[float, Served("Share of the running on them.", "share_1", example=1.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +71,6 @@ def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact
     """Return the contact geometry of two wheels on rails, or why there is none.
 
     Args:
-        wheels: Profiles, radius and their standard deviation.
         rails: Rails with the share of the running on each; shares need not add up to one.
     """
     if not rails:

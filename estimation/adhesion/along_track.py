@@ -65,7 +65,6 @@ def along_track(cells: IntArray, misfits: FloatArray, place_std: FloatArray, par
         cells: (c,) numbers of the places, rising; the chain begins again behind a gap.
         misfits: (c, k) twice the negative logarithm of the likelihood at each of ``INVERSE``, but for a constant.
         place_std: (c,) error of 1/mu of each place that all its passes share.
-        parameters: What is known beforehand.
     """
     width = np.gradient(GRID)
     prior = np.exp(-0.5 * ((GRID - parameters.usual) / parameters.usual_std) ** 2) * width
@@ -179,7 +178,6 @@ def creep_levels(sums: PassSums, slope: FloatArray, slippery: BoolArray, before:
         slope: (w,) a of the wheelsets.
         slippery: (c,) places that are no usual rails; a vehicle that has met them for the most part is held against all
             of its.
-        before: What is known beforehand.
     """
     usual = sums.at(np.full(len(sums.cells), before.usual))[2]
     entry = sums.vehicle * len(sums.cells) + sums.place

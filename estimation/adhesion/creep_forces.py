@@ -107,12 +107,9 @@ def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -
         add_product(back, gained, filtered[i])
 
 
-BAND_HZ = 12.0
-"""End of the band that is kept."""
-VIBRATING = 0.25
-"""Rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make."""
-HALF_LENGTH_S = 0.12
-"""Of the low-pass, on each side."""
+BAND_HZ = 12.0  # end of the band that is kept
+VIBRATING = 0.25  # rms of what a lateral acceleration has above the band, m/s2: more than contact jumps make
+HALF_LENGTH_S = 0.12  # of the low-pass, on each side
 
 
 def without_vibration(
@@ -122,8 +119,6 @@ def without_vibration(
 
     Args:
         accelerations: (k, n) without means, 0 where not known; m/s2 and rad/s2.
-        known: (n,) samples that were measured.
-        sample_interval_s: Between samples, s.
     """
     rate = 1.0 / sample_interval_s
     weights = scipy.signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)
@@ -165,9 +160,6 @@ def contact_forces(
 
     Args:
         windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
-
-    Raises:
-        ValueError: The windows are not those of a running gear of the class.
     """
     segments = gear_segments(windows, vehicle_class, signals)
     return segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, parameters)

@@ -110,8 +110,6 @@ def section_adhesion(
     """Return the friction along a section and where it is low; None where no pass says anything.
 
     Args:
-        passes: Of it, over the time that is pooled, in any order.
-        parameters: Limits and what is known beforehand.
         length: Of the section, m; what was measured before its begin and behind its end belongs to no place of it.
     """
     known = [one for one in passes if one.sums is not None and len(one.sums.cells)]
@@ -138,7 +136,6 @@ def pooled_friction(
     """Return the friction of every place that passes have met, in order of distance, and whose passes are left out.
 
     Args:
-        passes: Of one section over the time that is pooled, in any order; those without sums say nothing.
         parameters: Limits and what is known beforehand.
     """
     left_out: list[LeftOut] = []

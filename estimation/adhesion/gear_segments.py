@@ -56,9 +56,6 @@ def gear_segments(
 
     Args:
         windows: Of one time: of a wheelset, or of front and rear wheelset of a bogie; (n,) samples each.
-
-    Raises:
-        ValueError: The windows are not those of a running gear of the class.
     """
     axles = 1 if vehicle_class.bogie is None else AXLES_OF_A_BOGIE
     if len(windows) != axles or len({(one.start_ns, len(one.valid)) for one in windows}) != 1:

@@ -15,9 +15,8 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, worn
 from estimation.contact.worn_family import WHEELS
 from estimation.errors import ContactError, ProfileError

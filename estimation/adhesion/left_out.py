@@ -30,9 +30,8 @@ def away_from_low_adhesion(
         return window
     distance = window.distance if correction is None else correction.at(window.distance)
     low = np.zeros(len(window.valid), np.bool_)
-    with np.errstate(invalid="ignore"):
-        for begin, end in stretches:
-            low |= (distance >= begin - MARGIN) & (distance <= end + MARGIN)
+    for begin, end in stretches:
+        low |= (distance >= begin - MARGIN) & (distance <= end + MARGIN)
     left = window.valid & ~low
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.LOW_ADHESION, "all of the window is on rails of low friction")

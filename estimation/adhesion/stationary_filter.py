@@ -184,11 +184,6 @@ def stationary_filter(
 ) -> StationaryFilter:
     """Return the filter of a class at a speed.
 
-    Args:
-        sample_interval_s: Between samples, s.
-        speed: Mean speed of the window, m/s; rounded.
-        parameters: What is known of the forces.
-
     Raises:
         numpy.linalg.LinAlgError: The class has no stationary filter.
     """

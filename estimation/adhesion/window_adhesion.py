@@ -117,16 +117,13 @@ class CreepSignals(FrozenArrays):
     spin: Annotated[FloatArray, "n"]  # N, lateral, of a wheel by the spin of its inclined contact, the other's reversed
     valid: Annotated[BoolArray, "n"]
 
-    def resultants(self, half_contact_distance: float, share: float | FloatArray = 1.0) -> FloatArray:
+    def resultants(self, half_contact_distance: float) -> FloatArray:
         """Return the resultant creep force of left and right wheel (2, n), N.
 
         Args:
             half_contact_distance: l, m.
-            share: Of its linear creep force that a wheel transmits, (n,) or one number: spin is known as a linear
-                force.
         """
-        spin = share * self.spin
-        lateral = np.stack([0.5 * self.lateral + spin, 0.5 * self.lateral - spin])
+        lateral = np.stack([0.5 * self.lateral + self.spin, 0.5 * self.lateral - self.spin])
         return np.asarray(np.hypot(0.5 * self.moment / half_contact_distance, lateral))
 
 
@@ -143,9 +140,7 @@ def creep_signals(
     """Return the creep of a wheelset, high-passed as its motion is.
 
     Args:
-        forces: (n,) of the window, in the axes of the sensors.
         motion: (n,) of the same window.
-        sample_interval_s: Between samples, s.
         cutoff_wavelength: Of the high-pass of the motion, m.
         angles: dL - dR of the wheelset; None where it is not known.
         mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
@@ -186,10 +181,8 @@ def friction_sums(
 
     Args:
         signals: (n,) creep.
-        motion: (n,) of the same window.
         distance: (n,) m along the section.
         curve: (b,) centres of bins of y - d, m, and (b,) rL - rR there, m, NaN where it is not known.
-        sample_interval_s: Between samples, s.
     """
     p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
     difference = _on_curve(motion.displacement, *curve) - signals.linear_difference
@@ -217,9 +210,8 @@ def _summed(values: FloatArray, index: npt.NDArray[np.intp], count: int) -> Floa
 def _on_curve(displacement: FloatArray, centres: FloatArray, values: FloatArray) -> FloatArray:
     """Return the curve (n,) at displacements (n,), NaN outside and where one of both neighbours is not known."""
     width = centres[1] - centres[0]
-    with np.errstate(invalid="ignore"):
-        place = (displacement - centres[0]) / width
-        inside = (place >= 0.0) & (place < len(centres) - 1)
+    place = (displacement - centres[0]) / width
+    inside = (place >= 0.0) & (place < len(centres) - 1)
     cell = np.where(inside, place, 0.0).astype(np.int64)
     part = np.where(inside, place, np.nan) - cell
     return np.asarray((1.0 - part) * values[cell] + part * values[cell + 1])
@@ -251,7 +243,6 @@ def window_adhesion(
 
     Args:
         forces: On its wheelset, or why they are not known.
-        motion: Of the window relative to the track, or why it is not known.
     """
     of_window = (window.wheelset, window.start_ns, window.vehicle, window.track_section, content_digest)
     if isinstance(forces, Reason):

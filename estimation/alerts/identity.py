@@ -20,6 +20,8 @@ import numpy as np
 from estimation.alerts.mirrored import Parts, newest_mirrored
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import WheelsetGeometry
+from estimation.values.results import History, ResultKind
+from estimation.values.runs import SubjectKind
 
 
 class Mistake(StrEnum):
@@ -70,6 +72,21 @@ class IdentityEvent:
     measured_ns: int  # end of the data that showed it
     jump: float  # standard deviations between before and after
     left: float  # standard deviations that the explanation leaves
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityJump:
+    """A wheelset whose geometry jumps, so that it must be compared with those of the others.
+
+    Attributes:
+        shown: Digest of the geometries in which it jumps.
+    """
+
+    shown: str
+
+
+JUMP = ResultKind("identity_jump", SubjectKind.WHEELSET, IdentityJump, history=History.NEWEST)
+IDENTITY_EVENT = ResultKind("identity", SubjectKind.WHEELSET, IdentityEvent, history=History.NEWEST)
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,10 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.compiled import compiled
-from estimation.contact.geometry import WheelsetOnTrack
-from estimation.contact.radius_difference import radius_difference_curve
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, radius_difference_curve
 from estimation.contact.smoothed_profile import SmoothedProfile
-from estimation.contact.table import ContactMethod
 from estimation.errors import ContactError, ParameterError
 from estimation.values.arrays import FloatArray
 
@@ -315,7 +313,6 @@ def conicity_std(
     cover. Errors of an instrument that are alike along the whole profile (scale, tilt) are not in it.
 
     Args:
-        shapes: The same profiles with their uncertainty.
         lateral_displacement: (n,) m, strictly increasing: the grid of the contact search.
         amplitudes: (k,) m, positive.
 

@@ -19,8 +19,7 @@ from scipy.spatial import cKDTree
 
 from estimation.contact.en13715 import HEIGHTS, THICKNESSES
 from estimation.contact.profiles import ProfileKind, rail_profile, wheel_profile
-from estimation.contact.segments import Segment
-from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 
 FARTHEST = 0.3  # mm, median distance of the points, beyond which no design is tried
@@ -38,8 +37,7 @@ HEAD_DEPTH = 5.0  # mm below its top, where the middle of a head is taken
 _MILLIMETRE = 1e-3
 _TREADS = ("S1002", "1/40")
 
-_Movement = tuple[float, float, float]
-"""Shift across and down (mm) after a turn about the origin (rad)."""
+_Movement = tuple[float, float, float]  # shift across and down (mm) after a turn about the origin (rad)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,7 @@ from __future__ import annotations
 import math
 import re
 
-from estimation.contact.segments import Arc, Line, Polynomial, Segment
-from estimation.contact.wheel_definitions import S1002_THROAT, S1002_TREAD
+from estimation.contact.wheel_definitions import S1002_THROAT, S1002_TREAD, Arc, Line, Polynomial, Segment
 from estimation.errors import ProfileError
 
 NAMES = "EN13715-S1002/h28/e32.5, EN13715-1/40/h28/e32.5 (h 28 to 32, e 28.5 to 32.5, outer slope as /6.7%)"

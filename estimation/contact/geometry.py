@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from enum import StrEnum
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,12 +13,70 @@ import numpy.typing as npt
 from estimation.contact import kernels
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.contact.surface import Surface, rail_surface, wheel_surface
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.errors import ContactError
-from estimation.values.arrays import BoolArray, FloatArray, IntArray
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, freeze, frozen_array
 
-FLANGE_BACK_DISTANCE = 1.360
-"""Usual distance between the flange backs of a wheelset for 1435 mm, m."""
+
+class ContactMethod(StrEnum):
+    """How the contact points are found."""
+
+    EN15302 = "en15302"  # no roll, smallest vertical gap on each side separately
+    RIGID = "rigid"  # the wheelset rolls until both wheels touch
+
+
+@dataclass(frozen=True, slots=True)
+class ContactTable(FrozenArrays):
+    """Contact geometry of a wheelset on a track; SI, n lateral displacements by g gauge deviations.
+
+    Lateral displacement is that of the axle's middle relative to the track centre, positive to the left; gauge
+    deviation is actual minus nominal gauge. For positive displacement the left wheel runs on its larger radius and
+    steeper contact angle. Contact angles are those of the wheel's surface against the axle's axis, positive where the
+    radius grows towards the flange; against the track plane the left one is larger by the roll, the right one smaller.
+    ``contact_position_*`` is the wheel profile's lateral axis (from the tread datum, positive to the field side),
+    ``rail_position_*`` the lateral distance from the track centre, positive on both sides. ``exists`` is False where
+    there is no contact of both wheels: there the values are those of the nearest displacement that has one.
+    ``jump`` marks the grid points with a contact jump between them and a neighbouring displacement: a contact point
+    of either side moves by 0.4 mm while the wheelset moves by 4 um or less. Between two such neighbours the values
+    must not be interpolated.
+    """
+
+    method: ContactMethod
+    lateral_displacement: Annotated[FloatArray, "n"]  # m, strictly increasing
+    gauge_deviation: Annotated[FloatArray, "g"]  # m, strictly increasing
+    roll: Annotated[FloatArray, "n", "g"]  # rad, positive lifts the left wheel; 0 with EN 15302
+    rolling_radius_left: Annotated[FloatArray, "n", "g"]  # m
+    rolling_radius_right: Annotated[FloatArray, "n", "g"]  # m
+    contact_angle_left: Annotated[FloatArray, "n", "g"]  # rad
+    contact_angle_right: Annotated[FloatArray, "n", "g"]  # rad
+    contact_position_left: Annotated[FloatArray, "n", "g"]  # m
+    contact_position_right: Annotated[FloatArray, "n", "g"]  # m
+    rail_position_left: Annotated[FloatArray, "n", "g"]  # m
+    rail_position_right: Annotated[FloatArray, "n", "g"]  # m
+    exists: Annotated[BoolArray, "n", "g"]
+    jump: Annotated[BoolArray, "n", "g"]
+
+    @property
+    def rolling_radius_difference(self) -> FloatArray:
+        """Left minus right rolling radius (n, g), m."""
+        return self.rolling_radius_left - self.rolling_radius_right
+
+    @property
+    def rolling_radius_sum(self) -> FloatArray:
+        """Left plus right rolling radius (n, g), m."""
+        return self.rolling_radius_left + self.rolling_radius_right
+
+    @property
+    def contact_angle_difference(self) -> FloatArray:
+        """Left minus right contact angle (n, g), rad."""
+        return self.contact_angle_left - self.contact_angle_right
+
+    @property
+    def contact_angle_sum(self) -> FloatArray:
+        """Left plus right contact angle (n, g), rad."""
+        return self.contact_angle_left + self.contact_angle_right
+
+
+FLANGE_BACK_DISTANCE = 1.360  # usual distance between the flange backs of a wheelset for 1435 mm, m
 
 _REASONS = {
     kernels.NO_OVERLAP: "a wheel is not above its rail",
@@ -215,3 +274,90 @@ def _filled(
         exists=exists,
         jump=np.pad(crossed, ((0, 1), (0, 0))) | np.pad(crossed, ((1, 0), (0, 0))),
     )
+
+
+_HOLD = 1.5 * kernels.CURVE_INTERVAL  # m, neighbours on both sides of a jump are no farther apart
+
+
+@dataclass(frozen=True, slots=True)
+class RadiusDifferenceCurve:
+    """Left minus right rolling radius, straight between points that were set as densely as that takes; SI.
+
+    A contact jump is between two points less than 2 nm apart. Displacements without contact have no points.
+    """
+
+    displacement: FloatArray  # (n,) m, strictly increasing
+    difference: FloatArray  # (n,) m
+    jumps: FloatArray  # (k,) m, displacements at which a contact point of either side jumps
+
+    def __post_init__(self) -> None:
+        freeze(self)
+        for name, n in (("displacement", None), ("difference", len(self.displacement)), ("jumps", None)):
+            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+
+
+def radius_difference_curve(
+    wheelset: WheelsetOnTrack,
+    lateral_displacement: npt.ArrayLike,
+    gauge_deviation: float = 0.0,
+    *,
+    method: ContactMethod = ContactMethod.EN15302,
+) -> RadiusDifferenceCurve:
+    """Return the rolling radius difference, refined between the points of a grid.
+
+    Each cell is halved until the curve is straight in it to 0.2 um; a jump is placed by bisection of the contact
+    search to 1 nm. So integrals over the curve (EN 15302) do not depend on the grid.
+
+    Args:
+        lateral_displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre, positive
+            to the left.
+        gauge_deviation: Actual minus nominal gauge, m.
+        method: How contact points are found, as :func:`estimation.contact.geometry.contact_table` takes it.
+
+    Raises:
+        ContactError: A grid that is not finite and increasing; profiles that never touch.
+    """
+    grid, _, setting, values, outcomes = search_contacts(
+        wheelset, lateral_displacement, (gauge_deviation,), method=method, outside="hold"
+    )
+    return _refined(wheelset, grid, gauge_deviation, values[:, :, 0], outcomes[:, 0], setting)
+
+
+def refined_curve(wheelset: WheelsetOnTrack, table: ContactTable, column: int) -> RadiusDifferenceCurve:
+    """Return the same curve from a contact table that has been searched already, at one of its gauges.
+
+    Args:
+        table: As :func:`estimation.contact.geometry.contact_table` returns it.
+        column: Of ``table.gauge_deviation``, from 0.
+    """
+    contacts = (
+        table.roll,
+        table.contact_position_left,
+        table.contact_position_right,
+        table.rail_position_left,
+        table.rail_position_right,
+    )
+    values = np.array([values[:, column] for values in contacts])
+    outcomes = np.where(table.exists[:, column], kernels.FOUND, kernels.NO_ROLL)
+    grid = np.array(table.lateral_displacement)  # writable, as the kernel is compiled for
+    gauge_deviation = float(table.gauge_deviation[column])
+    setting = search_setting(wheelset, table.method)
+    return _refined(wheelset, grid, gauge_deviation, values, outcomes, setting)
+
+
+def _refined(
+    wheelset: WheelsetOnTrack,
+    grid: FloatArray,
+    gauge_deviation: float,
+    values: FloatArray,
+    outcomes: IntArray,
+    setting: Setting,
+) -> RadiusDifferenceCurve:
+    """Return the curve from contacts on the wheels and rails (5, n) on ``grid`` (n,), and their outcomes (n,)."""
+    displacement, (left, right) = kernels.refined(grid, gauge_deviation, values, outcomes, *setting)
+    radius_left = wheelset.left_radius + wheelset.left_wheel.height(left)
+    radius_right = wheelset.right_radius + wheelset.right_wheel.height(right)
+    moved = np.maximum(np.abs(np.diff(left)), np.abs(np.diff(right)))
+    jumped = np.flatnonzero((moved > kernels.JUMP_DISTANCE) & (np.diff(displacement) < _HOLD))
+    jumps = 0.5 * (displacement[jumped] + displacement[jumped + 1])
+    return RadiusDifferenceCurve(displacement, radius_left - radius_right, jumps)

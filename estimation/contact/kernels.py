@@ -4,6 +4,11 @@ Seen from one wheel: lateral is positive to its field side, ``shift`` moves the 
 rail, ``roll`` lifts it. A wheel point at lateral distance p from the middle of the axle and distance d below the axis
 is, after the roll, at lateral shift + p cos(roll) + d sin(roll) and depth d cos(roll) - p sin(roll).
 The gap is the depth of the rail minus that of the wheel; contact is where the gap is smallest.
+
+All take ``half``, half the distance of the tread datums, m; ``radii``, the nominal ones of the left and right wheel, m;
+``wheels`` and ``rails``, left and right surface each: first lateral coordinate and step, m, height (n,), m, slope (n,).
+``displacement`` of the axle is from the track centre, m, positive to the left; ``deviation`` is actual
+minus nominal gauge, m; both increase strictly where they are (n,) and (g,).
 """
 
 from __future__ import annotations
@@ -27,8 +32,7 @@ CURVE_TOLERANCE = 2e-7  # m, of the radius difference half-way between two point
 CURVE_INTERVAL = 1e-9  # m, a jump of a refined curve is placed to within this
 _LEVELS = 64  # more than the halvings from any grid step to the interval
 
-FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4
-"""Outcome of a search: why there is no contact point."""
+FOUND, NO_OVERLAP, FLANGE_TIP, OUTER_EDGE, NO_ROLL = 0, 1, 2, 3, 4  # outcome of a search: why there is no contact point
 
 
 @compiled(inline="always")
@@ -109,7 +113,6 @@ def nearest(shift, roll, half, radius, wheel, rail):  # type: ignore[no-untyped-
     Args:
         shift: Of the wheel to its field side relative to the rail, m.
         roll: Roll angle that lifts the wheel, rad.
-        half: Half the distance of the tread datums, m.
         radius: Nominal rolling radius, m.
         wheel, rail: Gridded surface each: first lateral coordinate and step, m; height (n,), m; slope (n,).
 
@@ -151,9 +154,6 @@ def touching_roll(start, left_shift, right_shift, half, radii, wheels, rails):  
     Args:
         start: Roll to begin with, rad.
         left_shift, right_shift: Of each wheel to its field side relative to its rail, m.
-        half: Half the distance of the tread datums, m.
-        radii: Nominal rolling radii of the left and right wheel, m.
-        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     roll, low, high = start, -ROLL_LIMIT, ROLL_LIMIT
     left = nearest(left_shift, roll, half, radii[0], wheels[0], rails[0])
@@ -182,14 +182,9 @@ def contact(displacement, deviation, start, rigid, half, radii, wheels, rails): 
     """Return roll, wheel coordinates, rail positions (left, right each) and outcome of one position of the wheelset.
 
     Args:
-        displacement: Of the axle's middle relative to the track centre, m, positive to the left.
-        deviation: Actual minus nominal gauge, m.
         start: Roll to begin the search with, rad.
         rigid: Whether the wheelset rolls until both wheels touch; without, the roll is zero and each side on its own,
             as in EN 15302:2021.
-        half: Half the distance of the tread datums, m.
-        radii: Nominal rolling radii of the left and right wheel, m.
-        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     left_shift, right_shift = displacement - 0.5 * deviation, -displacement - 0.5 * deviation
     if rigid:
@@ -204,13 +199,6 @@ def table(displacement, deviation, rigid, half, radii, wheels, rails):  # type: 
     """Return (5, n, g) roll, wheel coordinates and rail positions, and outcomes (n, g).
 
     Each search starts from its neighbour's roll, from the centre outwards.
-
-    Args:
-        displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre.
-        deviation: (g,) m, strictly increasing: actual minus nominal gauge.
-        half: Half the distance of the tread datums, m.
-        radii: Nominal rolling radii of the left and right wheel, m.
-        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     n, g = len(displacement), len(deviation)
     values, outcomes = np.full((5, n, g), np.nan), np.zeros((n, g), np.int64)
@@ -260,12 +248,7 @@ def jumps(displacement, deviation, values, outcomes, rigid, half, radii, wheels,
     """Return (n - 1, g): whether a contact jumps between a displacement and the next.
 
     Args:
-        displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre.
-        deviation: (g,) m, strictly increasing: actual minus nominal gauge.
         values, outcomes: (5, n, g) and (n, g): what :func:`table` returned for them.
-        half: Half the distance of the tread datums, m.
-        radii: Nominal rolling radii of the left and right wheel, m.
-        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     n, g = outcomes.shape
     crossed = np.zeros((max(n - 1, 0), g), np.bool_)
@@ -298,12 +281,7 @@ def refined(displacement, deviation, values, outcomes, rigid, half, radii, wheel
     that are no farther apart than that. A cell without contact in its middle is left as it is.
 
     Args:
-        displacement: (n,) m, strictly increasing: of the axle's middle relative to the track centre.
-        deviation: Actual minus nominal gauge, m.
         values, outcomes: (5, n) and (n,): what :func:`table` returned for them.
-        half: Half the distance of the tread datums, m.
-        radii: Nominal rolling radii of the left and right wheel, m.
-        wheels, rails: Gridded surfaces of the left and right wheel and rail, see :func:`nearest`.
     """
     points = [(math.nan, math.nan, math.nan) for _ in range(0)]
     upper = [(0.0, (math.nan, math.nan, math.nan, math.nan, math.nan, FOUND)) for _ in range(0)]

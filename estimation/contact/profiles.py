@@ -17,8 +17,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from estimation.contact.en13715 import NAMES as EN13715_NAMES
 from estimation.contact.en13715 import en13715_wheel
-from estimation.contact.segments import Segment, sample
-from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment, sample
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.served import MM, Served
@@ -47,11 +46,9 @@ class MeasuredProfiles:
 
 ProfileKind = Literal["wheel", "rail"]
 
-TREAD_DATUM = 0.070
-"""Distance of a wheel's tread datum from its flange back, m."""
+TREAD_DATUM = 0.070  # distance of a wheel's tread datum from its flange back, m
 
-SAMPLING_STEP_MM = 0.05
-"""Distance between the points of an analytic profile, along its surface."""
+SAMPLING_STEP_MM = 0.05  # distance between the points of an analytic profile, along its surface
 
 _FEWEST_POINTS = 4
 _MILLIMETRE = 1e-3

@@ -73,11 +73,7 @@ class SmoothedProfile:
 
 
 def exact(profile: Profile) -> SmoothedProfile:
-    """Return a profile whose shape is known, as one of a drawing.
-
-    Args:
-        profile: Of a wheel or a rail.
-    """
+    """Return a profile whose shape is known, as one of a drawing."""
     return SmoothedProfile(profile, 0.0)
 
 
@@ -150,9 +146,6 @@ def _on_design(
 
 def datum_at_zero(profile: Profile) -> Profile:
     """Return a wheel with z = 0 at its tread datum, and a rail as it is.
-
-    Args:
-        profile: Of a wheel or a rail.
 
     Raises:
         ProfileError: The wheel does not reach its tread datum.

@@ -13,11 +13,9 @@ from estimation.contact.profiles import Profile
 from estimation.errors import ContactError
 from estimation.values.arrays import FloatArray, FrozenArrays, runs
 
-GRID_STEP = 2e-5
-"""Distance between grid points, m."""
+GRID_STEP = 2e-5  # distance between grid points, m
 
-GAUGE_DEPTH = 0.014
-"""Depth below the top of the rail down to which the gauge is measured, m (EN 13848-1)."""
+GAUGE_DEPTH = 0.014  # depth below the top of the rail down to which the gauge is measured, m (EN 13848-1)
 
 _TIP = 2e-3  # m, part of the flange that counts as its tip
 _LEAST_FLANGE = 15e-3  # m, a wheel profile flatter than this has no flange

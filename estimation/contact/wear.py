@@ -27,18 +27,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
+from estimation.values.served import MM, Served
 
-DEEPEST_HOLLOW = 6e-3
-"""Largest depth that the form is meant for, m."""
+DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
 
-MOST_FLANGE_WEAR = 4e-3
-"""Largest flange wear for which the moved flange still is one height per lateral position, m."""
+MOST_FLANGE_WEAR = 4e-3  # largest flange wear for which the moved flange still is one height per lateral position, m
 
 _ROOT = (-0.040, -0.032)  # m, the flange moves fully at the first, the tread not at all from the second on
 _TIP = (-0.058, -0.048)  # m, the tip stays up to the first, the face moves fully from the second on
@@ -86,10 +86,7 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
     Raises:
         ParameterError: As `TreadWear`.
     """
-    centre, half_width = {
-        WearFamily.P8_ON_56E1: (3e-3, 44e-3),
-        WearFamily.S1002_ON_60E1: (4e-3, 33e-3),
-    }[family]
+    centre, half_width = {WearFamily.P8_ON_56E1: (3e-3, 44e-3), WearFamily.S1002_ON_60E1: (4e-3, 33e-3)}[family]
     return TreadWear(depth, centre, half_width, depth)
 
 
@@ -145,10 +142,42 @@ _FINE = 2e-5  # m
 class WearMeasures:
     """Wear measures of a wheel profile, m."""
 
-    flange_height: float  # Sh: tip of the flange below the tread at the datum
-    flange_thickness: float  # Sd: flange back to flange face, 10 mm below the tread at the datum
-    flange_gradient: float  # qR: lateral distance from there to the face 2 mm above the tip
-    hollow: float  # largest rise of the profile from the tread to a point further out
+    flange_height: Annotated[
+        float,
+        Served(
+            "Sh: tip of the flange over the tread 70 mm from the flange back.",
+            "flange_height_mm",
+            MM,
+            28.0,
+            finite=False,
+        ),
+    ]
+    flange_thickness: Annotated[
+        float,
+        Served(
+            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", MM, 32.5, finite=False
+        ),
+    ]
+    flange_gradient: Annotated[
+        float,
+        Served(
+            "qR: lateral distance of the face 10 mm beyond the tread from that 2 mm short of the tip.",
+            "flange_gradient_mm",
+            MM,
+            10.8,
+            finite=False,
+        ),
+    ]
+    hollow: Annotated[
+        float,
+        Served(
+            "Depth of the tread below the highest point farther out; 0 for a new wheel.",
+            "hollow_mm",
+            MM,
+            0.0,
+            finite=False,
+        ),
+    ]
 
 
 def wear_measures(wheel: Profile) -> WearMeasures:
@@ -186,8 +215,7 @@ def _deepest_hollow(y: FloatArray, z: FloatArray) -> float:
     return float((deepest_outside - part).max())
 
 
-DEEPEST_BAND = 4e-3
-"""Largest depth that the form is meant for, m."""
+DEEPEST_BAND = 4e-3  # largest depth that the form is meant for, m
 
 
 @dataclass(frozen=True, slots=True)

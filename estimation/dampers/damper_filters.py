@@ -161,9 +161,6 @@ class DamperFilters(FrozenArrays):
 def damper_filters(vehicle_class: VehicleClass, sample_interval_s: float) -> DamperFilters:
     """Return the filters of a class.
 
-    Args:
-        sample_interval_s: Between samples as measured, s.
-
     Raises:
         numpy.linalg.LinAlgError: The class has no stationary filter.
     """

@@ -33,19 +33,14 @@ LEAST_CURVATURE = 0.2  # of the other parameters' information with their priors:
 
 @dataclass(frozen=True, slots=True)
 class DamperParameters:
-    """How far back windows count, and what is published.
-
-    Attributes:
-        surest: Probability at which the errors of the other parameters are larger than those of any vehicle of the
-            class.
-    """
+    """How far back windows count, and what is published."""
 
     span_km: float = 5_000.0  # of the odometer, back from the newest window
     weak_share: float = 0.5  # a damper with less of its damping is weak
     likely: float = 0.9  # probability of that from which on it is a finding
     widest_std: float = 0.2  # of a share that is published
     most_diverged: float = 0.2  # share of the windows
-    surest: float = 0.99
+    surest: float = 0.99  # probability at which errors of the other parameters exceed those of any vehicle
 
 
 def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -> GearDamper:

@@ -18,36 +18,27 @@ STEP_S = 0.016  # between the samples that the filters take
 
 
 def stride_of(sample_interval_s: float) -> int:
-    """Return of how many samples one is kept.
-
-    Args:
-        sample_interval_s: As measured, s.
-    """
+    """Return of how many samples one is kept."""
     return max(round(STEP_S / sample_interval_s), 1)
 
 
 @lru_cache(maxsize=4)
 def low_pass(sample_interval_s: float) -> FloatArray:
-    """Return the taps (k,) of the low-pass, odd in number and symmetric.
-
-    Args:
-        sample_interval_s: As measured, s.
-    """
+    """Return the taps (k,) of the low-pass, odd in number and symmetric."""
     count, beta = kaiserord(STOPPED_DB, 2.0 * sample_interval_s * (STOPPED_HZ - PASSED_HZ))
     corner = 0.5 * (PASSED_HZ + STOPPED_HZ)
     taps = firwin(count | 1, corner, window=("kaiser", beta), fs=1.0 / sample_interval_s)
     return frozen_array(taps, (None,), name="taps")
 
 
-def thinned(values: FloatArray, sample_interval_s: float, phase: int = 0) -> FloatArray:
+def thinned(values: FloatArray, sample_interval_s: float) -> FloatArray:
     """Return the low-passed samples (s,) at which the filter sees measured values alone.
 
     Args:
         values: (n,) as measured.
-        sample_interval_s: Between them, s.
     """
     passed = oaconvolve(values, low_pass(sample_interval_s), mode="valid")
-    return np.asarray(passed[phase :: stride_of(sample_interval_s)])
+    return np.asarray(passed[:: stride_of(sample_interval_s)])
 
 
 def between_samples(values: FloatArray) -> FloatArray:

@@ -45,9 +45,6 @@ def looked_at(first: Window) -> bool:
 
     Its start is mixed first, so that no recorder that runs at regular times is always left out. Both running gears of a
     vehicle are looked at in the same windows.
-
-    Args:
-        first: The window of the first wheelset of a running gear.
     """
     return zlib.crc32(f"{first.vehicle} {first.start_ns // first.length_ns}".encode()) % EVERY == 0
 

@@ -20,8 +20,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.estimators.coverage import covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import CurveEstimate, EstimatorParameters, covered_range, usable
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
@@ -88,10 +87,6 @@ def filtered(
     state: FilterState, motion: Motion, basis: Basis, prior: Prior, block_filter: BlockFilter, weight: float
 ) -> FilterState:
     """Return the state with the blocks of ``motion`` added.
-
-    Args:
-        motion: Motion of the wheelset relative to the track over one window.
-        basis: Functions of y - d in m whose coefficients are estimated.
 
     Raises:
         ParameterError: The interval between samples is not known.
@@ -166,12 +161,7 @@ def _slip(motion: Motion, parameters: EstimatorParameters) -> FloatArray:
 
 
 def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
-    """Return the curve that all blocks tell; nothing where too many have diverged.
-
-    Args:
-        state: After all windows.
-        basis: Functions of y - d in m.
-    """
+    """Return the curve that all blocks tell; nothing where too many have diverged."""
     series = state.series
     span = covered_range(series.counts)
     if span is None:

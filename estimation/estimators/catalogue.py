@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.estimators.coverage import REACH
 from estimation.estimators.extended_kalman import ExtendedKalman
 from estimation.estimators.hidden_displacement import HiddenDisplacement
-from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
+from estimation.estimators.interface import REACH, CurveEstimate, Estimator, EstimatorParameters
 from estimation.estimators.known_irregularity import KnownIrregularity
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.particle_filter import ParticleFilter
@@ -95,9 +94,7 @@ def b_splines(x: FloatArray, first: float, piece: float, pieces: int) -> FloatAr
     position = (x - first) / piece
     cell = np.clip(np.floor(position), 0, pieces - 1).astype(np.int64)
     u = position - cell
-    weights = np.column_stack(
-        [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3],
-    )
+    weights = np.column_stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3])
     values = np.zeros((len(x), pieces + 3))
     np.put_along_axis(values, cell[:, None] + np.arange(4), weights / 6.0, axis=1)
     return values
@@ -130,7 +127,9 @@ class BinnedGeometry:
 
     def update(self, state: BinnedState, motion: Motion, weight: float = 1.0) -> BinnedState:
         """Return the state with the bin table of ``motion`` added, ``weight`` times."""
-        return replace(state, table=bin_table.merge(bin_table.tabulate(motion, state.bins), state.table, weight))
+        return replace(
+            state, table=bin_table.weighted_sum([(1.0, state.table), (weight, bin_table.tabulate(motion, state.bins))])
+        )
 
     def result(self, state: BinnedState) -> CurveEstimate:
         """Return the curve at the bin centres, and conicity, NP and zero crossing as the geometry publishes them."""
@@ -151,8 +150,7 @@ class BinnedGeometry:
         )
 
 
-SHIPPED = "bins"
-"""The estimator of the jobs as shipped: its sums over each window are what the bin tables store."""
+SHIPPED = "bins"  # the estimator of the jobs as shipped: its sums over each window are what the bin tables store
 
 
 def estimators() -> tuple[Estimator[Any], ...]:

@@ -13,15 +13,7 @@ from functools import partial
 import numpy as np
 
 from estimation.estimators import filter_kernels as kernels
-from estimation.estimators.block_filters import (
-    FilterState,
-    Inputs,
-    Posterior,
-    Prior,
-    filtered,
-    solved,
-    start,
-)
+from estimation.estimators.block_filters import FilterState, Inputs, Posterior, Prior, filtered, solved, start
 from estimation.estimators.interface import CurveEstimate, EstimatorParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Motion

@@ -26,8 +26,15 @@ from estimation.compiled import compiled
 from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
 from estimation.estimators.contact_jumps import stepped
-from estimation.estimators.coverage import CELLS, REACH, counted, covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    REACH,
+    CurveEstimate,
+    EstimatorParameters,
+    counted,
+    covered_range,
+    usable,
+)
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS
 from estimation.geometry.conicity import too_few_blocks

@@ -10,9 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Protocol, TypeVar
 
+import numpy as np
+
 from estimation.geometry.conicity import CurveParameters
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
 from estimation.values.windows import Motion
@@ -45,9 +47,7 @@ class CurveEstimate(FrozenArrays):
     stretches: int  # windows of motion added
     status: Status
     reason: Reason | None = None
-    own_std: Annotated[FloatArray, "k"] | None = (
-        None  # of the conicity, by the covariance that the estimator itself states
-    )
+    own_std: Annotated[FloatArray, "k"] | None = None  # of the conicity, by the covariance that it states itself
 
 
 State = TypeVar("State")
@@ -71,7 +71,6 @@ class Estimator(Protocol[State]):
         """Return the state with ``motion`` added; ``state`` is not touched.
 
         Args:
-            motion: Motion of the wheelset relative to the track over one window, band-limited where it was measured.
             weight: Above 0, at most 1: how much the samples of ``motion`` count beside those of weight 1. The current
                 geometry forgets by mileage so: half the weight after each half-life. An estimator that cannot weight
                 ignores it, and its current geometry forgets nothing; its docstring states that.
@@ -79,3 +78,53 @@ class Estimator(Protocol[State]):
 
     def result(self, state: State) -> CurveEstimate:
         """Return the curve and what follows from it."""
+
+
+WIDTH = 0.25e-3  # m
+REACH = 7.0e-3  # m
+CELLS = round(2 * REACH / WIDTH)
+LEAST_SAMPLES = 100
+
+
+def usable(motion: Motion) -> BoolArray:
+    """Return the samples (n,) that an estimator may use."""
+    return np.asarray(
+        motion.valid & (motion.block >= 0) & np.isfinite(motion.displacement) & (np.abs(motion.displacement) < REACH)
+    )
+
+
+def counted(displacement: FloatArray, values: FloatArray | None = None) -> FloatArray:
+    """Return the number of samples, or the sum of values, (CELLS,) in each cell of ``WIDTH`` over +-``REACH``.
+
+    Args:
+        displacement: (n,) m, within the reach.
+        values: (n,) of any unit; None to count.
+    """
+    cell = np.floor((displacement + REACH) / WIDTH).astype(np.int64)
+    return np.bincount(cell, values, minlength=CELLS).astype(np.float64)
+
+
+def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
+    """Return by how much the mean of each cell is above a curve, straight between cells: (n,).
+
+    Args:
+        x, value: (n,) m, the curve.
+        sums, counts: (CELLS,) by cell.
+    """
+    middles = (np.arange(CELLS) + 0.5) * WIDTH - REACH
+    known = (counts >= LEAST_SAMPLES) & (middles > x[0]) & (middles < x[-1])
+    if not known.any():
+        return np.zeros(len(x))
+    apart = sums[known] / counts[known] - np.interp(middles[known], x, value)
+    return np.asarray(np.interp(x, middles[known], apart))
+
+
+def covered_range(counts: FloatArray) -> tuple[float, float] | None:
+    """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; None where there is no such run."""
+    enough = counts >= LEAST_SAMPLES
+    middle = CELLS // 2
+    right = middle + int(np.argmin(np.append(enough[middle:], False)))
+    left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
+    if middle in {left, right}:
+        return None
+    return left * WIDTH - REACH, right * WIDTH - REACH

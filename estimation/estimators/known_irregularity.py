@@ -17,8 +17,15 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.estimators.coverage import CELLS, beside, counted, covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    CurveEstimate,
+    EstimatorParameters,
+    beside,
+    counted,
+    covered_range,
+    usable,
+)
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS, SPACING
 from estimation.geometry.conicity import too_few_blocks
@@ -124,11 +131,7 @@ class KnownIrregularity:
 
 
 def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, FloatArray]:
-    """Return regressors (n, 3) of f11, f11 R0 and f11 2 lambda, and the moments (n, 5) with their derivatives, N m.
-
-    Args:
-        motion: (n,) samples relative to the track.
-    """
+    """Return regressors (n, 3) of f11, f11 R0 and f11 2 lambda, and the moments (n, 5) with their derivatives, N m."""
     half, r0 = vehicle.half_contact_distance, vehicle.nominal_radius
     rate = 2 * half**2 * motion.yaw_rate / motion.speed
     ones = np.full(len(motion), half / r0 * MILLIMETRE)

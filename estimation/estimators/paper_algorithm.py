@@ -18,8 +18,16 @@ import numpy as np
 from estimation.compiled import compiled
 from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
-from estimation.estimators.coverage import CELLS, REACH, WIDTH, beside, counted, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    REACH,
+    WIDTH,
+    CurveEstimate,
+    EstimatorParameters,
+    beside,
+    counted,
+    usable,
+)
 from estimation.estimators.paper_equations import REGRESSORS, yaw_output
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
@@ -51,12 +59,7 @@ class CellMeans(FrozenArrays):
         return cls(nothing, nothing, np.zeros((len(YAW_TARGETS) - 1, CELLS)))
 
     def added(self, motion: Motion, vehicle: VehicleParameters, weight: float) -> Self:
-        """Return the sums with ``motion`` added.
-
-        Args:
-            motion: Motion of the wheelset relative to the track over one window.
-            weight: Of every sample.
-        """
+        """Return the sums with ``motion`` added."""
         keep = usable(motion)
         equations = regression(motion, vehicle)
         R, x = equations.yaw_targets[keep] / equations.yaw[keep, -1:], motion.displacement[keep]

@@ -84,7 +84,6 @@ def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) 
     """Return psi'' - Omega2 (k,), rad/s^2 (Eq. 17); the frame of a bogie moves the other end of the yaw spring.
 
     Args:
-        motion: Motion of the wheelset relative to the track over one window of n samples.
         V: Speed, m/s.
         keep: (n,) which samples count; k of them.
     """

@@ -12,8 +12,15 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.estimators.coverage import CELLS, beside, counted, covered_range, usable
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters
+from estimation.estimators.interface import (
+    CELLS,
+    CurveEstimate,
+    EstimatorParameters,
+    beside,
+    counted,
+    covered_range,
+    usable,
+)
 from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
@@ -57,13 +64,7 @@ def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
 
 
 def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> SeriesState:
-    """Return the state with ``motion`` added.
-
-    Args:
-        motion: Motion of the wheelset relative to the track over one window.
-        basis: The basis functions, of y - d in m.
-        weight: Of every sample.
-    """
+    """Return the state with ``motion`` added."""
     keep = usable(motion)
     equations = regression(motion, state.parameters.vehicle)
     targets = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
@@ -91,8 +92,6 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     """Return the curve of the series, its intervals from groups left out and parameters shifted.
 
     Args:
-        state: Sums over all windows.
-        basis: The basis functions, of y - d in m.
         ridge: Weight that holds functions without data at zero, as a share of the mean diagonal of the normal
             equations.
     """
@@ -130,7 +129,6 @@ def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArra
     """Return what one std of each uncertain parameter changes of the curve (6, n), m.
 
     Args:
-        state: Sums over all windows.
         functions: (n, m) the basis functions where the curve is given.
     """
     gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
@@ -142,7 +140,6 @@ def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
     """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell.
 
     Args:
-        state: Sums over all windows.
         x, value: (n,) m, the curve.
     """
     return beside(x, value, state.sums, state.counts)

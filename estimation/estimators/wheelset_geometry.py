@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from estimation.estimators.coverage import usable
-from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
+from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters, usable
 from estimation.geometry.conicity import NO_AMPLITUDE, at_reference_amplitude
 from estimation.values.arrays import FloatArray, bin_centres
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
@@ -52,7 +51,6 @@ def geometry_from_curve(
     inside its range. The others are marked ``UNOBSERVABLE``.
 
     Args:
-        parameters: What it assumed; its amplitudes decide which conicity is reported first.
         samples: (b,) effective number of samples in each bin.
     """
     best, amplitude = at_reference_amplitude(curve.amplitude, curve.conicity, parameters.curve)

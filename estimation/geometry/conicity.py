@@ -9,13 +9,7 @@ import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel, zero_crossing
 from estimation.geometry.rolling_line import FREE, ContactRoll, held_difference_std, moved_off, standard_curve
-from estimation.geometry.sharpening import (
-    Sharpening,
-    edges_and_centres,
-    jumps_displaced,
-    nodes_of,
-    sharpen,
-)
+from estimation.geometry.sharpening import Sharpening, edges_and_centres, jumps_displaced, nodes_of, sharpen
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import Centre, CentreOrigin

@@ -20,12 +20,7 @@ from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinStatus, BinTable, BinValues, Contradiction, WheelsetGeometry
 from estimation.values.quantities import jackknife_std, leave_one_out, normal_equivalent
-from estimation.vehicle.regressors import (
-    LATERAL_TARGETS,
-    REGRESSORS,
-    YAW_TARGETS,
-    angle_difference_derivatives,
-)
+from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, angle_difference_derivatives
 
 FEWEST_GROUPS = 4
 
@@ -67,15 +62,7 @@ class _Replicates:
 
 
 def estimate_geometry(table: BinTable, bins: BinParameters, parameters: GeometryParameters) -> WheelsetGeometry:
-    """Return the geometry of the wheelset that ``table`` gives.
-
-    Args:
-        table: Statistics made with ``bins``.
-        bins: Parameters of the table; its vehicle scales the residuals.
-
-    Raises:
-        ValueError: ``table`` was made with other parameters than ``bins``.
-    """
+    """Return the geometry of the wheelset that ``table`` gives."""
     if table.parameter_key != bins.key:
         raise ValueError(f"table of parameters {table.parameter_key}, expected {bins.key}")
     replicates = _replicates(table, bins, parameters)
@@ -113,11 +100,7 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
 def contradictions(
     table: BinTable, bins: BinParameters, uncertainty: ParameterUncertainty
 ) -> tuple[Contradiction, ...]:
-    """Return what the samples of a table contradict of the vehicle's class and the track; nothing where they are few.
-
-    Args:
-        table: Statistics made with ``bins``.
-    """
+    """Return what the samples contradict of the vehicle's class and the track; nothing where they are few."""
     fit = model_fit(table, bins, _expected_noise(table, bins, uncertainty))
     stds = (uncertainty.stiffness, uncertainty.creep)
     if fit is None:

@@ -56,8 +56,6 @@ def solve_with_shared_scales(
     Args:
         packed: (r, b, packed_size) moments of r replicates of b bins.
         weight: (r, b) sums of weights.
-        regressors: Number p of all regressors.
-        targets: Number t of targets.
         prior_stds: (q,) of the coefficients that are shared, which are those of the first regressors and zero
             beforehand.
         counted_as_one: (q,) samples that say as much of a shared coefficient as one with an error of its own would; by
@@ -140,15 +138,12 @@ class ModelFit:
     displacement_error: float = 0.0  # share of the power of y - d that sensors and track make: so much is no misfit
 
 
-def model_fit(
-    table: BinTable, bins: BinParameters, expected_noise: float = 0.0, angle_std: float = MOUNTING_STD
-) -> ModelFit | None:
+def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0) -> ModelFit | None:
     """Return how well a table follows the yaw equation; None where there are too few samples.
 
     Args:
         table: Statistics made with ``bins``.
         expected_noise: Std of the error of y - d by its sensors and the alignment, m.
-        angle_std: Of the yaw sensor about the lateral axis, rad, known beforehand.
     """
     p = bins.vehicle
     present = table.weight.sum(axis=1) > 0
@@ -157,7 +152,7 @@ def model_fit(
     if used.sum() < FEWEST_BINS or present.sum() < FEWEST_BINS:
         return None
     in_bogie = bins.wheelbase is not None
-    priors = (SENSOR_SCALE, SENSOR_SCALE, angle_std) if in_bogie else (FREE,)
+    priors = (SENSOR_SCALE, SENSOR_SCALE, MOUNTING_STD) if in_bogie else (FREE,)
     shared = len(priors)
     regressors = shared + REGRESSORS - 1
     moments = sums[:, used], weight[:, used], regressors, len(YAW_TARGETS)

@@ -34,9 +34,7 @@ SCALE_SHARE = 0.5  # of the radius, per scale of yaw against lateral sensor: mor
 MOST_UNEXPLAINED = 0.2  # of the power of what the roll moves: beyond, contact jumps move the wheelset
 FEWEST_PARTS = 8
 DOUBTED = 2.0  # stds beyond which the radius on file is in doubt: right ones have 0.6 rms, at most 2.5
-MISTAKE = (
-    0.10  # of the radius on file: a mistake that the motion has to exclude, as wheels worn out on file as new ones
-)
+MISTAKE = 0.10  # of the radius on file: what the motion has to exclude, as wheels worn out on file as new ones
 CERTAIN = 4.0  # beyond which it is another: hundreds of wheelsets are looked at every 15 minutes
 
 _SCALE, _RADIUS, _SUSPENSION, _CURVE = (UNKNOWNS.index(name) for name in ("scale", "radius", "suspension", "curve"))

@@ -80,11 +80,7 @@ class ParameterUncertainty:
 
     @classmethod
     def of(cls, vehicle_class: VehicleClass) -> Self:
-        """Return what is not known of the vehicles of a class.
-
-        Args:
-            vehicle_class: The class, with the relative standard deviations of its parameters.
-        """
+        """Return what is not known of the vehicles of a class."""
         roll = ContactRoll.HIDDEN if vehicle_class.sensors.measures_gravity else ContactRoll.SEEN
         return cls(
             creep=vehicle_class.std_of("longitudinal_creep_coefficient"),

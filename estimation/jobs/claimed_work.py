@@ -7,35 +7,32 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from estimation.errors import LeaseLostError, StorageError, WorkersEndedError
-from estimation.jobs.job import JobContext, Work
+from estimation.jobs.job import JobContext, Work, WorkUnit
 from estimation.storage import LeasedStorage
 from estimation.values.runs import MOST_ENDED
 
 ELSEWHERE, LOST, SET_ASIDE = "worked_on_elsewhere", "leases_lost", "set_aside"
 
 
-def claimed_work(context: JobContext, stage: Work, keys: Sequence[str]) -> Counter[str]:
+def claimed_work(context: JobContext, stage: Work, unit: WorkUnit) -> Counter[str]:
     """Do the keys of a unit that nobody else works on; return what was counted.
-
-    Args:
-        stage, keys: The unit.
 
     Raises:
         StorageError: The database, or all of the files, cannot be used; what was committed stays.
     """
-    counts, ended = _leased(context, stage, keys)
+    counts, ended = _leased(context, stage, unit)
     for key, times in ended:
-        counts += _leased(context, stage, [key], ended=times)[0]
+        counts += _leased(context, stage, replace(unit, keys=(key,)), ended=times)[0]
     return counts
 
 
 def _leased(
-    context: JobContext, stage: Work, keys: Sequence[str], ended: int = 0
+    context: JobContext, stage: Work, unit: WorkUnit, ended: int = 0
 ) -> tuple[Counter[str], Sequence[tuple[str, int]]]:
     """Return what was counted, and the keys that are to be done alone with how many workers have ended at each."""
     counts: Counter[str] = Counter()
-    terms = (context.holder, context.lease_s)
-    with context.storage.leased(stage.name, keys, *terms, alone=ended > 0) as (leased, claimed):
+    terms = (unit.stage, unit.keys, context.holder, context.lease_s)
+    with context.storage.leased(*terms, alone=ended > 0, unit=unit.number, owner=unit.owner) as (leased, claimed):
         if claimed.elsewhere:
             counts[ELSEWHERE] += claimed.elsewhere
         if claimed.keys:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import uuid
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from estimation.errors import WorkFailedError
 from estimation.jobs.claimed_work import claimed_work
-from estimation.jobs.job import JobContext, Work
+from estimation.jobs.job import JobContext, Work, WorkUnit
+from estimation.values.runs import MOST_ENDED
 
 AHEAD = 2
 """Units in hand per unit that is worked on, so that no worker waits for the next."""
@@ -21,31 +23,15 @@ UNITS_EACH = 4
 """Units per worker into which little work is divided at least, so that all end at about the same time."""
 
 Unit = tuple[str, ...]
-_Handed = dict[Future[Mapping[str, int]], tuple[Unit, int]]
 
 
-@dataclass(frozen=True, slots=True)
-class InThisProcess:
-    """Does a unit at once, in the thread that asks for it."""
+@dataclass(slots=True)
+class _Handed:
+    """A unit that is worked on; how often that has failed, and how many workers have ended at it."""
 
-    @property
-    def width(self) -> int:
-        """One."""
-        return 1
-
-    def submit(self, context: JobContext, stage: Work, keys: Sequence[str]) -> Future[Mapping[str, int]]:
-        """Do a unit.
-
-        Args:
-            context: Of the job that hands the unit out; its storage is used.
-            stage, keys: The unit.
-        """
-        done: Future[Mapping[str, int]] = Future()
-        try:
-            done.set_result(claimed_work(context, stage, keys))
-        except Exception as error:  # noqa: BLE001 - it is raised where the result is looked at
-            done.set_exception(error)
-        return done
+    unit: WorkUnit
+    failed: int = 0
+    ended: int = 0
 
 
 def hand_out(context: JobContext, stage: Work, units: Iterable[Unit], done: Callable[[int], None]) -> Counter[str]:
@@ -59,22 +45,19 @@ def hand_out(context: JobContext, stage: Work, units: Iterable[Unit], done: Call
         StorageError: The database, or all of the files, cannot be used.
         WorkFailedError: A unit failed in several workers.
     """
-    executor = InThisProcess() if context.executor is None else context.executor
-    most = 1 if context.executor is None else AHEAD * executor.width
-    counts: Counter[str] = Counter()
-    handed: _Handed = {}
+    handing = _Handing(context, stage, done)
     try:
-        for unit in units:
-            handed[executor.submit(context, stage, unit)] = unit, 1
-            while len(handed) >= most:
-                _collect(context, stage, handed, counts, done)
-        while handed:
-            _collect(context, stage, handed, counts, done)
+        for keys in units:
+            handing.begin(_Handed(WorkUnit(stage.name, keys, uuid.uuid4().hex, context.storage.owner)))
+            while len(handing.handed) >= handing.most:
+                handing.collect()
+        while handing.handed:
+            handing.collect()
     except BaseException:
-        for future in handed:
+        for future in handing.handed:
             future.cancel()
         raise
-    return counts
+    return handing.counts
 
 
 def unit_size(context: JobContext, total: int, most: int) -> int:
@@ -88,28 +71,60 @@ def unit_size(context: JobContext, total: int, most: int) -> int:
     return most if width == 1 else max(1, min(most, -(-total // (UNITS_EACH * width))))
 
 
-def _collect(
-    context: JobContext, stage: Work, handed: _Handed, counts: Counter[str], done: Callable[[int], None]
-) -> None:
-    """Wait until units are done; hand those out again that failed."""
-    ended, _ = wait(handed, LOOK_S, FIRST_COMPLETED)
-    for future in ended:
-        unit, tries = handed.pop(future)
-        error = CancelledError() if future.cancelled() else future.exception()
-        if error is None:
-            counts.update(future.result())
-            done(len(unit))
-        elif context.executor is None or not isinstance(error, WorkFailedError) or tries >= MOST_TRIES:
-            raise _as_ours(error)
+@dataclass(slots=True)
+class _Handing:
+    """What is handed out, by the future of its counts."""
+
+    context: JobContext
+    stage: Work
+    done: Callable[[int], None]
+    counts: Counter[str] = field(default_factory=Counter)
+    handed: dict[Future[Mapping[str, int]], _Handed] = field(default_factory=dict)
+
+    @property
+    def most(self) -> int:
+        """How many units are handed out at once."""
+        return 1 if self.context.executor is None else AHEAD * self.context.executor.width
+
+    def begin(self, handed: _Handed) -> None:
+        """Let a unit be done, here or by a worker."""
+        executor = self.context.executor
+        if executor is not None:
+            self.handed[executor.submit(work, handed.unit)] = handed
+            return
+        self.counts.update(claimed_work(self.context, self.stage, handed.unit))
+        self.done(len(handed.unit.keys))
+
+    def collect(self) -> None:
+        """Wait until units are done; hand those out again that failed."""
+        ended, _ = wait(self.handed, LOOK_S, FIRST_COMPLETED)
+        if not ended and self.context.executor is not None:
+            self.context.executor.look()
+        for future in ended:
+            handed = self.handed.pop(future)
+            error = CancelledError() if future.cancelled() else future.exception()
+            if error is None:
+                self.counts.update(future.result())
+                self.done(len(handed.unit.keys))
+            else:
+                self._again(handed, error)
+        if not ended:
+            self.done(0)
+
+    def _again(self, handed: _Handed, error: BaseException) -> None:
+        if isinstance(error, WorkFailedError):
+            handed.failed += 1
         else:
-            handed[context.executor.submit(context, stage, unit)] = unit, tries + 1
-    if not ended:
-        done(0)
+            handed.ended += 1
+        # each key is set aside once it has ended so many workers; a unit is claimed anew each time
+        if handed.failed >= MOST_TRIES or handed.ended > MOST_ENDED * len(handed.unit.keys):
+            gone = WorkFailedError(f"workers are gone: {type(error).__name__} {error}")
+            raise error if isinstance(error, WorkFailedError) else gone
+        self.begin(handed)
 
 
-def _as_ours(error: BaseException) -> BaseException:
-    return (
-        WorkFailedError("the workers are gone, and what they worked on waits")
-        if isinstance(error, CancelledError)
-        else error
-    )
+def work(context: JobContext, unit: WorkUnit) -> Mapping[str, int]:
+    """Do a unit in a worker."""
+    from estimation.jobs.catalogue import stage_named  # noqa: PLC0415 - the catalogue imports the stages, which hand out
+
+    return claimed_work(context, stage_named(unit.stage), unit)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from estimation.errors import DamagedError, StoppedError, StorageError, TreadwatchError
 from estimation.failures import after_failure
 from estimation.jobs.job import JobContext
+from estimation.storage import UnitOfWork
 from estimation.values.runs import Quarantined, SubjectKind, resolved
 
 Inputs = Callable[[], str]
@@ -29,12 +30,21 @@ class Isolation:
 
     context: JobContext
     stage: str
-    _held: dict[tuple[SubjectKind, str], Quarantined] = field(init=False)
+    _read: dict[tuple[SubjectKind, str], Quarantined] | None = field(init=False, default=None)
     _kept_out: set[tuple[SubjectKind, str]] = field(init=False, default_factory=set)
 
-    def __post_init__(self) -> None:
-        with self.context.storage.read() as unit:
-            self._held = {(item.kind, item.key): item for item in unit.quarantine.held(self.stage)}
+    def read(self, unit: UnitOfWork) -> None:
+        """Read what is held, where that was not done yet; else it is read when it is asked for."""
+        if self._read is None:
+            self._read = {(item.kind, item.key): item for item in unit.quarantine.held(self.stage)}
+
+    @property
+    def _held(self) -> dict[tuple[SubjectKind, str], Quarantined]:
+        if self._read is None:
+            with self.context.storage.read() as unit:
+                self.read(unit)
+        assert self._read is not None
+        return self._read
 
     @property
     def quarantined(self) -> int:
@@ -101,13 +111,3 @@ def fails_alone(error: Exception) -> bool:
     """Whether an exception at one thing leaves work at others: the database, or all files, are there."""
     whole = isinstance(error, StorageError) and not isinstance(error, DamagedError)
     return not (whole or isinstance(error, StoppedError))
-
-
-def inputs_of(context: JobContext, wheelset: str) -> Inputs:
-    """Return what gives the inputs of a wheelset's results: a counter of their changes, and the numerics."""
-
-    def inputs() -> str:
-        with context.storage.read() as unit:
-            return f"{unit.looks.touched_of(wheelset)} {context.code_version}"
-
-    return inputs

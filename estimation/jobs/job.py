@@ -8,18 +8,21 @@ batches it calls :meth:`JobContext.checkpoint`, which reports the progress and e
 from __future__ import annotations
 
 import logging
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, TypeVar
 
-from estimation.errors import ClaimLostError, ConflictError, StoppedError, TreadwatchError
+from estimation.errors import ConflictError, LeaseLostError, StoppedError, TreadwatchError
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Clock, Storage
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 
 LEASE_S = 60.0
 """How long a claim lasts by default, s."""
+UNFIT = "unfit_workers"
+Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
 
@@ -83,15 +86,50 @@ class Work:
     set_aside: Callable[[JobContext, str, TreadwatchError], None]
 
 
-class WorkExecutor(Protocol):
-    """Does units of work, as many at once as ``width`` says: in processes of this machine, or on other machines.
+@dataclass(frozen=True, slots=True)
+class WorkUnit:
+    """A unit as it is sent to a worker.
 
-    ``submit`` returns what will hold the counts of a unit, or a ``TreadwatchError``: why it was not done.
+    Attributes:
+        stage: Name of the stage.
+        number: Of the unit, the same when it is handed out again: whoever begins it ends the lease under which it was
+            begun before, so that what a worker had claimed that is gone is free at once.
+        owner: Lease of the process that runs the job, with which claims end; None where the worker goes on without it.
+    """
+
+    stage: str
+    keys: tuple[str, ...]
+    number: str
+    owner: int | None = None
+
+
+class WorkExecutor(Executor):
+    """Does units of work in other processes: ``submit`` calls ``work(context, *arguments)`` with a context of theirs.
+
+    What was raised there comes back as ``WorkFailedError``. Any other exception says that the worker is gone.
+
+    Attributes:
+        width: How many units are done at once.
+        unfit: Of the workers that get no work: who they are and why.
     """
 
     @property
-    def width(self) -> int: ...  # noqa: D102 - of a Protocol
-    def submit(self, context: JobContext, stage: Work, keys: Sequence[str]) -> Future[Mapping[str, int]]: ...  # noqa: D102 - the same
+    @abstractmethod
+    def width(self) -> int: ...  # noqa: D102 - an attribute
+
+    @abstractmethod
+    def submit(self, work: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]: ...  # noqa: ANN401, D102 - of any work
+
+    @property
+    def unfit(self) -> Sequence[str]:  # noqa: D102 - the same
+        return ()
+
+    def look(self) -> None:
+        """Called now and then while units are waited for.
+
+        Raises:
+            WorkFailedError: There are no workers any more.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +174,7 @@ def run_job(
     try:
         with context.storage.write() as unit:
             unit.jobs.finish(begun.run_id, outcome, counts, context.clock.now_ns(), error)
-    except (ConflictError, ClaimLostError) as conflict:  # a scheduler that started meanwhile has given this run up
+    except (ConflictError, LeaseLostError) as conflict:  # a scheduler that started meanwhile has given this run up
         _log.warning("job %s: %s", job.name, conflict)
     with context.storage.read() as unit:
         return unit.jobs.get(begun.run_id)
@@ -155,8 +193,10 @@ def _remember(
 
 def _attempt(job: Job, context: JobContext) -> tuple[JobOutcome, Mapping[str, int], str | None]:
     try:
-        return JobOutcome.SUCCEEDED, dict(job.run(context)), None
-    except (StoppedError, ClaimLostError) as error:
+        counts = dict(job.run(context))
+        if context.executor is not None and context.executor.unfit:
+            counts[UNFIT] = len(context.executor.unfit)
+    except (StoppedError, LeaseLostError) as error:
         return JobOutcome.ABANDONED, {}, str(error)
     except TreadwatchError as error:
         _log.warning("job %s failed: %s", job.name, error)
@@ -164,3 +204,4 @@ def _attempt(job: Job, context: JobContext) -> tuple[JobOutcome, Mapping[str, in
     except Exception as error:  # noqa: BLE001 - whatever fails in a job is a fact of its run, never the end of the scheduler
         _log.exception("job %s failed", job.name)
         return JobOutcome.FAILED, {}, f"{type(error).__name__}: {error}".splitlines()[0]
+    return JobOutcome.SUCCEEDED, counts, None

@@ -12,126 +12,255 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from estimation.adhesion.friction import section_adhesion
+from estimation.adhesion.friction import FrictionParameters, section_adhesion
 from estimation.adhesion.left_out import touched
 from estimation.alerts.life_cycle import close
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
 from estimation.alerts.section_alerts import section_transition
+from estimation.dampers.pooled import DamperParameters, gear_damper
 from estimation.jobs import estimate_windows, refresh_geometry
-from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns, section_length
-from estimation.jobs.steps.section_looks import NO_SECTION, note_sections, section_news
-from estimation.jobs.steps.store_dampers import store_dampers
-from estimation.jobs.steps.window_creep import CreepOfWindows, creep_of_windows
+from estimation.jobs.made_from import made_from
+from estimation.jobs.runner import run as run_stage
+from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns
+from estimation.jobs.steps.window_creep import CreepInputs, CreepOfWindow, creep_inputs, creep_of_window
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
+from estimation.values.adhesion import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import CloseReason
-from estimation.values.runs import SectionLook, SubjectKind
-from estimation.values.windows import WindowKey, WindowMark, WindowState
+from estimation.values.dampers import GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear
+from estimation.values.geometry import GEOMETRY
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
+from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 Stretches = Sequence[tuple[float, float]]
-STAGE = "refresh_adhesion"
-BATCH = 64  # windows committed together
+JOB_NAME = "refresh_adhesion"
+BATCH = 32  # windows, of a megabyte each, committed together
+MOST_SPANS = 8  # of a section that are pooled in one look: the next run goes on
+MOST_WINDOWS = 600  # of a running gear that count and are kept: 10 hours of running
 KEPT_NS = 31 * 24 * HOUR_NS  # for which the sums of windows are kept, beyond the longest span that is pooled
 
 
-def run(context: JobContext) -> Mapping[str, int]:
-    """Look at the creep of new windows, and at the friction of their sections; one without news is not looked at."""
-    counts: Counter[str] = Counter(dict.fromkeys(("windows", "refused", "sections", "low", "estimated_again"), 0))
-    isolation = Isolation(context, STAGE)
-    with context.storage.read() as unit:
-        news = section_news(unit, context, STAGE)
-    failed = {item.key for item in isolation.held(SubjectKind.SECTION)}
-    done: dict[str, SectionLook] = {}
-    for number, section in enumerate(sorted({*news, *failed} - {NO_SECTION})):
-        context.checkpoint(number, len(news))
-        if isolation.waits(SubjectKind.SECTION, section):
-            continue
-        with isolation.alone(SubjectKind.SECTION, section):
-            starts = _windows(context, section, counts)
-            for to_ns in pool_ends(starts, pooled_ns(context.settings.rules.rule(LowAdhesionRule))):
-                counts.update(_section(context, section, to_ns))
-            with context.storage.read() as unit:
-                seen = not unit.adhesion.unlooked(section)
-            if seen and section in news:
-                done[section] = news[section]
-    if NO_SECTION in news:
-        done[NO_SECTION] = news[NO_SECTION]
-    note_sections(context, STAGE, done)
-    if counts["estimated_again"]:
-        estimate_windows.run(context)
-        refresh_geometry.JOB.run(context)
-    counts["quarantined"] = isolation.quarantined
-    return counts
+@dataclass(frozen=True, slots=True)
+class HasGeometry:
+    """That a wheelset has a geometry: with the first one its windows can be looked at."""
 
 
-def _windows(context: JobContext, section: str, counts: Counter[str]) -> set[int]:
-    """Store the creep of the windows of a section that wait; return when they began."""
-    starts: set[int] = set()
-    last: WindowKey | None = None
-    while True:
-        with context.storage.read() as unit:
-            keys = unit.adhesion.waiting(section, last, BATCH)
-            read = creep_of_windows(unit, keys, context.settings.estimation) if keys else CreepOfWindows((), ())
-        if not keys:
-            return starts
-        last, found = keys[-1], read.creep
-        with context.storage.write() as unit:
-            now = {one.key: one.content_digest for one in unit.windows.several([one.key for one in found])}
-            for one in found:
-                if now.get(one.key) == one.content_digest:
-                    unit.adhesion.put(one)
-            store_dampers(unit, read.dampers, context)
-        counts["windows"] += len(found)
-        counts["refused"] += sum(one.reason is not None for one in found)
-        starts.update(start_ns for _, start_ns in keys)
+def load_first(unit: UnitOfWork, serials: Sequence[str], _: JobContext) -> Mapping[str, HasGeometry]:
+    """Return the wheelsets with a geometry."""
+    return {serial: HasGeometry() for serial in unit.geometries.having(serials)}
+
+
+def nothing(_: HasGeometry) -> Outcome[None]:
+    """Return no result: what follows is that windows are due."""
+    return Outcome()
+
+
+def list_waiting(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[HasGeometry | None, Outcome[None]]]
+) -> Mapping[str, int]:
+    """List the windows that waited for the first geometry of their wheelset."""
+    for serial, (inputs, _outcome) in made.items():
+        if inputs is not None:
+            unit.adhesion.list_waiting(serial)
+    return {}
+
+
+def load_creep(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, CreepInputs]:
+    """Return the windows that are estimated and whose creep, of these samples, has not been looked at."""
+    windows = [key_of_text(key) for key in keys]
+    records, looked_at = unit.windows.several(windows), unit.adhesion.looked_at(windows)
+    having = unit.geometries.having({one.wheelset for one in records})
+    chosen = [
+        one
+        for one in records
+        if one.state is WindowState.ESTIMATED and one.wheelset in having and one.track_section is not None
+        if not one.samples_purged and looked_at.get(one.key) != one.content_digest
+    ]
+    found = creep_inputs(unit, chosen, context.settings.estimation) if chosen else {}
+    return {text_of_key(*key): inputs for key, inputs in found.items()}
+
+
+def find_creep(inputs: CreepInputs) -> Outcome[CreepOfWindow]:
+    """Return the creep of a window, and what it says of the damper above."""
+    return Outcome([Part(creep_of_window(inputs))])
+
+
+def store_creep(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[CreepInputs | None, Outcome[CreepOfWindow]]]
+) -> Mapping[str, int]:
+    """Store what windows with the same samples still say."""
+    found = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
+    if not found:
+        return {}
+    now = {one.key: one.content_digest for one in unit.windows.several([one.creep.key for one in found])}
+    unit.adhesion.put_all([one.creep for one in found if now.get(one.creep.key) == one.creep.content_digest])
+    dampers = {(*one.damper.gear, one.damper.start_ns): one.damper for one in found if one.damper is not None}
+    unit.dampers.put_all(list(dampers.values()))
+    return {"windows": len(found), "refused": sum(one.creep.reason is not None for one in found)}
 
 
 @dataclass(frozen=True, slots=True)
-class _Pooled:
-    """The friction of a section, the windows behind it, and what it was before."""
+class VehicleDampers:
+    """What the newest windows of each running gear of a vehicle say, newest first."""
 
-    found: SectionAdhesion
-    passes: Sequence[WindowAdhesion]
-    fleets: Sequence[str]
+    gears: tuple[tuple[WindowDamper, ...], ...]
+    parameters: DamperParameters
 
 
-def _section(context: JobContext, section: str, to_ns: int) -> Mapping[str, int]:
-    """Store the friction of a section, its alerts, and what follows for its windows."""
-    rule = context.settings.rules.rule(LowAdhesionRule)
-    with context.storage.read() as unit:
-        last = unit.adhesion.section(section)
-        passes = unit.adhesion.of_section(section, to_ns - pooled_ns(rule), to_ns)
-        fleets = sorted({unit.registry.vehicle(code).fleet for code in {one.vehicle for one in passes}})
-        length, parameters = section_length(unit, section), friction_parameters(rule, unit, passes)
-    found = section_adhesion(section, passes, parameters, length)
-    if found is None:
+def load_dampers(unit: UnitOfWork, vehicles: Sequence[str], _: JobContext) -> Mapping[str, VehicleDampers]:
+    """Return what the dampers of some vehicles are found from."""
+    gears: dict[str, list[tuple[WindowDamper, ...]]] = {}
+    for vehicle, first_axle in unit.dampers.gears(vehicles):
+        newest = tuple(unit.dampers.newest(vehicle, first_axle, MOST_WINDOWS))
+        if newest:
+            gears.setdefault(vehicle, []).append(newest)
+    return {vehicle: VehicleDampers(tuple(own), DamperParameters()) for vehicle, own in gears.items()}
+
+
+def judge_dampers(inputs: VehicleDampers) -> Outcome[GearDamper]:
+    """Return the dampers of the running gears of a vehicle."""
+    found = [gear_damper(windows, inputs.parameters) for windows in inputs.gears]
+    return Outcome([Part(one, part=part_of_gear(one.first_axle)) for one in found])
+
+
+def forget_windows(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[VehicleDampers | None, Outcome[GearDamper]]]
+) -> Mapping[str, int]:
+    """Forget what windows say that do not count any more."""
+    for inputs, _outcome in made.values():
+        for windows in () if inputs is None else inputs.gears:
+            if len(windows) == MOST_WINDOWS:
+                unit.dampers.forget(*windows[-1].gear, windows[-1].start_ns)
+    return {}
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Passes of a section that are pooled.
+
+    Attributes:
+        fleets: That passed it.
+    """
+
+    passes: tuple[WindowAdhesion, ...]
+    parameters: FrictionParameters
+    fleets: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionInputs:
+    """What the friction of a section is found from.
+
+    Attributes:
+        spans: Oldest first.
+        made_with: Digest of the limits.
+        seen: Windows that are pooled, with the versions in which they were due.
+        older_ns: Passes before that are to be pooled by the next run; None for none.
+    """
+
+    section: str
+    length_m: float
+    spans: tuple[Span, ...]
+    made_with: str
+    seen: Mapping[WindowKey, int]
+    older_ns: int | None
+
+
+def load_friction(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, FrictionInputs]:
+    """Return the passes of some sections that are to be pooled: around new ones, or all where limits are others."""
+    rule, made_with = context.settings.rules.rule(LowAdhesionRule), unit.adhesion.made_with(sections)
+    lengths = {one.code: one.length_m for one in unit.tracks.sections()}
+    return {
+        section: _of_section(unit, section, lengths.get(section, 0.0), rule, made_with.get(section))
+        for section in sections
+        if section
+    }
+
+
+def _of_section(
+    unit: UnitOfWork, section: str, length_m: float, rule: LowAdhesionRule, before: tuple[int, str] | None
+) -> FrictionInputs:
+    due = unit.due.of_section(FRICTION, section)
+    starts, limits = {start_ns for _, start_ns in due}, ""
+    newest_ns = max([*starts, *([] if before is None else [before[0]])], default=None)
+    if newest_ns is not None:
+        limits = made_from(rule.pooled_hours, length_m, _span(unit, section, newest_ns, rule).parameters)
+    if before is not None and before[1] != limits:
+        starts.update(unit.adhesion.starts_with_sums(section, 0, before[0]))
+    ends = pool_ends(starts, pooled_ns(rule))
+    chosen = ends[-MOST_SPANS:]
+    first_ns = chosen[0] - pooled_ns(rule) if chosen else 0
+    return FrictionInputs(
+        section=section,
+        length_m=length_m,
+        spans=tuple(_span(unit, section, to_ns, rule) for to_ns in chosen),
+        made_with=limits,
+        seen={key: version for key, version in due.items() if key[1] >= first_ns},
+        older_ns=first_ns if len(ends) > len(chosen) else None,
+    )
+
+
+def _span(unit: UnitOfWork, section: str, to_ns: int, rule: LowAdhesionRule) -> Span:
+    passes = tuple(unit.adhesion.of_section(section, to_ns - pooled_ns(rule), to_ns))
+    fleets = sorted({one.fleet for one in unit.registry.vehicles_of({one.vehicle for one in passes}).values()})
+    return Span(passes, friction_parameters(rule, unit, passes), tuple(fleets))
+
+
+def find_friction(inputs: FrictionInputs) -> Outcome[SectionAdhesion]:
+    """Return the friction of a section over each of some spans."""
+    found = (section_adhesion(inputs.section, one.passes, one.parameters, inputs.length_m) for one in inputs.spans)
+    return Outcome([Part(one) for one in found], again_ns=None if inputs.older_ns is None else 0)
+
+
+def store_friction(
+    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FrictionInputs | None, Outcome[SectionAdhesion]]]
+) -> Mapping[str, int]:
+    """Store the friction of sections, their alerts, and what follows for their windows."""
+    counts: Counter[str] = Counter()
+    for inputs, outcome in made.values():
+        if inputs is None:
+            continue
+        for span, part in zip(inputs.spans, outcome.parts, strict=True):
+            if part.value is not None:
+                counts.update(_store_span(unit, context, span, part.value, inputs.made_with))
+        unit.due.settle_all(FRICTION, inputs.seen)
+        if inputs.older_ns is not None:
+            unit.adhesion.list_pooled(inputs.section, inputs.older_ns)
+    return counts
+
+
+def _store_span(
+    unit: UnitOfWork, context: JobContext, span: Span, found: SectionAdhesion, made_with: str
+) -> Mapping[str, int]:
+    section, rule = found.track_section, context.settings.rules.rule(LowAdhesionRule)
+    last, before = unit.adhesion.section(section), _certain_stretches(unit, section, span.passes)
+    if not unit.adhesion.put_section(found, context.code_version, made_with):
         return {}
-    pooled = _Pooled(found, passes, fleets)
-    with context.storage.write() as unit:
-        before = _certain_stretches(unit, section, passes)
-        if not unit.adhesion.put_section(found, context.code_version):
-            return {}
-        after = _certain_stretches(unit, section, passes)
-        again = [one for one in passes if touched(one, before[one.start_ns]) != touched(one, after[one.start_ns])]
-        marks = [WindowMark(*one.key, WindowState.PENDING) for one in _estimated(unit, again)]
-        unit.windows.mark_all(marks)
-        if last is None or found.to_ns >= last.to_ns:
-            _alert(unit, context, rule, pooled)
-            unit.adhesion.forget_sums(section, found.to_ns - KEPT_NS)
+    after = _certain_stretches(unit, section, span.passes)
+    again = [one for one in span.passes if touched(one, before[one.start_ns]) != touched(one, after[one.start_ns])]
+    marks = [WindowMark(*one.key, WindowState.PENDING) for one in _estimated(unit, again)]
+    unit.windows.mark_all(marks)
+    if last is None or found.to_ns >= last.to_ns:
+        _alert(unit, context, rule, found, span.fleets)
+        unit.adhesion.forget_sums(section, found.to_ns - KEPT_NS)
     return {"sections": 1, "low": bool(found.low_stretches), "estimated_again": len(marks)}
 
 
 def _certain_stretches(unit: UnitOfWork, section: str, passes: Sequence[WindowAdhesion]) -> Mapping[int, Stretches]:
     """Return the stretches of certainly low friction of a section at the times of its passes."""
-    found = {start_ns: unit.adhesion.section(section, start_ns) for start_ns in {one.start_ns for one in passes}}
-    return {start_ns: () if one is None else one.certain_stretches for start_ns, one in found.items()}
+    starts = sorted({one.start_ns for one in passes})
+    hours = unit.adhesion.during(section, starts[0], starts[-1]) if starts else ()
+    return {
+        start_ns: next((one.certain_stretches for one in hours if one.from_ns <= start_ns <= one.to_ns), ())
+        for start_ns in starts
+    }
 
 
 def _estimated(unit: UnitOfWork, passes: Sequence[WindowAdhesion]) -> Sequence[WindowAdhesion]:
     """Return the passes whose windows are not pending, and can be made again."""
-    records = {record.key: record for record in unit.windows.several([one.key for one in passes])}
+    records = {record.key: record for record in unit.windows.several([one.key for one in passes])} if passes else {}
     return [
         one
         for one in passes
@@ -141,16 +270,18 @@ def _estimated(unit: UnitOfWork, passes: Sequence[WindowAdhesion]) -> Sequence[W
     ]
 
 
-def _alert(unit: UnitOfWork, context: JobContext, rule: LowAdhesionRule, pooled: _Pooled) -> None:
+def _alert(
+    unit: UnitOfWork, context: JobContext, rule: LowAdhesionRule, found: SectionAdhesion, fleets: Sequence[str]
+) -> None:
     """Raise, update and clear the alerts of a section, one for each fleet that passed it."""
-    section, now_ns = pooled.found.track_section, context.clock.now_ns()
+    section, now_ns = found.track_section, context.clock.now_ns()
     standing = {alert.fleet: alert for alert in unit.alerts.open_of_section(section, rule.kind)}
-    finding = section_finding(rule, pooled.found)
-    for fleet in sorted({*pooled.fleets, *standing}):
+    finding = section_finding(rule, found)
+    for fleet in sorted({*fleets, *standing}):
         own = context.settings.rules.of(fleet, None).rule(LowAdhesionRule)
         if not own.enabled:
             if fleet in standing:
-                ended = close(standing[fleet], CloseReason.RULE_DISABLED, pooled.found.to_ns)
+                ended = close(standing[fleet], CloseReason.RULE_DISABLED, found.to_ns)
                 unit.alerts.save(ended.alert, ended.events, now_ns, note=CloseReason.RULE_DISABLED.sentence)
             continue
         change = section_transition(
@@ -166,8 +297,73 @@ def _alert(unit: UnitOfWork, context: JobContext, rule: LowAdhesionRule, pooled:
             unit.alerts.save(change.alert, change.events, now_ns)
 
 
+FIRST = Stage(
+    name="first_geometry",
+    job=JOB_NAME,
+    kind=SubjectKind.WHEELSET,
+    facets=(GEOMETRY.stage,),
+    settings=lambda _: None,
+    load=load_first,
+    compute=nothing,
+    counted=Counted(looked="wheelsets", changed="results"),
+    store=list_waiting,
+    at_once=500,
+)
+OF_WINDOWS = Stage(
+    name=CREEP,
+    job=JOB_NAME,
+    kind=SubjectKind.WINDOW,
+    facets=(),
+    settings=lambda _: None,
+    load=load_creep,
+    compute=find_creep,
+    counted=Counted(looked="looks", changed="results", more=("windows", "refused")),
+    store=store_creep,
+    at_once=BATCH,
+    frozen=(GEOMETRY.stage,),
+)
+OF_VEHICLES = Stage(
+    name=GEAR_DAMPERS.stage,
+    job=JOB_NAME,
+    kind=SubjectKind.VEHICLE,
+    facets=(CREEP,),
+    settings=lambda _: DamperParameters(),
+    load=load_dampers,
+    compute=judge_dampers,
+    counted=Counted(looked="looks", changed="results"),
+    results=GEAR_DAMPERS,
+    store=forget_windows,
+)
+OF_SECTIONS = Stage(
+    name=FRICTION,
+    job=JOB_NAME,
+    kind=SubjectKind.SECTION,
+    facets=(CREEP, Facet.REGISTRY),
+    settings=lambda settings: (settings.rules.version, settings.rules.rule(LowAdhesionRule)),
+    load=load_friction,
+    compute=find_friction,
+    counted=Counted(looked="looks", changed="results", more=("sections", "low", "estimated_again")),
+    store=store_friction,
+    at_once=4,
+)
+
+
+def run(context: JobContext) -> Mapping[str, int]:
+    """Look at the creep of new windows, and at the friction of their sections."""
+    counts: Counter[str] = Counter()
+    for stage in (FIRST, OF_WINDOWS, OF_VEHICLES, OF_SECTIONS):
+        counts.update(run_stage(stage, context))
+    if counts["estimated_again"]:
+        estimate_windows.run(context)
+        refresh_geometry.JOB.run(context)
+    return {name: count for name, count in counts.items() if name not in BESIDE}
+
+
+BESIDE = {"wheelsets", "looks", "results"}
+"""Counts of stages that are no counts of the job."""
+
 JOB = Job(
-    name=STAGE,
+    name=JOB_NAME,
     description="Find creep forces of windows, friction of sections, and raise low adhesion",
     every_s=60.0,
     run=run,

@@ -17,8 +17,8 @@ from estimation.jobs.steps.rolled_geometries import SUMS_IN_MEMORY, RolledGeomet
 from estimation.jobs.steps.rolling import rolled
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
+from estimation.values.geometry import GEOMETRY as GEOMETRIES
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.geometry_results import GEOMETRY as GEOMETRIES
 from estimation.values.geometry_results import result_of_geometry
 from estimation.values.roll_up import RolledPart, RollUpState
 from estimation.values.subjects import Facet
@@ -64,7 +64,7 @@ def load(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mappi
 def _inputs(geometries: RolledGeometries) -> GeometryInputs:
     rolled = geometries.rolled
     changed = [part for part in rolled.parts if part.changed] if rolled.due else []
-    whole = not rolled.again or len(changed) <= SUMS_IN_MEMORY
+    whole = len(changed) <= SUMS_IN_MEMORY
     records = geometries.records() if whole else []
     some = changed if whole else changed[:SUMS_IN_MEMORY]
     parts = [RolledPart(part.roll_up, part.before, *geometries.sums(part), part.added) for part in some]
@@ -96,10 +96,12 @@ def compute(inputs: GeometryInputs) -> Outcome[WheelsetGeometry]:
 
 
 def store(
-    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[GeometryInputs, Outcome[WheelsetGeometry]]]
+    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[GeometryInputs | None, Outcome[WheelsetGeometry]]]
 ) -> Mapping[str, int]:
     """Store the roll-ups, and the bins of the current geometry as plain rows."""
     for serial, (inputs, _) in made.items():
+        if inputs is None:
+            continue
         if inputs.whole:
             _store_whole(unit, serial, inputs, context.clock.now_ns())
         else:
@@ -130,7 +132,7 @@ GEOMETRY = Stage(
     name=GEOMETRIES.stage,
     job="refresh_geometry",
     kind=GEOMETRIES.subject,
-    facets=(Facet.REGISTRY, Facet.WINDOWS, Facet.RESTARTS, TREND.head_facet),
+    facets=(Facet.REGISTRY, Facet.TABLES, Facet.RESTARTS, TREND.head_facet),
     settings=lambda settings: settings.estimation,
     load=load,
     compute=compute,

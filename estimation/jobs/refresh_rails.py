@@ -24,7 +24,7 @@ from estimation.rails.cell import with_refused
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
-from estimation.values.geometry_results import GEOMETRY
+from estimation.values.geometry import GEOMETRY
 from estimation.values.rails import (
     CELLS,
     SECTION_RAILS,

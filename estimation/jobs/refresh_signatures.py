@@ -1,8 +1,8 @@
 """Job: the signatures of new windows, and what the library of all says of every wheelset, the others' data alone.
 
-Where nothing has happened to any wheelset, counters say so. Otherwise a wheelset is judged again when its signatures or
-anything in the library have changed; libraries are shared (``estimation.signatures.retirement``), so that a run costs
-seven of them at most for each class, axle position and pair of profiles, however many wheelsets there are.
+A wheelset is judged again when its signatures or anything in the library have changed; libraries are shared
+(``estimation.signatures.admission``), so that a run costs seven of them at most for each class, axle position and pair
+of profiles, however many wheelsets there are.
 """
 
 from __future__ import annotations
@@ -10,14 +10,16 @@ from __future__ import annotations
 import hashlib
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from estimation.errors import DamagedError
-from estimation.jobs.isolation import Isolation
+from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
+from estimation.jobs.runner import run as run_stage
+from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.identities import identity_change, suspected
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
-from estimation.jobs.steps.signature_windows import VERSION, refresh_windows, usable
+from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOWS, usable
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.signatures.answer import compared, judged
@@ -25,11 +27,14 @@ from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.retirement import Change, Libraries, Subject, current
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
+from estimation.values.geometry import GEOMETRY
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.runs import Look, SubjectKind
+from estimation.values.runs import SubjectKind
 from estimation.values.signatures import (
+    ANSWERS,
     NO_PAIR,
+    SIGNATURES,
     AxlePosition,
     DesignPair,
     KnownSignatures,
@@ -37,115 +42,77 @@ from estimation.values.signatures import (
     Place,
     Signature,
     SignatureAnswer,
-    SignatureRecord,
+    SignatureFinding,
 )
-from estimation.values.windows import key_of_text, text_of_key
+from estimation.values.subjects import EVERYTHING, Facet
+from estimation.values.windows import WindowKey, text_of_key
 
-STAGE = "refresh_signatures"
 NEWEST = 12  # windows that a wheelset is judged by
 
 _Kind = tuple[str, AxlePosition]
 
 
-def run(context: JobContext) -> Mapping[str, int]:
-    """Make signatures of new windows, and answers of wheelsets for which something has changed."""
-    counts: Counter[str] = Counter(signed=0, without_signature=0, made_again=0, retired=0, answered=0, unchanged=0)
-    isolation = Isolation(context, STAGE)
-    failed = _held(isolation)
-    with context.storage.read() as unit:
-        seen, looks = unit.looks.of(STAGE), wheelset_looks(unit, context)
-    news = [serial for serial, look in looks.items() if seen.get(serial) != look or serial in failed]
-    if not news:
-        counts["unchanged"] = len(looks)
-        return counts
-    counts.update(refresh_windows(context, news))
-    counts.update(_judge(context, isolation))
-    counts["quarantined"] = isolation.quarantined
-    out = _held(isolation)
-    with context.storage.write() as unit:
-        for serial in news:
-            if serial not in out:
-                unit.looks.note(STAGE, serial, looks[serial])
-    return counts
+def load_library(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mapping[str, Library]:
+    """Return what all answers are made from."""
+    classes = ClassLookup(unit, context.settings.estimation)
+    reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
+    stored = unit.signatures.known()
+    known, without = usable(unit, context, stored.known)
+    made, answered = reader.entries(known), unit.results.made_from(ANSWERS)
+    subjects = _subjects(reader, known, answered, context.settings.signatures.most_mileage_km)
+    geometries, failed = {}, dict[tuple[SubjectKind, str], Exception]()
+    for serial, one in subjects.items():
+        geometry = _geometry(unit, serial, one.baseline)
+        if isinstance(geometry, DamagedError):
+            failed[SubjectKind.WHEELSET, serial] = geometry
+        else:
+            geometries[serial] = geometry
+    failed |= {(SubjectKind.WHEELSET, serial): error for serial, error in made.damaged.items()}
+    windows = [(wheelset, start_ns) for wheelset, start_ns, _text in stored.damaged]
+    for wheelset, start_ns, text in stored.damaged:
+        failed[SubjectKind.WINDOW, text_of_key(wheelset, start_ns)] = DamagedError(text)
+    shelf = _shelved(made, without, context.settings.signatures)
+    parameters = context.settings.signatures
+    numerics = context.code_version
+    return {EVERYTHING: Library(shelf, subjects, geometries, parameters, numerics, answered, failed, windows)}
 
 
-def _held(isolation: Isolation) -> frozenset[str]:
-    """Return the wheelsets that failed, or something of which is damaged."""
-    windows = {key_of_text(item.key)[0] for item in isolation.held(SubjectKind.WINDOW)}
-    return frozenset({item.key for item in isolation.held(SubjectKind.WHEELSET)} | windows)
+def judge(library: Library) -> Outcome[SignatureFinding]:
+    """Return the answers about wheelsets for which something has changed; one that fails stops no other."""
+    parts, failed = [], dict(library.failed)
+    for serial, subject in library.subjects.items():
+        if (SubjectKind.WHEELSET, serial) in failed:
+            continue
+        geometry = library.geometries[serial]
+        digest = _digest(library, subject, geometry)
+        if library.answered.get(serial) == (digest, library.numerics):
+            continue
+        try:
+            parts.append(Part(_finding(library, subject, geometry), subject=serial, made_from=digest))
+        except Exception as error:
+            if not fails_alone(error):
+                raise
+            failed[SubjectKind.WHEELSET, serial] = error
+    return Outcome(parts, again_ns=0 if failed else None, failed=failed)
 
 
-def wheelset_looks(unit: UnitOfWork, context: JobContext) -> dict[str, Look]:
-    """Return by wheelset what is said of it rests on, by what has happened to it, and what is common to all.
-
-    Args:
-        unit: As one transaction sees it, before the look.
-    """
-    codes = unit.registry.classes_in_use()
-    classes = [(code, None if (found := unit.registry.vehicle_class(code)) is None else found.digest) for code in codes]
-    layouts = sorted((code, standing.layout) for code, standing in unit.tracks.standings().items())
-    settings = context.settings
-    common = repr(
-        (classes, unit.tracks.sections(), layouts, settings.estimation.as_json(), settings.signatures, VERSION)
-    )
-    text = f"{hashlib.sha256(common.encode()).hexdigest()} {context.code_version}"
-    touched = unit.looks.touched()
-    return {serial: Look(_sha(f"{touched[serial]} {text}")) for serial in sorted(touched)}
+def store_answers(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Library, Outcome[SignatureFinding]]]
+) -> Mapping[str, int]:
+    """Let signatures that cannot be read be made again; return what was counted of the answers."""
+    library, outcome = made[EVERYTHING]
+    unit.signatures.drop(library.damaged)
+    found = [part.value for part in outcome.parts if part.value is not None]
+    disagreements = (one.disagreement for one in found)
+    return {
+        "retired": library.shelf.retired,
+        "estimated": sum(one.answer.conicity.value is not None for one in found),
+        "disagreeing": sum(one is not None and one.disagrees for one in disagreements),
+    }
 
 
 def _sha(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _judge(context: JobContext, isolation: Isolation) -> Mapping[str, int]:
-    """Judge the wheelsets for which something has changed; return what was counted."""
-    counts: Counter[str] = Counter()
-    with context.storage.read() as unit:
-        classes = ClassLookup(unit, context.settings.estimation)
-        reader = EntryReader(unit, classes, VehicleLookup(unit), context.settings.signatures)
-        stored = unit.signatures.known()
-        known, without = usable(unit, context, stored.known)
-        made, answered = reader.entries(known), unit.signatures.answered()
-        subjects = _subjects(reader, known, answered, context.settings.signatures.most_mileage_km)
-        geometries = {serial: _geometry(unit, serial, one.baseline) for serial, one in subjects.items()}
-    _set_aside(context, isolation, stored.damaged)
-    unreadable = {serial: one for serial, one in geometries.items() if isinstance(one, DamagedError)}
-    unreadable.update(made.damaged)
-    for serial, error in sorted(unreadable.items()):
-        isolation.keep(SubjectKind.WHEELSET, serial, "", error)
-    shelf = _shelved(made, without, context.settings.signatures)
-    counts["retired"] = shelf.retired
-    for done, (serial, subject) in enumerate(subjects.items()):
-        context.checkpoint(done, len(subjects))
-        geometry = geometries[serial]
-        if serial in unreadable or isinstance(geometry, DamagedError):
-            continue
-        digest = _digest(context, shelf, subject, geometry)
-        if answered.get(serial) == (digest, context.code_version):
-            counts["unchanged"] += 1
-            isolation.release(SubjectKind.WHEELSET, serial)
-            continue
-        with isolation.alone(SubjectKind.WHEELSET, serial):
-            record = _record(context, shelf, subject, geometry, digest)
-            with context.storage.write() as unit:
-                unit.signatures.put_answer(record)
-            counts["answered"] += 1
-            counts["estimated"] += record.answer.conicity.value is not None
-            counts["disagreeing"] += record.disagreement is not None and record.disagreement.disagrees
-    return counts
-
-
-def _set_aside(context: JobContext, isolation: Isolation, damaged: Sequence[tuple[str, int, str]]) -> None:
-    """Keep windows in quarantine whose signatures cannot be read; these are made again where samples are there."""
-    keys = [(wheelset, start_ns) for wheelset, start_ns, _ in damaged]
-    for wheelset, start_ns, text in damaged:
-        isolation.keep(SubjectKind.WINDOW, text_of_key(wheelset, start_ns), "", DamagedError(text))
-    if keys:
-        with context.storage.write() as unit:
-            unit.signatures.drop(keys)
-    for item in isolation.held(SubjectKind.WINDOW):
-        if key_of_text(item.key) not in keys:
-            isolation.release(SubjectKind.WINDOW, item.key)
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +132,8 @@ class _Subject:
 class _Shelf:
     """Entries by kind that are of the present track, and where it has changed."""
 
-    libraries: Libraries
-    changes: Mapping[tuple[_Kind, Place], Change]
+    libraries: Libraries = field(metadata={"made_from": False})
+    changes: Mapping[tuple[_Kind, Place], Change] = field(metadata={"made_from": False})
     left_out: Mapping[ReasonCode, int]
     retired: int
     digest: str
@@ -247,19 +214,35 @@ def _geometry(unit: UnitOfWork, serial: str, baseline: int) -> Estimate | Damage
     return conicity_at_limit_amplitude(record.geometry)
 
 
-def _digest(context: JobContext, shelf: _Shelf, subject: _Subject, geometry: Estimate | None) -> str:
-    text = repr((shelf.digest, sorted(shelf.left_out.items()), subject, geometry, context.settings.signatures))
-    return _sha(text)
+@dataclass(frozen=True, slots=True)
+class Library:
+    """What all answers are made from.
+
+    Attributes:
+        geometries: Conicities at 3 mm of those that are judged; None without one of the present profile.
+        answered: What the answers in force are made from, and by which numerics.
+        failed: What cannot be read, by kind and key.
+        damaged: Windows whose signatures cannot be read.
+    """
+
+    shelf: _Shelf
+    subjects: Mapping[str, _Subject]
+    geometries: Mapping[str, Estimate | None]
+    parameters: SignatureParameters
+    numerics: str
+    answered: Mapping[str, tuple[str, str]] = field(metadata={"made_from": False})
+    failed: Mapping[tuple[SubjectKind, str], Exception] = field(metadata={"made_from": False})
+    damaged: Sequence[WindowKey] = field(metadata={"made_from": False})
 
 
-def _record(
-    context: JobContext,
-    shelf: _Shelf,
-    subject: _Subject,
-    geometry: Estimate | None,
-    digest: str,
-) -> SignatureRecord:
+def _digest(library: Library, subject: _Subject, geometry: Estimate | None) -> str:
+    shelf = library.shelf
+    return _sha(repr((shelf.digest, sorted(shelf.left_out.items()), subject, geometry, library.parameters)))
+
+
+def _finding(library: Library, subject: _Subject, geometry: Estimate | None) -> SignatureFinding:
     """Return the answer about a wheelset."""
+    shelf = library.shelf
     signatures = tuple(one for one in subject.signatures if _of_present_track(one, shelf))
     left_out = Counter(shelf.left_out)
     answer = None if signatures else _silent(subject)
@@ -270,9 +253,9 @@ def _record(
         if isinstance(found, Reason):
             answer = SignatureAnswer(subject.wheelset, Estimate.unknown(found))
         else:
-            answer = judged(subject.wheelset, signatures, found, context.settings.signatures)
+            answer = judged(subject.wheelset, signatures, found, library.parameters)
     assert answer is not None
-    return SignatureRecord(
+    return SignatureFinding(
         answer=answer,
         baseline=subject.baseline,
         signatures=len(signatures),
@@ -281,9 +264,6 @@ def _record(
         left_out={code.value: count for code, count in sorted(left_out.items())},
         geometry=geometry,
         disagreement=None if geometry is None else compared(answer.conicity, geometry),
-        input_digest=digest,
-        code_version=context.code_version,
-        recorded_ns=context.clock.now_ns(),
     )
 
 
@@ -301,8 +281,37 @@ def _silent(subject: _Subject) -> SignatureAnswer:
     return SignatureAnswer(subject.wheelset, Estimate.unknown(reason))
 
 
+OF_ALL = Stage(
+    name=ANSWERS.stage,
+    job=JOB_NAME,
+    kind=SubjectKind.WHEELSET,
+    facets=(SIGNATURES, Facet.WINDOWS, Facet.REGISTRY, Facet.LAYOUTS, Facet.RESTARTS, GEOMETRY.stage),
+    settings=lambda settings: (settings.signatures, settings.estimation),
+    load=load_library,
+    compute=judge,
+    counted=Counted(looked="looks", changed="answered", more=("retired",)),
+    results=ANSWERS,
+    store=store_answers,
+    together=True,
+)
+
+
+def run(context: JobContext) -> Mapping[str, int]:
+    """Make signatures of new windows, and answers of wheelsets for which something has changed."""
+    counts: Counter[str] = Counter()
+    for stage in (ASSUMED, OF_WINDOWS, OF_ALL):
+        found = run_stage(stage, context)
+        counts.update({name: count for name, count in found.items() if name not in BESIDE})
+    with context.storage.read() as unit:
+        counts["unchanged"] = len(unit.results.made_from(ANSWERS)) - counts["answered"]
+    return counts
+
+
+BESIDE = {"wheelsets", "windows", "looks", "results"}
+"""Counts of stages that are no counts of the job."""
+
 JOB = Job(
-    name=STAGE,
+    name=JOB_NAME,
     description="Make wear signatures of new windows, and judge every wheelset by those of the others",
     every_s=900.0,
     run=run,

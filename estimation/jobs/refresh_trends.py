@@ -12,12 +12,10 @@ from estimation.jobs.runner import run
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.identities import identity_changes
 from estimation.storage import UnitOfWork
-from estimation.trend.extrapolation import LIMIT_AMPLITUDE
-from estimation.trend.points import conicity_points
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_points
 from estimation.trend.steps import behind_step, newest_step, with_step
 from estimation.trend.trend import TrendParameters, refresh
-from estimation.values.geometry import IntervalConicities
-from estimation.values.geometry_results import GEOMETRY
+from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
 from estimation.values.subjects import Facet
 from estimation.values.trend import TREND as TRENDS
@@ -76,9 +74,9 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
     part = Part(
         trend,
         part=baseline_part(inputs.baseline),
-        head=None if trend.step is None else [trend.step.before_ns, trend.step.after_ns],
         status=trend.status,
         reason=trend.reason,
+        head=trend.head,
         parameters=asdict(inputs.parameters),
     )
     return Outcome([part])

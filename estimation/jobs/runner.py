@@ -8,8 +8,8 @@ marks are stored in one transaction, so that a process that is killed leaves a s
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial
 from itertools import islice
@@ -32,22 +32,38 @@ CLAIMED_TOGETHER = 4
 
 def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
     """Bring the results of a stage up to date; return what was counted. Where nothing is due this is one statement."""
-    counts: Counter[str] = Counter(dict.fromkeys(stage.counted.names, 0))
-    inputs = stage.inputs(context)
-    if stage.kind is SubjectKind.WINDOW:
-        _list_again(context, inputs)
-    with context.storage.read() as unit:
-        due = unit.marks.due(inputs, context.clock.now_ns())
-        if stage.counted.same is not None:
-            at_rest = unit.marks.count(stage.name) - sum(one.marked for one in due.values())
-            counts.update({stage.counted.looked: at_rest, stage.counted.same: at_rest})
-    counts["quarantined"] = 0
-    if due:
-        isolation = Isolation(context, stage.job)
-        ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(_tried, inputs, one))]
-        counts["quarantined"] = isolation.quarantined
-        counts.update(_handed_out(stage, context, ready, len(due)))
+    return run_all((stage,), context)
+
+
+def run_all(stages: Iterable[AnyStage], context: JobContext) -> Counter[str]:
+    """Bring the results of stages up to date, one after the other; return what was counted of all."""
+    counts, waiting = Counter(quarantined=0), deque(stages)
+    while waiting:
+        if waiting[0].kind is SubjectKind.WINDOW:
+            _list_again(context, waiting[0].inputs(context))
+        due: Mapping[str, Due] = {}
+        with context.storage.read() as unit:
+            while waiting and not due:
+                stage = waiting.popleft()
+                due = _due(unit, stage, context, counts)
+            isolation = Isolation(context, stage.job)
+            if due:
+                isolation.read(unit)
+        tried = partial(_tried, stage.inputs(context))
+        ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
+        counts["quarantined"] += isolation.quarantined
+        counts.update(_handed_out(stage, context, ready, len(due)) if due else {})
     return counts
+
+
+def _due(unit: UnitOfWork, stage: AnyStage, context: JobContext, counts: Counter[str]) -> Mapping[str, Due]:
+    """Return what is due of a stage; count what is not."""
+    counts.update(dict.fromkeys(stage.counted.names, 0))
+    due = unit.marks.due(stage.inputs(context), context.clock.now_ns())
+    if stage.counted.same is not None:
+        at_rest = unit.marks.count(stage.name) - sum(one.marked for one in due.values())
+        counts.update({stage.counted.looked: at_rest, stage.counted.same: at_rest})
+    return due
 
 
 def _list_again(context: JobContext, inputs: StageInputs) -> None:
@@ -112,6 +128,7 @@ class _Working:
         try:
             with self.context.storage.read() as unit:
                 due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
+                self.isolation.read(unit)
                 loaded = self.stage.load(unit, list(due), self.context) if due else {}
             made = self._computed(due, loaded)
             self._store(due, loaded, made)
@@ -162,15 +179,22 @@ class _Working:
             whole = {subject: one.mark(due[subject]) for subject, one in made.items() if not one.more}
             unit.marks.note(self.inputs, whole)
         self.counts.update(stored)
-        self._count(
-            {key: one for key, one in made.items() if key in loaded and not one.more},
-            {result.subject for result in changed},
-            len(changed),
-        )
-        for subject in made:
+        looked = {subject: one for subject, one in made.items() if subject in loaded and not one.more}
+        self._count(looked, {result.subject for result in changed}, len(changed))
+        for subject, one in made.items():
             self.isolation.release(self.stage.kind, subject)
+            if self.stage.together and one.outcome is not None:
+                self._keep_failed(one.outcome.failed)
         for subject in made.keys() - whole.keys():
             self.do([subject])
+
+    def _keep_failed(self, failed: Mapping[tuple[SubjectKind, str], Exception]) -> None:
+        """Keep what failed alone of a look at all together; what does not any more is released."""
+        for item in (one for kind in SubjectKind for one in self.isolation.held(kind)):
+            if not item.inputs and (item.kind, item.key) not in failed:
+                self.isolation.release(item.kind, item.key)
+        for (kind, key), error in failed.items():
+            self.isolation.keep(kind, key, "", error)
 
     def _put(self, unit: UnitOfWork, results: Sequence[AnyResult]) -> Sequence[AnyResult]:
         return () if self.stage.results is None else unit.results.put_all(self.stage.results, results)

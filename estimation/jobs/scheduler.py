@@ -25,7 +25,7 @@ from apscheduler.schedulers.background import BackgroundScheduler
 
 from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.storage import OwnedStorage
+from estimation.storage import LeasedStorage
 from estimation.values.runs import JobTrigger
 
 _log = logging.getLogger(__name__)
@@ -36,8 +36,8 @@ CHECK_S = 1.0
 STEP_NS = 30_000_000_000
 """Between two looks the clock may go so much more or less than :data:`CHECK_S`; beyond it somebody has set it."""
 
-FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
-"""Between attempts to reach a database that is away; each is twice the one before."""
+LONGEST_LEASE_S = 45.0
+"""The place of a scheduler is free so long after its machine is lost, at most: another has it within a minute."""
 
 
 def serve_jobs(
@@ -47,6 +47,7 @@ def serve_jobs(
     *,
     holder: str = "scheduler",
     every_s: Callable[[Job], float] | None = None,
+    wait: bool = False,
 ) -> None:
     """Run the jobs on their schedules until ``stop_event`` is set; a job that is running then ends at its next batch.
 
@@ -56,37 +57,39 @@ def serve_jobs(
         stop_event: Set by whoever ends the service, see :func:`estimation.jobs.stop_signals.stop_on_signals`.
         holder: Name that the refusal of a second scheduler contains, such as host and process number.
         every_s: Interval of a job where the deployment sets it apart from the job's default.
+        wait: Stand by while another scheduler is at work, and take its place when it has ended.
 
     Raises:
-        AlreadyRunningError: Another scheduler is at work on this database, at the start or after the database was away.
-        StorageError: The database cannot be reached at the start. Later the scheduler waits for it, with growing delay.
+        AlreadyRunningError: Another scheduler is at work on this database, at the start or later.
+        StorageError: The database cannot be reached at the start. Later the scheduler waits for it.
     """
-    delay_s, begun = FIRST_DELAY_S, False
+    begun, before = False, ""
     while not stop_event.is_set():
         try:
-            with context.storage.owned(JobTrigger.SCHEDULE, holder, context.clock.now_ns()) as owned:
-                delay_s, begun = FIRST_DELAY_S, True
+            with context.storage.owned(JobTrigger.SCHEDULE, holder, min(context.lease_s, LONGEST_LEASE_S)) as owned:
+                begun, before = True, ""
                 _serve_while_owned(replace(context, storage=owned), owned, jobs, stop_event, every_s)
         except AlreadyRunningError as error:
-            if not (begun and holder.startswith(error.holder)):  # else the server still sees our own lost connection
+            if not wait:
                 raise
+            if before != error.holder:
+                _log.info("standing by: %s", error)
+            begun, before = True, error.holder
         except StorageError as error:
             if not begun:
                 raise
             _log.warning("the scheduler waits for the database: %s", error)
-        if not stop_event.wait(delay_s):
-            _log.info("the scheduler tries to go on, after %g s", delay_s)
-        delay_s = min(2.0 * delay_s, LONGEST_DELAY_S)
+        stop_event.wait(CHECK_S)
 
 
 def _serve_while_owned(
     context: JobContext,
-    owned: OwnedStorage,
+    owned: LeasedStorage,
     jobs: Sequence[Job],
     stop_event: Event,
     every_s: Callable[[Job], float] | None,
 ) -> None:
-    """Run the jobs until a stop is asked for or the claim is lost; then the running job ends at its next batch."""
+    """Run the jobs until a stop is asked for or the place is lost; then the running job ends at its next batch."""
     with owned.write() as unit:
         abandoned = unit.jobs.abandon_running(context.clock.now_ns())
     if abandoned:
@@ -96,21 +99,32 @@ def _serve_while_owned(
     looked_ns = context.clock.now_ns()  # before the first job: the clock may be set while it runs
     scheduler.start()
     _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
+    kept: bool | None = True
     try:
-        while not stop_event.wait(CHECK_S):
+        while kept is not False and not stop_event.wait(CHECK_S):
             before_ns, looked_ns = looked_ns, context.clock.now_ns()
+            was_kept, kept = kept, _kept(owned)
             if clock_was_set(looked_ns - before_ns):
                 _log.warning("the clock went by %g s in a second: all jobs are due now", (looked_ns - before_ns) / 1e9)
                 _make_due(scheduler, jobs)
-            if not owned.holds():
-                _log.warning(
-                    "the scheduler has lost its lock: the database was away, or another scheduler has taken over"
-                )
-                break
+            elif kept and was_kept is None:
+                _log.info("the database is back: all jobs are due now")
+                _make_due(scheduler, jobs)
+        if kept is False:
+            _log.warning("the scheduler has lost its place: it stood still, and another may have taken over")
     finally:
         over.set()
         scheduler.shutdown(wait=True)
         _log.info("scheduler stopped")
+
+
+def _kept(owned: LeasedStorage) -> bool | None:
+    """Return whether the scheduler keeps its place; None while the database is away, which takes it from nobody."""
+    try:
+        return not owned.lease_lost()
+    except StorageError as error:
+        _log.warning("the scheduler waits for the database: %s", error)
+        return None
 
 
 def clock_was_set(passed_ns: int) -> bool:

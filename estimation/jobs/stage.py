@@ -70,6 +70,7 @@ class Outcome(Generic[V]):
         rests: Whether the stage has nothing more to say before another of its inputs changes. What it raises of its
             own inputs makes it look again otherwise.
         more: Whether this was a part of what is to be stored: the subject is due still, and taken up again at once.
+        failed: Of a stage that looks at all together: of what it could not be done, by kind and key.
     """
 
     parts: Sequence[Part[V]] = ()
@@ -77,6 +78,7 @@ class Outcome(Generic[V]):
     counted: str | None = None
     rests: bool = True
     more: bool = False
+    failed: Mapping[tuple[SubjectKind, str], Exception] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +121,8 @@ class Stage(Generic[I, V]):
         together: Whether it looks at all subjects together, of whatever kind a facet is; its one subject is
             ``EVERYTHING``.
         frozen: Stages whose results it reads and that do not make it due.
+        inline: Whether the transaction that raises a facet makes what the stage is for, at its end; a run makes all of
+            it again where the settings are others.
     """
 
     name: str
@@ -134,11 +138,13 @@ class Stage(Generic[I, V]):
     at_once: int = 16
     together: bool = False
     frozen: tuple[str, ...] = ()
+    inline: bool = False
 
     def inputs(self, context: JobContext) -> StageInputs:
         """Return what the stage is made from, with these settings and this version of the numerics."""
-        common = made_from(self.facets, self.settings(context.settings), context.code_version)
-        return StageInputs(self.name, self.kind, self.facets, common, self.together)
+        settings = self.settings(context.settings)
+        common = str(settings) if self.inline else made_from(self.facets, settings, context.code_version)
+        return StageInputs(self.name, self.kind, self.facets, common, self.together, self.inline)
 
 
 AnyStage = Stage[Any, Any]

@@ -203,7 +203,6 @@ def bogie_runs_backwards(window: Window, partner: Window, ahead: float) -> bool 
 
     Args:
         window, partner: Of the two nodes of a bogie, over the same time, with as many samples.
-        ahead: By how much the node of ``window`` is ahead of the other, m, by the registry; negative at the rear axle.
     """
     said = {runs_backwards(window), runs_backwards(partner)} - {None}
     if len(said) <= 1:

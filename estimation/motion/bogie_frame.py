@@ -44,9 +44,6 @@ def with_frame_yaw(window: Window, partner: Window, ahead: float) -> Window:
         window: Of one node; its mass sensor is on the frame above its axle.
         partner: Of the other node of the bogie, over the same time.
         ahead: By how much the node of ``window`` is ahead of the other, m: the wheelbase, negative at the rear axle.
-
-    Raises:
-        ValueError: The windows are not of one time.
     """
     if partner.start_ns != window.start_ns or len(partner.valid) != len(window.valid):
         raise ValueError(f"windows from {window.start_ns} and {partner.start_ns} are not of one time")

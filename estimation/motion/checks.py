@@ -13,6 +13,7 @@ from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.integration import IntegratedWindow, bridged, mirrored
 from estimation.motion.parameters import Gates, SignalParameters
 from estimation.motion.track_lookup import TRACKS
+from estimation.motion.usable_samples import fast_enough
 from estimation.values.arrays import FloatArray, runs
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackAlignment
@@ -31,7 +32,6 @@ def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Rea
     """Return why a window of this quality is not looked at; None where it is.
 
     Args:
-        quality: What was counted of the window.
         track_section: Code of its section; None where it is not known.
     """
     refused = _too_poor(quality, gates)
@@ -76,17 +76,11 @@ class Jump:
 
 
 def check_moving(window: Window, signals: SignalParameters) -> Reason | None:
-    """Return that the vehicle stands, runs too slowly, or has no position; None where it runs.
-
-    Args:
-        window: Speed and distance, (n,) each.
-        signals: The least speed.
-    """
+    """Return that the vehicle stands, runs too slowly, or has no position; None where it runs."""
     known = window.valid & np.isfinite(window.distance)
     if not known.any():
         return Reason(ReasonCode.POSITION_UNKNOWN, "no sample has a position on the section")
-    with np.errstate(invalid="ignore"):
-        running = known & (window.speed >= signals.least_speed_m_s)
+    running = known & fast_enough(window, signals)
     if not running.any():
         fastest = float(np.nanmax(np.where(known, window.speed, np.nan), initial=0.0))
         return Reason(
@@ -101,9 +95,6 @@ def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
     """Return where the position does not go with the speed.
 
     Over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %.
-
-    Args:
-        integrated: Segments of a window, with positions at all samples that can be used.
     """
     window = integrated.window
     found: list[Jump] = []
@@ -206,14 +197,9 @@ def high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
 
 
 def direction(window: Window) -> int:
-    """Return 1 where the vehicle runs along the section, -1 where it runs against it, 0 where it does both.
-
-    Args:
-        window: Distance along the section, (n,) m.
-    """
-    with np.errstate(invalid="ignore"):
-        known = window.valid & np.isfinite(window.distance)
-        steps = np.diff(window.distance[known])
+    """Return 1 where the vehicle runs along the section, -1 where it runs against it, 0 where it does both."""
+    known = window.valid & np.isfinite(window.distance)
+    steps = np.diff(window.distance[known])
     moving = steps[steps != 0.0]
     if not len(moving):
         return 1

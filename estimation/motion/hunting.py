@@ -223,11 +223,7 @@ def _line(lateral: FloatArray, yaw: FloatArray, speed: float, interval_s: float)
 
 
 def hunting_reason(quality: WindowQuality) -> Reason | None:
-    """Return that a window is one of hunting; None where it is not.
-
-    Args:
-        quality: What was counted of the window.
-    """
+    """Return that a window is one of hunting; None where it is not."""
     hunting = quality.hunting
     if not hunting.sustained:
         return None
@@ -239,10 +235,6 @@ def hunting_reason(quality: WindowQuality) -> Reason | None:
 
 
 def in_place_of_quality(reason: Reason, quality: WindowQuality) -> Reason:
-    """Return that the wheelset hunts where the reason of a refusal is what hunting does to the samples.
-
-    Args:
-        quality: What was counted of it.
-    """
+    """Return that the wheelset hunts where the reason of a refusal is what hunting does to the samples."""
     hunts = hunting_reason(quality) if reason.code in QUALITY_REASONS else None
     return reason if hunts is None else Reason(hunts.code, f"{hunts.text}; {reason.text}")

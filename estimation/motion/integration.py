@@ -36,7 +36,6 @@ def integrate_once(values: FloatArray, dt: float, integral: FloatArray) -> None:
 
     Args:
         values: (n,) in any unit.
-        dt: Sampling interval, s.
         integral: (n,), written.
     """
     total, half = 0.0, 0.5 * dt
@@ -52,7 +51,6 @@ def integrate_twice(accelerations: FloatArray, dt: float, rates: FloatArray, dis
 
     Args:
         accelerations: (m, n) in any unit.
-        dt: Sampling interval, s.
         rates, displacements: (m, n), written.
     """
     n, half = accelerations.shape[1], 0.5 * dt
@@ -112,7 +110,6 @@ def integrate(
     """Return the segments of usable samples, integrated.
 
     Args:
-        window: Measured accelerations and speed, (n,) each.
         usable: (n,) samples that can be used.
         longest_gap: Samples that may be missing in a row within a segment; by default as many as may be bridged.
         earlier: The same accelerations and speeds, integrated before; segments of the same samples are taken from it.

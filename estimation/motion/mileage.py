@@ -29,11 +29,7 @@ ALIKE = 2  # journeys that agree with each other are no garbled recording, but a
 def implausible_mileages(
     readings: Sequence[MileageReading], mounting: Mounting, max_speed_m_s: float
 ) -> Mapping[int, Reason]:
-    """Return by start of window why its mileage is not believed; those that are not in it are.
-
-    Args:
-        readings: Of the windows of one mounting, in any order.
-    """
+    """Return by start of window why its mileage is not believed; those that are not in it are."""
     km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
     found: dict[int, Reason] = {}
     left = []
@@ -56,9 +52,6 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
 
     Where that holds of all readings of a mounting it also holds of any of them. So it holds of all and new ones as soon
     as it holds of the new ones with those beside them.
-
-    Args:
-        readings: Of windows of one mounting, in any order.
     """
     km_per_ns = FASTER * max_speed_m_s / 1000.0 / NANOSECONDS
     ordered = sorted(readings, key=lambda one: one.start_ns)
@@ -68,11 +61,7 @@ def without_doubt(readings: Sequence[MileageReading], mounting: Mounting, max_sp
 
 
 def implausible_places(readings: Sequence[MileageReading]) -> Mapping[int, Reason]:
-    """Return by start of window why the place that its vehicle reported is not believed.
-
-    Args:
-        readings: Of windows, in any order.
-    """
+    """Return by start of window why the place that its vehicle reported is not believed."""
     return {
         one.start_ns: Reason(
             ReasonCode.PLACE_IMPLAUSIBLE, f"by GNSS {one.off_line_m:,.0f} m from the line of the section reported"

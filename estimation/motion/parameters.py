@@ -7,8 +7,7 @@ from typing import Self
 
 from estimation.errors import ParameterError
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.sensor_noise import usable_cutoff
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, usable_cutoff
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +33,7 @@ class SignalParameters:
     sharpest_curvature: float = 5e-5  # 1/m: shifts the wheelset by a third of a bin at conicity 0.2
     highest_cant: float = 0.02  # m
     curve_margin: float = 30.0  # m kept from sharper curves; positions and registers are off by some
-    max_cant_deficiency_change: float = (
-        0.1  # m/s2, of the slow lateral acceleration; drift on straight track makes less
-    )
+    max_cant_deficiency_change: float = 0.1  # m/s2, of the slow lateral acceleration; drift on straight is less
     least_used: float = 0.1  # of a window's samples
     block_s: float = 20.0
 

@@ -17,14 +17,59 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from estimation.compiled import compiled
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
 from estimation.motion.cross_level import observed_displacement
 from estimation.motion.integration import IntegratedSegment
 from estimation.motion.parameters import FusionParameters
-from estimation.motion.smooth_sampling import sample_smoothed
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import angle_difference_factor
+
+
+@compiled(nogil=True)
+def sample_smoothed(
+    signals: FloatArray, at: FloatArray, first: int, count: int, finer: int, step: float, weights: FloatArray
+) -> FloatArray:
+    """Return signals (m, count) at every ``finer``-th point of a fine grid, smoothed on that grid.
+
+    Between samples signals are straight, beyond their ends as at these.
+
+    Args:
+        signals: (m, n) in any unit.
+        at: (n,) m, increasing.
+        first, step: Number of the fine grid point of the first result, and spacing of that grid, m.
+        weights: (2 r + 1,) of the smoothing, symmetric.
+    """
+    m, n = signals.shape
+    taps = len(weights)
+    points = finer * (count - 1) + taps
+    found = np.empty((m, count))
+    fine = np.empty((m, points))
+    below = 0
+    for k in range(points):
+        x = (first - taps // 2 + k) * step
+        while below < n - 2 and at[below + 1] <= x:
+            below += 1
+        if x <= at[0]:
+            fine[:, k] = signals[:, 0]
+        elif x >= at[n - 1]:
+            fine[:, k] = signals[:, n - 1]
+        else:
+            share = (x - at[below]) / (at[below + 1] - at[below])
+            for a in range(m):
+                fine[a, k] = signals[a, below] + share * (signals[a, below + 1] - signals[a, below])
+    for a in range(m):
+        row = fine[a]
+        for j in range(count):
+            start = finer * j
+            even, odd = 0.0, 0.0  # two sums: each addition need not wait for the one before
+            for w in range(0, taps - 1, 2):
+                even += weights[w] * row[start + w]
+                odd += weights[w + 1] * row[start + w + 1]
+            found[a, j] = even + odd + weights[taps - 1] * row[start + taps - 1]
+    return found
+
 
 ANGLE_PER_RADIUS = 112.0  # 1/m: contact angle difference over rolling radius difference of usual pairs
 
@@ -47,8 +92,6 @@ def long_waves_in_bogie(
         R: (m,) m, by the yaw sensor, on a grid of distance.
         yaws: (m,) rad, on the same grid.
         V: (m,) m/s.
-        vehicle: Parameters of Eq. 1 and Eq. 2; its yaw stiffness is that of the primary suspension.
-        parameters: Grid, and the wavelengths at which both are compared.
     """
     p, step = vehicle, parameters.step
     per_moment = -p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
@@ -119,8 +162,6 @@ def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionP
 
     Args:
         signals: (n,) signals of one segment, over an increasing distance.
-        vehicle: Parameters of Eq. 1 and Eq. 2.
-        parameters: Grid, crossover wavelength and what is known of g beforehand.
     """
     step = parameters.step
     run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
@@ -224,7 +265,6 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
 
     Args:
         segment: Accelerations, rates and displacements of m samples.
-        p: Parameters of Eq. 1 and Eq. 2.
         run: (m,) m, increasing: by default the distance run since the start of the segment.
     """
     accelerations, V = segment.accelerations, segment.speed

@@ -83,7 +83,6 @@ def write_pieces(
     Args:
         samples: (6, m) accelerations, that of the frame's yaw, and speed.
         starts: (k,) first sample of each piece.
-        dt: Sampling interval, s.
         taper: (n,) of a piece.
         pieces, speeds: Written: (k, 5, n) and (k,) m/s.
     """
@@ -116,8 +115,6 @@ def write_terms(omega: float, speed: float, e: Equation, terms: ComplexArray) ->
     """Write the terms (7, 5) of the equation per spectrum at an angular frequency; the others stay zero.
 
     Args:
-        omega: rad/s.
-        speed: m/s.
         terms: (7, 5), written.
     """
     compliance = speed / (2.0 * e.lateral_creep)
@@ -142,8 +139,6 @@ def write_noise(
     """Write the squared noise densities (5,) of the spectra, of sensors and counting.
 
     Args:
-        omega: rad/s.
-        speed: m/s.
         e: Which sensors are gyroscopes, and how far those on the frame are from each other.
         density, counting: (4,) squared noise densities, of the sensors and of what counting makes of them.
         noise: (5,), written.
@@ -245,7 +240,6 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     Args:
         window: Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, else it says nothing.
         vehicle_class: Of its vehicle, with the nominal radius on file of its wheelset.
-        signals: Least speed, and how long gaps may be that straight lines bridge.
     """
     if vehicle_class.bogie is not None and window.frame_yaw_acceleration is None:
         return ()

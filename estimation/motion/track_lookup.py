@@ -23,6 +23,7 @@ from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.integration import IntegratedWindow, integrate
 from estimation.motion.parameters import FusionParameters, SignalParameters
 from estimation.motion.rolling_radius_difference import fuse, motion_signals
+from estimation.motion.usable_samples import fast_enough
 from estimation.values.arrays import FloatArray, frozen_array, runs
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
@@ -153,8 +154,7 @@ def _certain(track: TrackAlignment) -> FloatArray:
     if not (track.passes > 0).any():
         return track.alignment
     most = max(UNCERTAIN_STD, UNCERTAIN_TIMES * float(np.nanmedian(track.alignment_std)))
-    with np.errstate(invalid="ignore"):
-        certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
+    certain = np.where(track.alignment_std <= most, track.alignment, np.nan)
     return frozen_array(certain, (len(certain),), name="alignment")
 
 
@@ -207,7 +207,6 @@ def gauge_shift(
     Args:
         window: In the axes of the wheelset, at true positions.
         track: Alignment with the gauge deviation and what was found of wheelsets.
-        vehicle: Parameters of Eq. 1 and Eq. 2, which turn motion into rL - rR.
         earlier: The same accelerations and speeds, integrated before.
     """
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
@@ -218,8 +217,7 @@ def gauge_shift(
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
-    with np.errstate(invalid="ignore"):
-        usable = np.asarray(window.valid & np.isfinite(e) & (window.speed >= parameters.least_speed_m_s))
+    usable = window.valid & np.isfinite(e) & fast_enough(window, parameters)
     for segment in integrate(window, usable, parameters, earlier=earlier).segments:
         part, run = segment.part, segment.run
         grid = fuse(motion_signals(segment, vehicle), vehicle, fusion)

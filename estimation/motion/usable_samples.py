@@ -35,8 +35,7 @@ def straight(distance: FloatArray, layout: TrackLayout, limits: CurveLimits) -> 
         np.abs(np.interp(grid, layout.s, layout.cant)) > limits.cant
     )
     near = np.concatenate([[0], np.cumsum(bent)])
-    with np.errstate(invalid="ignore"):
-        on_layout = (distance >= layout.s[0]) & (distance <= layout.s[-1])
+    on_layout = (distance >= layout.s[0]) & (distance <= layout.s[-1])
     at = np.where(np.isfinite(distance), distance, layout.s[0])
     first = np.searchsorted(grid, at - limits.margin, side="left")
     last = np.searchsorted(grid, at + limits.margin, side="right")
@@ -82,7 +81,6 @@ def detect_uncompensated_acceleration(
     """Return that the window shows a curve; None where it does not.
 
     Args:
-        window: Measured accelerations, (n,) each.
         usable: (n,) samples that count.
         max_cant_deficiency_change: m/s2, largest :func:`cant_deficiency_acceleration_range` of straight track.
     """
@@ -122,8 +120,7 @@ def straight_part(window: Window, layout: TrackLayout | None, parameters: Signal
         layout: Curves of the section; None where none is on file: then a window that shows a curve is refused.
     """
     if layout is None:
-        with np.errstate(invalid="ignore"):
-            running = np.asarray(window.valid & (window.speed >= parameters.least_speed_m_s))
+        running = window.valid & fast_enough(window, parameters)
         curve = detect_uncompensated_acceleration(window, running, parameters.max_cant_deficiency_change)
         return check_upright(window, running) or curve or window
     left = window.valid & straight(window.distance, layout, parameters.curve_limits)
@@ -132,16 +129,14 @@ def straight_part(window: Window, layout: TrackLayout | None, parameters: Signal
     return check_upright(window, left) or replace(window, valid=left)
 
 
-def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:
-    """Return the valid samples (n,) at known positions at which the vehicle runs fast enough.
+def fast_enough(window: Window, parameters: SignalParameters) -> BoolArray:
+    """Return the samples (n,) of known speed at which the vehicle runs fast enough to be measured."""
+    return np.asarray(window.speed >= parameters.least_speed_m_s)
 
-    Args:
-        window: Speed and distance, (n,) each.
-        parameters: The least speed.
-    """
-    with np.errstate(invalid="ignore"):
-        fast_enough = window.speed >= parameters.least_speed_m_s
-    return np.asarray(window.valid & np.isfinite(window.distance) & fast_enough)
+
+def moving_samples(window: Window, parameters: SignalParameters) -> BoolArray:
+    """Return the valid samples (n,) at known positions at which the vehicle runs fast enough."""
+    return window.valid & np.isfinite(window.distance) & fast_enough(window, parameters)
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,24 +154,21 @@ class Usable(FrozenArrays):
 
 
 def usable_samples(
-    window: Window, known: BoolArray, layout: TrackLayout | None, least_speed: float, limits: CurveLimits
+    window: Window, known: BoolArray, layout: TrackLayout | None, parameters: SignalParameters
 ) -> Usable:
     """Return the samples of ``window`` that can be used.
 
     Args:
         known: (n,) samples at places of known alignment.
         layout: Curves of its section; None where none is on file: then every place counts as straight.
-        least_speed: m/s.
     """
-    with np.errstate(invalid="ignore"):
-        moving = window.speed >= least_speed
     tests = {
         "missing, clipped or invalid": window.valid,
         "off the known part of the section": known,
-        f"slower than {least_speed:g} m/s": moving,
+        f"slower than {parameters.least_speed_m_s:g} m/s": fast_enough(window, parameters),
     }
     if layout is not None:
-        tests["in curves"] = straight(window.distance, layout, limits)
+        tests["in curves"] = straight(window.distance, layout, parameters.curve_limits)
     left, lost = np.ones(len(window.valid), dtype=np.bool_), {}
     for cause, passed in tests.items():
         lost[cause] = float((left & ~passed).mean())

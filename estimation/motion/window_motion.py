@@ -36,7 +36,7 @@ from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import OF_FRAME, Motion, Window
-from estimation.vehicle.sensor_noise import displacement_noise
+from estimation.vehicle.vehicle_class import displacement_noise
 
 NANOSECONDS = 1_000_000_000
 
@@ -53,7 +53,6 @@ def motion(
     """Return the band-limited motion of ``window`` relative to ``track``, or why it cannot be had.
 
     Args:
-        window: Measured accelerations, speed and distance, (n,) each.
         track: Alignment of the window's section; samples outside it are left out. Wavelengths that it does not hold are
             taken out of the motion too.
         layout: Curves of the section, which are left out; None where none is on file.
@@ -66,8 +65,7 @@ def motion(
     d = alignment_at(window.distance, track, cutoff_wavelength)
     if gauge_shift is not None:
         d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
-    limits = parameters.curve_limits
-    usable = usable_samples(window, np.isfinite(d), layout, parameters.least_speed_m_s, limits)
+    usable = usable_samples(window, np.isfinite(d), layout, parameters)
     refusal = _unusable(window, usable, layout, parameters)
     if refusal is not None:
         return refusal

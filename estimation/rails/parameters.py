@@ -9,9 +9,8 @@ from typing import Annotated
 import numpy as np
 
 from estimation.accuracy.wheel_contact import REACH, STEP, RailShare, WheelPair, conicity_of
-from estimation.contact.geometry import WheelsetOnTrack
+from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
 from estimation.errors import ContactError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.rails import KnownWheel, RailKey
@@ -27,7 +26,6 @@ class RailsParameters:
     Attributes:
         slope_std: Standard deviation, known beforehand, of how much more the rails of a section change the conicity of
             a wheel whose conicity is higher by 1.
-        interaction: What neither wheel nor rail explains of a conicity, known beforehand as a standard deviation.
         farthest: By how much the conicity of the wheel as designed may be outside the range of the wheels that run on a
             section: next to contact jumps a conicity does not go on as it does between those that are known.
         steepest: Most that the conicity of the wheel as designed may change within 0.25 mm of amplitude, where it is
@@ -45,7 +43,7 @@ class RailsParameters:
     """
 
     slope_std: float = 0.3
-    interaction: float = 0.005
+    interaction: float = 0.005  # std of what neither wheel nor rail explains of a conicity, known beforehand
     interaction_weight: float = 4.0  # how many degrees of freedom that knowledge counts
     farthest: float = 0.03
     steepest: float = 0.03

@@ -87,9 +87,6 @@ def part(cells: TwoWay, parameters: RailsParameters) -> Parted:
     """Return wheels and rails apart.
 
     Where known wheels differ by more than their errors and the interaction explain, their errors count as larger.
-
-    Args:
-        parameters: What is known beforehand.
     """
     found = _Search(cells, parameters)
     if found.surplus(LOWEST_TAU) > 0.0 > found.surplus(HIGHEST_TAU):

@@ -35,7 +35,6 @@ def judged(
 
     Args:
         library: Of entries that may be learned from (``admission``); none of them shares data with the wheelset.
-        parameters: What an answer must keep to.
     """
     same = [one for one in signatures if one.place in library.places]
     chosen = same or list(signatures)

@@ -30,9 +30,8 @@ from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
-from estimation.signatures.families import FOLDS, families
 from estimation.signatures.mixed_model import Likelihood, MixedModel, Rows, fitted, level_of, levels_between, likelihood
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.parameters import FOLDS, SignatureParameters, families
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
@@ -151,8 +150,6 @@ class Calibration(FrozenArrays):
     weights: Annotated[FloatArray, None, len(FACTORS)]  # probabilities of shares and factors
     whole: Reach  # of all features
     roll: Reach  # of roll at short wavelengths
-    wheelsets: int
-    answers: int
 
     def std(self, posterior: float, shared: FloatArray) -> float:
         """Return half a 95 % interval over that of a normal error.
@@ -194,9 +191,7 @@ def calibrated(
     """Return the calibration of a library by basis of its answers, or why it has none.
 
     Args:
-        known: What the conicities on file may be off by.
         groups: Of every entry the wheelsets whose data are in it: what shares one is left out together.
-        parameters: What a library must hold.
     """
     apart = _folds(rows, groups)
     judged = partial(_judged, rows, known, apart, margin=parameters.margin)
@@ -215,11 +210,7 @@ def calibrated(
 
 
 def differences(rows: Rows, known: OnFile, groups: Sequence[frozenset[str]], margin: float) -> Differences:
-    """Return how far wheelsets are judged by the others from what is on file of them, on places that these have.
-
-    Args:
-        known: What these may be off by.
-    """
+    """Return how far wheelsets are judged by the others from what is on file of them, on places that these have."""
     found = list(_judged(rows, known, _folds(rows, groups), Basis.SAME_PLACES, margin))
     answers = np.unique([one.wheelset for one in found], return_counts=True)[1].astype(np.float64)
     return Differences(
@@ -325,8 +316,6 @@ def _of(judged: Iterator[_Judged], shares: FloatArray) -> Calibration | Reason:
         weights=_weights([one for one in found if one.like] or found, shares),
         whole=_reach([one.whole for one in found], wheelsets),
         roll=_reach([one.roll for one in found], wheelsets),
-        wheelsets=wheelsets,
-        answers=len(found),
     )
 
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.signatures.calibration import Calibration, OnFile, calibrated, differences, judged_by, unjudged
-from estimation.signatures.families import sharers
 from estimation.signatures.mixed_model import MixedModel, Rows, fitted, levels_between
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.parameters import SignatureParameters, sharers
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import AxlePosition, Basis, LibraryEntry, Place
@@ -50,7 +49,6 @@ def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) ->
 
     Args:
         entries: That may be learned from (``admission``), with places.
-        parameters: What a library must hold.
     """
     ordered = sorted((entry for entry in entries if entry.signature.place is not None), key=_order)
     wheelsets = {entry.wheelset: entry for entry in ordered}

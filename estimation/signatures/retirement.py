@@ -19,10 +19,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from estimation.signatures.families import folds, sharers
 from estimation.signatures.library import Library, library, rows_of
 from estimation.signatures.mixed_model import Scatter, scatter_of, track_effects
-from estimation.signatures.parameters import SignatureParameters
+from estimation.signatures.parameters import SignatureParameters, folds, sharers
 from estimation.values.arrays import FloatArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import NO_PAIR, AxlePosition, DesignPair, LibraryEntry, Place, Retired

@@ -12,8 +12,7 @@ from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.motion.checks import check_axis_signs, check_moving, direction, gate, jumps_reason, position_jumps
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
 from estimation.motion.parameters import FusionParameters, WindowParameters
-from estimation.motion.rolling_radius_difference import fuse, motion_signals
-from estimation.motion.smooth_sampling import sample_smoothed
+from estimation.motion.rolling_radius_difference import fuse, motion_signals, sample_smoothed
 from estimation.motion.usable_samples import moving_samples, straight_part
 from estimation.signatures.parameters import SignatureParameters
 from estimation.values.arrays import FloatArray
@@ -79,17 +78,13 @@ class _Stretch:
 
 
 def window_signatures(
-    window: Window,
-    parameters: WindowParameters,
-    signature: SignatureParameters,
-    layout: TrackLayout | None = None,
+    window: Window, parameters: WindowParameters, signature: SignatureParameters, layout: TrackLayout | None = None
 ) -> tuple[Signature, ...] | Reason:
     """Return the signatures of a window, one for each cell of the section that it passed whole.
 
     Where section or position are not known every stretch of that length has one, without a place.
 
     Args:
-        window: Measured accelerations of one wheelset, (n,) each.
         layout: Curves of the section, which are left out; None where none is on file.
     """
     placed = gate(window.quality, window.track_section, parameters.gates)

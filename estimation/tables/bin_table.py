@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -35,15 +35,12 @@ from estimation.vehicle.regressors import (
     coefficients,
     signals_of,
 )
-from estimation.vehicle.sensor_noise import difference_noise
-from estimation.vehicle.vehicle_class import VehicleClass
+from estimation.vehicle.vehicle_class import VehicleClass, difference_noise
 
 
 @dataclass(slots=True)
 class TableSum:
-    """What has been added so far, the newest with weight 1.
-
-    Adding and forgetting in turn gives the same bits as ``estimation.tables.bin_table.merge`` table by table.
+    """What has been added so far, in the order in which it was.
 
     Attributes:
         start: The table to which others are added: without samples, or a sum that goes on.
@@ -62,24 +59,11 @@ class TableSum:
         )
         self._samples, self._windows = self.start.samples, self.start.windows
 
-    def forget(self, weight: float) -> None:
-        """Give what was added so far another weight.
-
-        Args:
-            weight: From 0 to 1; 1 changes nothing.
-        """
-        if weight != 1.0:
-            for array in (self._weight, self._lateral, self._yaw):
-                np.multiply(array, weight, out=array)
-
     def add(self, table: BinTable | FilledCells, weight: float = 1.0) -> None:
         """Add a table times a weight; samples and windows are counted without weights.
 
         Args:
             table: Whole, or its filled cells.
-
-        Raises:
-            ValueError: It was made with other parameters.
         """
         if table.parameter_key != self.start.parameter_key:
             both = f"{self.start.parameter_key} and {table.parameter_key}"
@@ -183,12 +167,7 @@ def group_of(block: IntArray, groups: int) -> IntArray:
 
 
 def tabulate(motion: Motion, parameters: BinParameters) -> BinTable:
-    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`.
-
-    Args:
-        motion: Motion of one wheelset relative to the track, (n,) samples.
-        parameters: Bins, groups, and the vehicle of Eq. 1 and Eq. 2.
-    """
+    """Reduce the motion of a window to its bin table; blocks are assigned to the groups by :func:`group_of`."""
     return fill_cells(motion, parameters).table()
 
 
@@ -252,64 +231,15 @@ FAST_SAMPLES = 17  # at 250 Hz: faster than some 10 Hz
 MEDIAN_TO_STD = 1.4826  # of the absolute value of a normal variable
 
 
-def merge(first: BinTable, second: BinTable, forgetting: float = 1.0) -> BinTable:
-    """Return ``forgetting * first + second``; associative, and commutative without forgetting.
-
-    Args:
-        first, second: Tables of the same parameters.
-        forgetting: Weight of the first table, 0 to 1; that of the second is 1.
-
-    Raises:
-        ValueError: The tables were made with different parameters.
-    """
-    if first.parameter_key != second.parameter_key:
-        raise ValueError(f"bin tables of parameters {first.parameter_key} and {second.parameter_key} do not merge")
-    return BinTable(
-        parameter_key=first.parameter_key,
-        edges=first.edges,
-        weight=forgetting * first.weight + second.weight,
-        lateral=forgetting * first.lateral + second.lateral,
-        yaw=forgetting * first.yaw + second.yaw,
-        samples=first.samples + second.samples,
-        windows=first.windows + second.windows,
-    )
-
-
 def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameters) -> BinTable:
-    """Merge in the order given, without forgetting.
+    """Merge in the order given, without weights.
 
     Args:
         tables: Of the same parameters; one is in memory at a time where they come one by one.
-        parameters: Those of the tables; of the empty table where there are none.
-
-    Raises:
-        ValueError: A table was made with other parameters.
     """
     merged = TableSum(init(parameters))
     for table in tables:
         merged.add(table)
-    return merged.table()
-
-
-def merge_with_mileage(
-    tables: Iterable[tuple[float, BinTable | FilledCells]], half_life_km: float, parameters: BinParameters
-) -> BinTable:
-    """Merge tables in order of mileage, halving the weight of what was seen ``half_life_km`` earlier.
-
-    Args:
-        tables: (mileage in km, table), ascending; one is in memory at a time where they come one by one.
-        half_life_km: Distance after which an observation counts half.
-        parameters: Those of the tables; of the empty table where there are none.
-
-    Raises:
-        ValueError: A table was made with other parameters.
-    """
-    merged, before = TableSum(init(parameters)), None
-    for mileage, table in tables:
-        if before is not None:
-            merged.forget(float(0.5 ** ((mileage - before) / half_life_km)))
-        merged.add(table)
-        before = mileage
     return merged.table()
 
 
@@ -318,15 +248,11 @@ def tabulate_window(
     track: TrackAlignment | None,
     parameters: WindowParameters,
     correction: Correction | None = None,
-    misplaced: Reason | None = None,
     *,
     mounted_reversed: bool = False,
-    layout: TrackLayout | None = None,
 ) -> BinTable | Reason:
     """Return the bin table of ``window`` on ``track``, or why the window is refused."""
-    filled = cells_of_window(
-        window, track, parameters, correction, misplaced, mounted_reversed=mounted_reversed, layout=layout
-    )
+    filled = cells_of_window(window, track, parameters, correction, mounted_reversed=mounted_reversed)
     return filled if isinstance(filled, Reason) else filled.table()
 
 
@@ -351,11 +277,7 @@ def cells_of_window(
 
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:
-    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion.
-
-    Args:
-        parameters: Class of the vehicle and filters, which go into the key of the tables.
-    """
+    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion."""
     bogie = parameters.vehicle_class.bogie
     return BinParameters(
         source=parameters.signals.source,
@@ -373,29 +295,15 @@ def _arrangement(vehicle_class: VehicleClass) -> str:
 
 
 def weighted_sum(tables: Iterable[tuple[float, BinTable]]) -> BinTable:
-    """Return the sum of tables times their weights; samples and windows are counted without weights.
+    """Return the sum of tables times their weights, in the order given.
 
     Args:
         tables: Weight and table, at least one; all of the same parameters.
-
-    Raises:
-        ValueError: The tables were made with different parameters.
     """
-    total: BinTable | None = None
+    total: TableSum | None = None
     for weight, table in tables:
-        if total is None:
-            total = replace(table, weight=weight * table.weight, lateral=weight * table.lateral, yaw=weight * table.yaw)
-            continue
-        if table.parameter_key != total.parameter_key:
-            raise ValueError(f"bin tables of parameters {total.parameter_key} and {table.parameter_key} do not merge")
-        total = replace(
-            total,
-            weight=total.weight + weight * table.weight,
-            lateral=total.lateral + weight * table.lateral,
-            yaw=total.yaw + weight * table.yaw,
-            samples=total.samples + table.samples,
-            windows=total.windows + table.windows,
-        )
+        total = total or TableSum(table.without_samples)
+        total.add(table, weight)
     if total is None:
         raise ValueError("no table to sum")
-    return total
+    return total.table()

@@ -23,11 +23,7 @@ SMALLEST_EIGENVALUE = 1e-10  # of the scaled normal matrix; below it a direction
 
 
 def packed_size(regressors: int, targets: int) -> int:
-    """Return the length of the packed moments of one cell.
-
-    Args:
-        targets: Number t of targets.
-    """
+    """Return the length of the packed moments of one cell."""
     return regressors * (regressors + 1) // 2 + regressors * targets + 1
 
 
@@ -48,13 +44,7 @@ class Moments:
 
 
 @compiled(nogil=True)
-def _collect(
-    features: FloatArray,
-    targets: FloatArray,
-    cell: IntArray,
-    packed: FloatArray,
-    weight: FloatArray,
-) -> None:
+def _collect(features: FloatArray, targets: FloatArray, cell: IntArray, packed: FloatArray, weight: FloatArray) -> None:
     n, p = features.shape
     t = targets.shape[1]
     for i in range(n):
@@ -84,9 +74,6 @@ def collect(features: FloatArray, targets: FloatArray, cell: IntArray, cells: in
         features: (n, p) regressors.
         targets: (n, t) targets; column 0 is the measurement.
         cell: (n,) cell of each sample, 0..cells-1; negative: the sample belongs nowhere.
-
-    Raises:
-        ValueError: Lengths differ, or a cell is out of range.
     """
     if not len(features) == len(targets) == len(cell):
         raise ValueError(f"lengths differ: {len(features)}, {len(targets)}, {len(cell)}")
@@ -120,7 +107,6 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
     Args:
         packed: (c, packed_size) moments.
         weight: (c,) sums of weights.
-        targets: Number t of targets.
     """
     p, t = regressors, targets
     c = len(packed)
@@ -149,7 +135,6 @@ def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArra
 
     Args:
         packed: (c, packed_size) moments.
-        targets: Number t of targets.
     """
     p, t = regressors, targets
     c = len(packed)

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
-from estimation.track.gridded_pass import GriddedPass
+from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
 from estimation.track.panel.solution import PanelSolution, between_pass_std_ratio
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.results import SectionResults, findings
-from estimation.track.section_grid import SectionGrid
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
@@ -24,9 +23,8 @@ from estimation.values.track import AlignmentSource, TrackAlignment
 
 @dataclass(frozen=True, slots=True)
 class LongWaveAlignment:
-    """Mean of y - h(R) over the passes, high-passed at ``cutoff_wavelength`` only."""
+    """Mean of y - h(R) over the passes, high-passed at one cut-off wavelength only."""
 
-    cutoff_wavelength: float  # m
     alignment: FloatArray  # (n,) m, zero where no pass
     pass_std: float  # m, of one pass, from the spread of the passes
     passes: FloatArray  # (n,) sum of their weights
@@ -60,7 +58,7 @@ def long_wave_alignment(
     mean = total / shared
     several = count > 1
     spread = (square - count * mean**2)[several].sum() / max(float((count - 1)[several].sum()), 1.0)
-    return LongWaveAlignment(cutoff_wavelength, mean, float(np.sqrt(max(spread, 0.0))), count, curves / shared)
+    return LongWaveAlignment(mean, float(np.sqrt(max(spread, 0.0))), count, curves / shared)
 
 
 SENSOR_RESIDUAL = 0.07e-3  # m, rms of y - d - h(R) that sensors and small terms of the equations make
@@ -76,7 +74,6 @@ def merged_alignment(
 
     Args:
         prior: What was known before; None where nothing was.
-        p: Cut-off of the alignment, and the standard deviations that blocks of data cannot show.
     """
     grid = iterated.panel.grid
     found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
@@ -164,10 +161,5 @@ def _profile_uncertainty(iterated: IterationResult) -> _ProfileUncertainty:
 def _nothing_known(grid: SectionGrid) -> PriorAlignment:
     zero = np.zeros(grid.points)
     return PriorAlignment(
-        alignment=zero,
-        std=np.full_like(zero, np.inf),
-        passes=zero,
-        gauge=zero,
-        gauge_std=zero,
-        gauge_known=False,
+        alignment=zero, std=np.full_like(zero, np.inf), passes=zero, gauge=zero, gauge_std=zero, gauge_known=False
     )

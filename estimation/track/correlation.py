@@ -9,8 +9,8 @@ import numpy as np
 from scipy import fft
 
 from estimation.filters.local_cubic import high_pass
+from estimation.track.gridded_pass import SectionGrid
 from estimation.track.passes import Pass, PositionParameters, gridded
-from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray, IntArray
 
 
@@ -79,7 +79,6 @@ def clear_peaks(
     Args:
         points, y: (m,) grid points, increasing by one, and the signal there.
         reference: (n,) on the grid.
-        parameters: Length of a piece, reach and least correlation.
     """
     pieces = max(round(len(points) * grid.step / parameters.piece), 1)
     parts = [part for part in np.array_split(np.arange(len(points)), pieces) if len(part)]

@@ -6,7 +6,11 @@ Where the position jumps the passes end; what is on both sides is judged against
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
 
 from estimation.motion.checks import check_axis_signs, check_moving, gate, jumps_reason, position_jumps, without_jumps
 from estimation.motion.integration import integrate
@@ -15,7 +19,7 @@ from estimation.motion.usable_samples import moving_samples
 from estimation.track.passes import Pass, passes
 from estimation.track.screening.screen import PassOutcome, PassStatus
 from estimation.values.reasons import Reason, ReasonCode, combined
-from estimation.values.windows import Window
+from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,3 +59,77 @@ def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: b
 def _examined(window: Window, found: tuple[Pass, ...], reason: Reason | None) -> Examined:
     status = PassStatus.USED if found else PassStatus.REFUSED
     return Examined(found, PassOutcome(window.wheelset, window.vehicle, window.start_ns, status, reason))
+
+
+Item = TypeVar("Item")
+MOST = 4  # windows; the pass of a longer run is cut, so that a window that comes late changes little
+
+
+def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], most: int = MOST) -> list[list[Item]]:
+    """Return the items in groups that follow each other without a break.
+
+    Args:
+        keys: Of each item: what it must share with the one before, its start and its end, ns.
+    """
+    groups: list[list[Item]] = []
+    last: tuple[Hashable, int] | None = None
+    for number in sorted(range(len(items)), key=lambda i: (str(keys[i][0]), keys[i][1])):
+        shared, start, end = keys[number]
+        if last != (shared, start) or len(groups[-1]) == most:
+            groups.append([])
+        groups[-1].append(items[number])
+        last = shared, end
+    return groups
+
+
+def joined(windows: Sequence[Window]) -> Window:
+    """Return windows that follow each other as one; the quality is the worst of each measure, shares are means.
+
+    Args:
+        windows: One or more, in order of time, each beginning where the one before ends.
+    """
+    first = windows[0]
+    if len(windows) == 1:
+        return first
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(window, name) for window in windows])
+        for name in (*ACCELERATIONS, "speed", "distance", "valid")
+    }
+    frame = [window.frame_yaw_acceleration for window in windows]
+    known = [part for part in frame if part is not None]
+    none = [np.zeros(len(window.valid), np.bool_) for window in windows]
+    bridged = [part if window.bridged is None else window.bridged for part, window in zip(none, windows, strict=True)]
+    return replace(
+        first,
+        length_ns=sum(window.length_ns for window in windows),
+        quality=_quality([window.quality for window in windows]),
+        frame_yaw_acceleration=np.concatenate(known) if len(known) == len(frame) else None,
+        bridged=np.concatenate(bridged) if any(part.any() for part in bridged) else None,
+        **arrays,
+    )
+
+
+def _quality(parts: Sequence[WindowQuality]) -> WindowQuality:
+    return WindowQuality(
+        coverage=float(np.mean([part.coverage for part in parts])),
+        longest_gap_s=max(part.longest_gap_s for part in parts),
+        gaps=sum(part.gaps for part in parts),
+        clipped=float(np.mean([part.clipped for part in parts])),
+        invalid=float(np.mean([part.invalid for part in parts])),
+        speed_min_m_s=min(part.speed_min_m_s for part in parts),
+        speed_max_m_s=max(part.speed_max_m_s for part in parts),
+        position_quality=min(part.position_quality for part in parts),
+        sensor_fault=any(part.sensor_fault for part in parts),
+        hunting=_hunting([part.hunting for part in parts]),
+        blows=_blows([part.blows for part in parts]),
+    )
+
+
+def _hunting(parts: Sequence[Hunting]) -> Hunting:
+    most = max(parts, key=lambda part: part.share)
+    return replace(most, share=float(np.mean([part.share for part in parts])))
+
+
+def _blows(parts: Sequence[TurnBlows]) -> TurnBlows:
+    most = max(parts, key=lambda part: part.share)
+    return replace(most, share=float(np.mean([part.share for part in parts])))

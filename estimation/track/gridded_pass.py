@@ -6,15 +6,50 @@ A vehicle's stiffness ratio scales part of R. Resampling and filter are linear, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.filters.local_cubic import high_pass, valid_support
+from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.track.passes import Journey, Pass, ProfileLife, apply_correction, gridded
-from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.track import Correction
+
+
+@dataclass(frozen=True, slots=True)
+class SectionGrid:
+    """Uniform grid over a section, and the kernels of its two high-passes; made once and handed on."""
+
+    length: float  # m
+    step: float  # m
+    cutoff_wavelength: float  # m, of everything that is compared
+    difference_cutoff_wavelength: float  # m, of R before h is applied to it: h is not linear, so R must be whole
+    impact_difference: float  # m of R; beyond are flange impacts, hunting, clipped sensors: what is near is left out
+    kernel: FloatArray = field(init=False, repr=False, compare=False)  # of ``cutoff_wavelength``
+    difference_kernel: FloatArray = field(init=False, repr=False, compare=False)  # of ``difference_cutoff_wavelength``
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kernel", local_cubic_kernel(self.cutoff_wavelength, self.step))
+        object.__setattr__(self, "difference_kernel", local_cubic_kernel(self.difference_cutoff_wavelength, self.step))
+
+    @property
+    def points(self) -> int:
+        """Grid points of the section."""
+        return int(self.length / self.step) + 1
+
+    @property
+    def s(self) -> FloatArray:
+        """Distance (n,) of the grid points, m."""
+        return np.asarray(np.arange(self.points) * self.step, dtype=np.float64)
+
+    @property
+    def filter_reach(self) -> int:
+        """Grid points at each end of a pass that both filters together cannot use."""
+        return (len(self.kernel) + len(self.difference_kernel)) // 2
+
+    def contains(self, points: IntArray) -> BoolArray:
+        """Return which grid points (m,) are on the section (m,)."""
+        return np.asarray((points >= 0) & (points < self.points))
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,12 +154,7 @@ def place(
     grid: SectionGrid,
     before: Placed | None = None,
 ) -> dict[Journey, PlacedJourney]:
-    """Return the passes at corrected positions on the grid; a journey that has not moved is taken as it was.
-
-    Args:
-        grouped: Passes as measured, by journey.
-        ratios: Stiffness ratios by vehicle; 1 where there is none.
-    """
+    """Return the passes at corrected positions on the grid; a journey that has not moved is taken as it was."""
     placed = {}
     for journey, members in grouped.items():
         last = None if before is None else before.get(journey)
@@ -140,7 +170,6 @@ def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) 
     """Return the passes for other stiffness ratios, by vehicle; 1 where there is none.
 
     Args:
-        placed: Passes by journey.
         ratios: Yaw stiffness over creep coefficient by vehicle, relative to the assumed one.
     """
     return {
@@ -152,20 +181,12 @@ def with_ratios(placed: Placed, ratios: Mapping[str, float], grid: SectionGrid) 
 
 
 def all_passes(placed: Placed) -> list[GriddedPass]:
-    """Return the passes of all journeys in order.
-
-    Args:
-        placed: Passes by journey.
-    """
+    """Return the passes of all journeys in order."""
     return [item for one in placed.values() for item in one.passes]
 
 
 def resampled(item: Pass, life: ProfileLife, step: float) -> Pass:
-    """Return a pass on a grid, under the life of its wheelset's profile.
-
-    Args:
-        step: Grid spacing, m.
-    """
+    """Return a pass on a grid, under the life of its wheelset's profile."""
     first, displacement, difference = gridded(item, step)
     at = (first + np.arange(len(displacement))) * step
     return replace(

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.track.convergence import Convergence, Iterated
-from estimation.track.gauge.initial_shape import initial_gauge_effect
 from estimation.track.gauge.search import (
     FEWEST_PASSES,
     GaugePrior,
@@ -22,6 +21,7 @@ from estimation.track.gauge.wheel_functions import (
     fit_wheels,
     gauge_factor,
     gauge_shift_of,
+    initial_gauge_effect,
     remove_common_shift,
     total_gauge_shifts,
 )
@@ -151,10 +151,7 @@ def iterate(
     """Return where alignment, curves, positions and ratios agree; with the gauge where it is known or shows.
 
     Args:
-        grouped: Passes as measured, by journey.
         prior: What was known of the section; None where nothing was.
-        positions: How far positions may be off.
-        parameters: When the rounds end.
     """
     anchored = prior is not None and prior.has_alignment
     setting = Setting(grouped, prior, anchored, parameters)
@@ -188,9 +185,6 @@ def first_rounds(
     That search begins where the panel ends, which is within a metre or two; stiffness ratios that go with the panel's
     positions are another error of R, so both are found in turn. A gauge that varies is noise in that
     regression, and not in the panel. There the panel's positions are kept, unless the noise of R has moved them all.
-
-    Args:
-        std: Whether to compute standard deviations.
     """
     prior = setting.prior
     if prior is None or not setting.anchored or not prior.surveyed:

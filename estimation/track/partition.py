@@ -101,11 +101,7 @@ def _place(entry: Entry) -> tuple[int, str]:
 
 
 def newest_within(entries: Sequence[Entry], most_windows: int, most_wheelsets: int) -> tuple[list[Entry], list[Entry]]:
-    """Return the newest windows that one solution holds, newest first, and the rest in the same order.
-
-    Args:
-        entries: Windows with the life of their profiles, in any order.
-    """
+    """Return the newest windows that one solution holds, newest first, and the rest in the same order."""
     ordered = sorted(entries, key=lambda entry: (-entry[0].start_ns, entry[0].wheelset))
     chosen: list[Entry] = []
     lives: set[ProfileLife] = set()

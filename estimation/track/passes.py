@@ -51,9 +51,7 @@ class Pass(FrozenArrays):
     displacement: Annotated[FloatArray, "n"]  # y, m
     difference: Annotated[FloatArray, "n"]  # R, m, measured without knowledge of the track
     side: int = 1  # or -1
-    stiffness_term: Annotated[FloatArray, "n"] | None = (
-        None  # m, part of R that scales with yaw stiffness over creep coefficient
-    )
+    stiffness_term: Annotated[FloatArray, "n"] | None = None  # m, what of R scales with yaw stiffness over creep
 
     @property
     def wheelset(self) -> str:
@@ -62,11 +60,7 @@ class Pass(FrozenArrays):
 
 
 def gridded(item: Pass, step: float) -> tuple[int, FloatArray, FloatArray]:
-    """Return the first grid point, and y and R (m,) at the grid points ``k * step`` that the pass covers.
-
-    Args:
-        step: Grid spacing, m.
-    """
+    """Return the first grid point, and y and R (m,) at the grid points ``k * step`` that the pass covers."""
     first, last = int(np.ceil(item.at[0] / step)), int(np.floor(item.at[-1] / step))
     grid = np.arange(first, last + 1) * step
     return first, np.interp(grid, item.at, item.displacement), np.interp(grid, item.at, item.difference)

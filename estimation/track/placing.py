@@ -56,10 +56,6 @@ def place_alone(
     """Return where each journey was on an alignment, whatever others show; those whose place is not found are left out.
 
     Nothing is placed on an alignment whose gauge is known to vary: that takes the wheels of all.
-
-    Args:
-        grouped: Passes as measured, by journey.
-        measured: Curves of measured profiles, by profile life.
     """
     panel = Panel.of(replace(parameters.panel, length=section.length_m), KnownBeforehand(measured=measured or {}))
     prior = prior_on_grid(alignment, panel.grid, parameters.panel.cutoff_wavelength)

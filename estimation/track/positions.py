@@ -29,11 +29,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.track.correlation import Peak, clear_peaks, filtered_displacements, mean_displacement, peak
-from estimation.track.gridded_pass import Placed
+from estimation.track.gridded_pass import Placed, SectionGrid
 from estimation.track.panel.basis import Panel, pass_residual
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.passes import Journey, Pass, PositionParameters
-from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import Correction
 
@@ -75,12 +74,7 @@ class _Extent:
 def adjusted_positions(
     grouped: Mapping[Journey, Sequence[Pass]], grid: SectionGrid, parameters: PositionParameters
 ) -> dict[Journey, Correction]:
-    """Return a correction for every journey; one that agrees with no other keeps its place.
-
-    Args:
-        grouped: Passes by journey.
-        parameters: How far positions may be off.
-    """
+    """Return a correction for every journey; one that agrees with no other keeps its place."""
     signals, extents = [], []
     for members in grouped.values():
         filtered = filtered_displacements(members, grid)
@@ -164,8 +158,6 @@ def correlate_positions(
     A journey that agrees with nothing keeps its place.
 
     Args:
-        grouped: Passes by journey.
-        parameters: How far positions may be off.
         alignment: (n,) m, as known: every journey is placed by it, and the fleet as a whole is moved to it. By default,
             journeys are placed by each other.
     """
@@ -220,7 +212,6 @@ def register(
     Args:
         found: (n,) signal along the section.
         reference: (n,) signal to compare with.
-        parameters: How far positions may be off.
     """
     pieces = np.array_split(np.arange(grid.points), max(round(grid.length / (2 * parameters.piece)), 1))
     peaks = [peak(part, found[part], reference, grid, parameters) for part in pieces]

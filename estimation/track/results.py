@@ -78,17 +78,17 @@ class AlignmentReport:
 
     status: Status
     reason: Reason | None
-    converged: bool  # positions and stiffness ratios; where not, ``reason`` says so, also of an estimate
-    convergence: tuple[Convergence, ...]  # of each quantity that is iterated
-    rounds: int
-    residual_rms_m: float  # of y - d - h(R) over all passes
-    moved_m: float  # by which the last round moved a position at most
-    passes: int
-    wheelsets: int
-    mean_passes: float  # per place that has any
-    diversity: float  # std of R between the passes of a place over the std of R
-    covered: float  # share of the section whose alignment is known
-    alignment_std_m: float  # median along the section
+    converged: bool = False  # positions and stiffness ratios; where not, ``reason`` says so, also of an estimate
+    convergence: tuple[Convergence, ...] = ()  # of each quantity that is iterated
+    rounds: int = 0
+    residual_rms_m: float = 0.0  # of y - d - h(R) over all passes
+    moved_m: float = 0.0  # by which the last round moved a position at most
+    passes: int = 0
+    wheelsets: int = 0
+    mean_passes: float = 0.0  # per place that has any
+    diversity: float = 0.0  # std of R between the passes of a place over the std of R
+    covered: float = 0.0  # share of the section whose alignment is known
+    alignment_std_m: float = math.nan  # median along the section
     evidence: tuple[str, ...] = ()
     journeys: tuple[JourneyReport, ...] = ()
 
@@ -120,25 +120,5 @@ def _json(value: object) -> JsonValue:
 
 
 def nothing(reason: Reason, evidence: tuple[str, ...] = ()) -> AlignmentReport:
-    """Return the report of passes from which nothing follows, for this reason.
-
-    Args:
-        reason: Why nothing is estimated.
-        evidence: What was known besides the passes.
-    """
-    return AlignmentReport(
-        status=Status.UNESTIMATED,
-        reason=reason,
-        converged=False,
-        convergence=(),
-        rounds=0,
-        residual_rms_m=0.0,
-        moved_m=0.0,
-        passes=0,
-        wheelsets=0,
-        mean_passes=0.0,
-        diversity=0.0,
-        covered=0.0,
-        alignment_std_m=float("nan"),
-        evidence=evidence,
-    )
+    """Return the report of passes from which nothing follows, for this reason."""
+    return AlignmentReport(Status.UNESTIMATED, reason, evidence=evidence)

@@ -148,7 +148,6 @@ def estimate_section(
     Args:
         passes: Of this epoch; passes of one profile life share a curve.
         prior: The last version, or a survey; None where nothing is known.
-        measured: Curves of measured profiles, by profile life.
     """
     named = () if prior is None else (evidence_of_version(prior.source, prior.version),)
     grouped: Grouped = journeys(passes, parameters.positions)

@@ -21,8 +21,7 @@ from scipy import fft
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.track.alignment_std import GAUGE_EFFECT
 from estimation.track.correlation import peak_position
-from estimation.track.gauge.initial_shape import LEAST_GAUGE
-from estimation.track.gauge.wheel_functions import contact_samples, gauge_factor_with_std
+from estimation.track.gauge.wheel_functions import LEAST_GAUGE, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import log10_chance
@@ -74,13 +73,7 @@ class SurveyCheck:
     samples: float  # independent ones
 
 
-def check_survey(
-    recorded: TrackAlignment,
-    fleet: TrackAlignment,
-    *,
-    place_std: float = 0.0,
-    parameters: SurveyCheckParameters | None = None,
-) -> SurveyCheck:
+def check_survey(recorded: TrackAlignment, fleet: TrackAlignment, *, place_std: float = 0.0) -> SurveyCheck:
     """Return whether a recorded alignment may be used, by an alignment that was found without it.
 
     Args:
@@ -89,7 +82,7 @@ def check_survey(
         place_std: Std of the position of the fleet as a whole along the section, m: the scatter of its journeys'
             positions over the root of their number. A shift within it is not held against the survey.
     """
-    p = parameters or SurveyCheckParameters()
+    p = SurveyCheckParameters()
     both = _on_one_grid(recorded, fleet)
     if both is None:
         return _nothing(NOT_ASSESSABLE)
@@ -123,11 +116,7 @@ def check_survey(
 
 
 def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
-    """Return whether an alignment of the fleet is certain enough to stand for a survey that is wrong.
-
-    Args:
-        fleet, survey: The alignments; they are compared at the wavelengths and places that the fleet knows.
-    """
+    """Return whether an alignment of the fleet is certain enough to stand for a survey that is wrong."""
     both = _on_one_grid(survey, fleet)
     if both is None:
         return False

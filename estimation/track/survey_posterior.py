@@ -25,14 +25,13 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
-from estimation.track.gridded_pass import Placed
+from estimation.track.gridded_pass import Placed, SectionGrid
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.solution import PanelSolution
 from estimation.track.panel.stiffness_ratio import error_of_difference
 from estimation.track.placing import position_std
 from estimation.track.results import findings
-from estimation.track.section_grid import SectionGrid
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment
@@ -195,13 +194,7 @@ def _passes(placed: Placed, solution: PanelSolution, panel: Panel, kernels: Sequ
 
 
 def _band(
-    number: int,
-    survey: FloatArray,
-    passes: _Passes,
-    compared: BoolArray,
-    filed: float,
-    systematic: float,
-    step: float,
+    number: int, survey: FloatArray, passes: _Passes, compared: BoolArray, filed: float, systematic: float, step: float
 ) -> Band:
     shortest = (*EDGES, SHORTEST)[number + 1]
     length = 0.5 * np.sqrt(EDGES[number] * shortest)  # m, of an independent sample

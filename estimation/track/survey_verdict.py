@@ -188,14 +188,7 @@ class SurveyVerdict:
     doubted_scale: float = 0.0
 
 
-def survey_verdict(
-    fit: SurveyFit | None,
-    witnesses: Witnesses,
-    filed_std: float,
-    *,
-    converged: bool,
-    limits: VerdictLimits | None = None,
-) -> SurveyVerdict:
+def survey_verdict(fit: SurveyFit | None, witnesses: Witnesses, filed_std: float, *, converged: bool) -> SurveyVerdict:
     """Return what the passes say of a survey.
 
     Its errors, however large, are no reason to refuse it: they are learnt, and it counts by them.
@@ -207,7 +200,7 @@ def survey_verdict(
         converged: Whether positions and stiffness ratios have converged: until then nothing but another section is
             refused.
     """
-    p = limits or VerdictLimits()
+    p = VerdictLimits()
     if fit is None or not np.isfinite(fit.factor_std):
         return SurveyVerdict(refused=False, reason=_open(NOT_COVERED))
     if fit.followed < p.least_followed:

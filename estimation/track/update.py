@@ -11,7 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from estimation.track.gauge.initial_shape import LEAST_GAUGE
+from estimation.track.gauge.wheel_functions import LEAST_GAUGE
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.prior_alignment import prior_on_grid
@@ -32,12 +32,7 @@ from estimation.track.survey_verdict import (
     place_of,
     survey_verdict,
 )
-from estimation.track.versions import (
-    carry_over_findings,
-    changed_vehicles,
-    gauge_shift_changed,
-    requires_reestimation,
-)
+from estimation.track.versions import carry_over_findings, changed_vehicles, gauge_shift_changed, requires_reestimation
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, combined, prefixed
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
@@ -103,7 +98,6 @@ def update_alignment(
     Args:
         in_force: Its alignment so far; None where there is none.
         survey_checked: Whether the survey in force has been confirmed: then it is not refused any more.
-        measured: Curves of measured profiles, by profile life.
     """
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))

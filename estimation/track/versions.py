@@ -107,9 +107,6 @@ def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) ->
 
     Their windows are estimated again with it as those of the others. Shifts belong to the gauge that
     makes them: it stays where the epoch has found that gauge again.
-
-    Args:
-        before: The version before; None where there is none.
     """
     if before is None or before.findings is None or found.findings is None:
         return found

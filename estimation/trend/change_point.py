@@ -93,11 +93,7 @@ class Series(NamedTuple):
 
 
 def newest_change(series: Series, model: StepModel | None = None) -> ChangePoint | None:
-    """Return the newest step; None where there is none.
-
-    Args:
-        series: In order of distance.
-    """
+    """Return the newest step; None where there is none."""
     model, begin, newest = model or StepModel(), 0, None
     while (found := _change_of(series.part(begin, len(series.value)), model)) is not None:
         newest = replace(found, last=begin + found.last, first=begin + found.first)

@@ -25,16 +25,13 @@ SMALLEST_STD = 1e-6  # a std below it is not credible
 _Covered = tuple[IntervalConicities, Mapping[int, KnownConicity]]  # with its conicities by amplitude in micrometres
 
 
-def newest_step(records: Sequence[IntervalConicities], model: StepModel | None = None) -> TrendStep | None:
+def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
     """Return the newest sudden change of the conicity of a wheelset; None where there is none.
 
     It is looked for at the largest amplitude up to 3 mm that intervals on both sides cover, never by extrapolation:
     a profile that was turned moves further than before.
-
-    Args:
-        model: Of conicity; by default the usual one.
     """
-    model = model or StepModel()
+    model = StepModel()
     covered = sorted(((r, _by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
     amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points)
     having = [(r, known) for r, known in covered if amplitude in known]

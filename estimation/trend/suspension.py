@@ -49,9 +49,7 @@ class SuspensionParameters:
     most_past: Findings = 60  # of them that are looked at, the newest
     together_days: Annotated[float, Interval(ge=0.01, le=365.0)] = 1.0  # between passes that have friction in common
     common_creep_std: RelativeStd = 0.15  # relative, of a section and time, where no other vehicle shows it
-    own_creep_std: RelativeStd = (
-        0.04  # relative, of a vehicle against the others on one section: other wheels, other hours
-    )
+    own_creep_std: RelativeStd = 0.04  # of a vehicle against the others on one section: other wheels, other hours
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +71,7 @@ class _Series:
 def suspension_changes(
     findings: Sequence[SuspensionFinding], parameters: SuspensionParameters | None = None
 ) -> dict[str, SuspensionChange]:
-    """Return by vehicle how its ratio has changed; of those with enough findings.
-
-    Args:
-        findings: Of all vehicles that share sections, in any order.
-        parameters: What counts as now, and what friction may do.
-    """
+    """Return by vehicle how its ratio has changed; of those with enough findings."""
     newest = ((code, next(changes, None)) for code, changes in suspension_histories(findings, parameters).items())
     return {code: change for code, change in newest if change is not None}
 
@@ -89,10 +82,6 @@ def suspension_histories(
     """Return by vehicle how its ratio had changed after each of its findings, newest first.
 
     Computed as far as read. The other vehicles are as they are known now: late data of theirs count, too.
-
-    Args:
-        findings: Of all vehicles that share sections, in any order.
-        parameters: What counts as now, and what friction may do.
     """
     p = parameters or SuspensionParameters()
     by_vehicle = _by_vehicle(findings, p)

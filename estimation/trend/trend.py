@@ -24,11 +24,7 @@ NORMAL_MAD = 1.4826
 
 
 def fit_recent(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCurve:
-    """Fit the curve to the newest points that it agrees with.
-
-    Raises:
-        ValueError: As there.
-    """
+    """Fit the curve to the newest points that it agrees with."""
     scatter = _scatter(value, std)
     first = 0
     while True:

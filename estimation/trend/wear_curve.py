@@ -155,9 +155,6 @@ def fit_wear_curve(x: FloatArray, value: FloatArray, std: FloatArray) -> WearCur
 
     Returns:
         WearCurve: Level in units of ``value``, slope in units of ``value`` per unit of ``x``, both at ``x[-1]``.
-
-    Raises:
-        ValueError: Fewer than two points, or no span between them, or a standard deviation that is not positive.
     """
     if len(x) < 2 or not x[-1] > x[0] or not np.all(std > 0.0):  # noqa: PLR2004 - a line needs two points
         raise ValueError("a wear curve needs two points, a span between them and positive standard deviations")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 import numpy as np
 
@@ -13,12 +13,14 @@ from estimation.values.reasons import Reason
 from estimation.values.served import Served
 from estimation.values.windows import WindowKey
 
+CREEP: Final = "creep"
+"""The stage of creep forces, and the facet that a section and a vehicle with new ones have raised."""
+FRICTION: Final = "friction"
 CELL_LENGTH = 50.0  # m, of the places whose friction is separated
 FRICTIONS = (4.0, 1.5, 0.8, 0.6, 0.45, 0.35, 0.28, 0.22, 0.18, 0.15, 0.125, 0.1, 0.08, 0.065, 0.05, 0.035)
 """Coefficients of friction at which sums are kept; between them the sums are interpolated over the inverse."""
 
-INVERSE = frozen_array(1.0 / np.array(FRICTIONS), (len(FRICTIONS),), name="INVERSE")
-"""(k,) 1/mu, increasing."""
+INVERSE = frozen_array(1.0 / np.array(FRICTIONS), (len(FRICTIONS),), name="INVERSE")  # (k,) 1/mu, increasing
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,15 +39,7 @@ class FrictionSums(FrozenArrays):
 
 @dataclass(frozen=True, slots=True)
 class WindowAdhesion:
-    """Creep forces of one wheelset over one window, and what they say of the friction along its way.
-
-    Attributes:
-        wheelset, start_ns, vehicle, track_section: Of the window.
-        contact_force, lateral_creep, yaw_creep: Rms over the window, N and N m, in the band of wavelengths up to the
-            cut-off; the std of each is that of the filter and of the load.
-        used_adhesion: Creep force over normal force of a wheel that a hundredth of the samples exceed; friction is at
-            least that.
-    """
+    """Creep forces of one wheelset over one window, and what they say of the friction along its way."""
 
     wheelset: Annotated[str, Served(example="WS-0001")]
     start_ns: Annotated[int, Served("Start of the window.", "measured_from")]

@@ -10,9 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Self
+from typing import Annotated
 
 from estimation.values.json_value import JsonValue
+from estimation.values.reasons import MeaningEnum
+from estimation.values.served import Served
 
 
 class AlertScope(StrEnum):
@@ -40,27 +42,23 @@ class Condition(StrEnum):
     UNKNOWN = "unknown"  # no longer assessable; never to be read as healthy
 
 
-class CloseReason(StrEnum):
+class CloseReason(MeaningEnum):
     """Why an alert was closed; ``sentence`` is what people read."""
 
-    sentence: str
+    CLEARED = "cleared"
+    NOT_CONFIRMED = "not confirmed within the on-delay"
+    MEMBERS_CLOSED = "all members closed"
+    REPROFILED = "reprofiled"
+    OUT_OF_SERVICE = "taken out of service"
+    WHEELSET_EXCHANGED = "wheelset exchanged"
+    SENSOR_CHANGED = "sensor exchanged or calibrated"
+    MOUNTING_CORRECTED = "mounting corrected"
+    RULE_DISABLED = "rule switched off"
 
-    def __new__(cls, code: str, sentence: str = "") -> Self:
-        """Return the member of a code with its sentence."""
-        member = str.__new__(cls, code)
-        member._value_ = code
-        member.sentence = sentence
-        return member
-
-    CLEARED = "cleared", "cleared"
-    NOT_CONFIRMED = "not_confirmed", "not confirmed within the on-delay"
-    MEMBERS_CLOSED = "members_closed", "all members closed"
-    REPROFILED = "reprofiled", "reprofiled"
-    OUT_OF_SERVICE = "out_of_service", "taken out of service"
-    WHEELSET_EXCHANGED = "wheelset_exchanged", "wheelset exchanged"
-    SENSOR_CHANGED = "sensor_changed", "sensor exchanged or calibrated"
-    MOUNTING_CORRECTED = "mounting_corrected", "mounting corrected"
-    RULE_DISABLED = "rule_disabled", "rule switched off"
+    @property
+    def sentence(self) -> str:
+        """What people read."""
+        return self.meaning
 
 
 class AlertEventKind(StrEnum):
@@ -108,35 +106,35 @@ class Alert:
     kept.
     """
 
-    alert_id: int
-    fleet: str
-    wheelset: str | None
+    alert_id: Annotated[int, Served(name="id", example=17)]
+    fleet: Annotated[str, Served(example="demo")]
+    wheelset: Annotated[str | None, Served("Null for an alert of a fleet or a section.", example="WS-0001")]
     kind: str  # of the rule behind it
     severity: Severity
     condition: Condition
     opened_ns: int
     last_seen_ns: int
     occurrence_count: int
-    probability: float | None
+    probability: Annotated[float | None, Served(name="probability_1")]
     evidence: Mapping[str, JsonValue]
-    action: str
-    raise_limit: float | None
-    clear_limit: float | None
+    action: Annotated[str, Served("Suggested action, from a code list.", example="reprofile")]
+    raise_limit: Annotated[float | None, Served("As it was when the alert fired, in the unit of `limit_unit`.")]
+    clear_limit: Annotated[float | None, Served("As it was when the alert fired, in the unit of `limit_unit`.")]
     cleared_ns: int | None = None
     closed_ns: int | None = None
-    close_reason: CloseReason | None = None
+    close_reason: Annotated[CloseReason | None, Served(name="close_reason_code")] = None
     acknowledged_by: str | None = None
     acknowledged_ns: int | None = None
-    shelved_until_ns: int | None = None
+    shelved_until_ns: Annotated[int | None, Served(name="shelved_until")] = None
     shelved_reason: str | None = None
     external_refs: tuple[str, ...] = ()
-    fleet_alert_id: int | None = None
-    rules_version: str | None = None
+    fleet_alert_id: Annotated[int | None, Served("The fleet alert that this one is a member of.")] = None
+    rules_version: Annotated[str | None, Served("The rules that it was raised by.")] = None
     version: int = 1
-    track_section: str | None = None  # code of the section that it is about
+    track_section: Annotated[str | None, Served("Code of the section that it is about; null for all others.")] = None
 
     @property
-    def scope(self) -> AlertScope:
+    def scope(self) -> Annotated[AlertScope, Served("Whether it is about a wheelset, the fleet or a track section.")]:
         """Whether it is about a wheelset, a track section or the fleet."""
         if self.track_section is not None:
             return AlertScope.TRACK_SECTION
@@ -148,7 +146,7 @@ class AlertEvent:
     """One line of the feed; ``sequence`` is commit-ordered and 0 until stored."""
 
     sequence: int
-    kind: AlertEventKind
+    kind: Annotated[AlertEventKind, Served(name="event")]
     alert: Alert  # as it was right after the event
     recorded_ns: int
     actor: str = "treadwatch"

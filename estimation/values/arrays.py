@@ -33,11 +33,7 @@ def runs(mask: BoolArray) -> IntArray:
 
 
 def as_slice(index: IntArray) -> IntArray | slice:
-    """Return increasing indices as a slice where none is left out: many times quicker to take and to add to.
-
-    Args:
-        index: (n,) increasing.
-    """
+    """Return increasing indices as a slice where none is left out: many times quicker to take and to add to."""
     if len(index) == 0 or index[-1] - index[0] + 1 != len(index):
         return index
     return slice(int(index[0]), int(index[-1]) + 1)
@@ -113,7 +109,10 @@ def _annotated_fields(kind: Hashable) -> tuple[_AnnotatedField, ...]:
     for name, hint in get_type_hints(kind, include_extras=True).items():
         for part in (hint, *get_args(hint)):
             if get_origin(part) is Annotated:
-                base, *axes = get_args(part)
+                base, *metadata = get_args(part)
+                axes = [axis for axis in metadata if axis is None or isinstance(axis, str | int)]
+                if not axes:
+                    continue
                 dtype = get_args(get_args(base)[1])[0] if get_origin(base) is np.ndarray else None
                 found.append(_AnnotatedField(name, dtype, tuple(_axis(axis) for axis in axes)))
     return tuple(found)

@@ -8,13 +8,14 @@ from typing import Annotated
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason
+from estimation.values.results import History, ResultKind
+from estimation.values.runs import SubjectKind
 from estimation.values.served import Served
 
 SHARES = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2, 1.5, 2.0)
 """Particles: shares of the damping on file at which sums are kept; between them innovations are interpolated."""
 
-GEAR = tuple[str, int]
-"""A running gear: code of its vehicle, and its first axle, from 1."""
+GEAR = tuple[str, int]  # a running gear: code of its vehicle, and its first axle, from 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,22 +35,17 @@ class DamperSums(FrozenArrays):
 
 @dataclass(frozen=True, slots=True)
 class WindowDamper:
-    """What one window says of the damper of a running gear.
-
-    Attributes:
-        vehicle, first_axle, wheelset, start_ns: Which running gear, the wheelset of its first axle, and when.
-        innovation: Mean square of the innovations over the largest that is believed; None without a filter.
-    """
+    """What one window says of the damper of a running gear."""
 
     vehicle: str
     first_axle: int
-    wheelset: str
+    wheelset: str  # of the first axle
     start_ns: int
     odometer_km: float  # of the vehicle
     content_digest: str  # of the samples of that wheelset
     class_digest: str  # of the class that it was judged by: sums of another one do not add up with these
     mass_std: float  # relative, of the mass above the wheelsets on file. Accelerations show damping over mass
-    innovation: float | None = None
+    innovation: float | None = None  # mean square over the largest that is believed; None without a filter
     sums: DamperSums | None = None  # None with ``reason``
     reason: Reason | None = None
 
@@ -82,3 +78,11 @@ class GearDamper:
     to_ns: Annotated[int, Served("Start of the last window that counts.")]
     from_km: Annotated[float, Served("Odometer of the vehicle at the first window.", "odometer_from_km")]
     to_km: Annotated[float, Served("Odometer of the vehicle at the last window.", "odometer_to_km")]
+
+
+GEAR_DAMPERS = ResultKind("damper", SubjectKind.VEHICLE, GearDamper, History.NEWEST)
+
+
+def part_of_gear(first_axle: int) -> str:
+    """Return the part of the results of a vehicle that a running gear is."""
+    return f"{first_axle:04d}"

@@ -14,6 +14,9 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_cen
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
+from estimation.values.results import ResultKind
+from estimation.values.runs import SubjectKind
+from estimation.values.served import MM, Served
 from estimation.values.windows import WindowKey
 
 
@@ -38,6 +41,12 @@ class BinTable(FrozenArrays):
     def centres(self) -> FloatArray:
         """Bin centres (b,), m."""
         return bin_centres(self.edges)
+
+    @property
+    def without_samples(self) -> BinTable:
+        """The table of the same parameters without samples."""
+        none = {name: np.zeros_like(getattr(self, name)) for name in ("weight", "lateral", "yaw")}
+        return replace(self, samples=0, windows=0, **none)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,17 +151,29 @@ class CentreOrigin(StrEnum):
 class Centre:
     """The middle of the travel that the conicity is about; in EN 15302 it is the one about equal rolling radii."""
 
-    displacement: float  # m, from the origin, at the reported amplitude
-    std: float  # m, of where the rolling radii are equal: a bogie holds wheels of different diameters off that line
-    origin: CentreOrigin
+    displacement: Annotated[
+        float,
+        Served(
+            "Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left.",
+            "displacement_mm",
+            MM,
+            finite=False,
+        ),
+    ]
+    std: Annotated[
+        float,
+        Served(
+            "Standard deviation of where both rolling radii are equal, against that: a bogie holds wheels "
+            "of different diameters off it. What it changes is part of the intervals.",
+            "rolling_line_std_mm",
+            MM,
+            finite=False,
+        ),
+    ]
+    origin: Annotated[CentreOrigin, Served("From where the displacement is counted.")]
 
 
-COMBINATIONS = (
-    "rolling_radius_sum",
-    "rolling_radius_difference",
-    "contact_angle_sum",
-    "contact_angle_difference",
-)
+COMBINATIONS = ("rolling_radius_sum", "rolling_radius_difference", "contact_angle_sum", "contact_angle_difference")
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,15 +206,22 @@ class WheelsetGeometry(FrozenArrays):
     contact_angle_difference: BinValues
     amplitude: Annotated[FloatArray, "n"]  # m
     conicity: Annotated[tuple[Estimate, ...], "n"]  # equivalent conicity at each amplitude
-    reported_amplitude: float  # m: 3 mm, or the largest amplitude covered
-    equivalent_conicity: Estimate  # at reported_amplitude
-    nonlinearity: Estimate  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
-    zero_crossing: Estimate  # m, lateral displacement where rL = rR
-    windows: int
+    reported_amplitude: Annotated[
+        float,
+        Served("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm", MM, finite=False),
+    ]
+    equivalent_conicity: Annotated[Estimate, Served(name="equivalent_conicity_1")]  # at reported_amplitude
+    nonlinearity: Annotated[
+        Estimate, Served(name="nonlinearity_parameter_per_mm")
+    ]  # NP, 1/mm as in EN 15302: (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2
+    zero_crossing: Annotated[
+        Estimate, Served("Lateral displacement at which both rolling radii are equal.", "zero_crossing_mm", MM)
+    ]
+    windows: Annotated[int, Served(name="n_windows")]
     parameter_key: str
     status: Status
     reason: Reason | None = None
-    centre: Centre | None = None  # of equivalent_conicity; None without one, or of a rival that does not say it
+    centre: Annotated[Centre | None, Served("The point the conicity is about; null without a conicity.")] = None
 
     @property
     def bin_centres(self) -> FloatArray:
@@ -261,6 +289,10 @@ def _doubted(estimate: Estimate, found: Contradiction) -> Estimate:
     )
 
 
+GEOMETRY = ResultKind("geometry", SubjectKind.WHEELSET, WheelsetGeometry)
+"""Geometries of wheelsets; their parts are baselines, and the mileage intervals of these."""
+
+
 @dataclass(frozen=True, slots=True)
 class GeometryRecord:
     """A geometry estimate with its provenance. Never changed; a later one with the same key supersedes it.
@@ -269,15 +301,20 @@ class GeometryRecord:
     interval since the baseline, and None for the current geometry (all windows since the baseline, with forgetting).
     """
 
-    wheelset: str
+    wheelset: Annotated[str, Served(example="WS-0001")]
     baseline: int
     interval: int | None
-    mileage_km: float  # weighted mean mileage of its windows since new
+    mileage_km: Annotated[
+        float, Served("Weighted mean mileage of its windows since the wheelset was new.", finite=False)
+    ]
     from_ns: int
     to_ns: int
     geometry: WheelsetGeometry
     input_digest: str  # over keys, digests and mileages of windows, and track versions
-    track_versions: Mapping[str, Sequence[int]]  # by section, those that its windows were estimated with, increasing
+    track_versions: Annotated[
+        Mapping[str, Sequence[int]],
+        Served("By section, the versions of its alignment that the windows were estimated with, increasing."),
+    ]
     parameters: Mapping[str, JsonValue]
     code_version: str
     recorded_ns: int

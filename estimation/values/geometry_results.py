@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry, known_conicities, why_no_conicity
-from estimation.values.results import Result, ResultKind
-from estimation.values.runs import SubjectKind
+from estimation.values.results import Result
 
-GEOMETRY = ResultKind("geometry", SubjectKind.WHEELSET, WheelsetGeometry)
 MOST_INTERVALS = 999_999
 """To each side of a baseline; the order of the parts as texts is that of the intervals."""
 

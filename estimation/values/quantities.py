@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 
 import numpy as np
@@ -90,7 +91,6 @@ def normal_equivalent(jackknife: FloatArray, groups: int) -> FloatArray:
 
     Args:
         jackknife: (...) delete-a-group standard deviations.
-        groups: Number of groups; with one the std is returned as it is.
     """
     if groups < 2:  # noqa: PLR2004 - one group has no spread
         return jackknife
@@ -104,11 +104,9 @@ def with_interval(
 
     Args:
         value: The number, in any unit.
-        sampled: Its standard deviation from the spread of the data.
         systematic: Its standard deviation that more data of the same kind do not lessen.
         groups: Groups behind ``sampled``, two or more: Student's t then widens its part; None for a normal
             distribution.
-        count: Effective number of windows behind the number.
     """
     factor = NORMAL_95 if groups is None else _student_95(groups)
     half = float(np.hypot(factor * sampled, NORMAL_95 * systematic))
@@ -135,10 +133,21 @@ def _student_95(groups: int) -> float:
 
 
 def log10_chance(statistic: float, degrees: float) -> float:
-    """Return the decimal logarithm of the chance that a chi-square variable exceeds a value; -inf beyond about 1400.
-
-    Args:
-        statistic: The value, 0 or more.
-    """
+    """Return the decimal logarithm of the chance that a chi-square variable exceeds a value; -inf beyond about 1400."""
     with np.errstate(divide="ignore"):
         return float(np.log10(chdtrc(degrees, statistic)))
+
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_SECOND = 1_000_000_000
+
+
+def utc_text(t_ns: int) -> str:
+    """Return a time in UTC, to the second where it is a whole one.
+
+    Args:
+        t_ns: ns since 1970, UTC.
+    """
+    seconds, rest = divmod(t_ns, _SECOND)
+    decimals = f".{rest:09d}".rstrip("0") if rest else ""
+    return f"{(_EPOCH + timedelta(seconds=seconds)).strftime('%Y-%m-%dT%H:%M:%S')}{decimals}Z"

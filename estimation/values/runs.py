@@ -42,36 +42,17 @@ class JobRun:
     error: str | None = None
 
 
-MOST_ENDED = 3
-"""Workers that end at one thing before it is set aside."""
+MOST_ENDED = 3  # workers that end at one thing before it is set aside
 
 
 @dataclass(frozen=True, slots=True)
 class Claimed:
-    """What came of asking for some things.
-
-    Attributes:
-        ended: Of those at which workers have ended: by key, how many. They are free, and to be asked for one by one.
-        begun_ns: When work on each of ``keys`` was begun, ns by the clock of the claims.
-    """
+    """What came of asking for some things."""
 
     keys: tuple[str, ...]  # of those that may be worked on under the lease
-    ended: tuple[tuple[str, int], ...] = ()
+    ended: tuple[tuple[str, int], ...] = ()  # how many workers ended at which key; it is free, to be asked for alone
     elsewhere: int = 0  # how many are worked on under other leases
-    begun_ns: Mapping[str, int] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """A look at a wheelset that found nothing to do."""
-
-    inputs: str  # digest of all that it was made from, 64 hexadecimal digits
-    until_ns: int | None = None  # our time from which the same inputs may say something else
-    number: int | None = None  # of the newest result that was looked at
-
-    def holds(self, inputs: str, now_ns: int) -> bool:
-        """Whether a look at these inputs would find nothing to do either."""
-        return self.inputs == inputs and (self.until_ns is None or now_ns < self.until_ns)
+    begun_ns: Mapping[str, int] = field(default_factory=dict)  # of ``keys``, by the clock of the claims
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,13 +99,7 @@ AT_ONCE = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.
 
 @dataclass(frozen=True, slots=True)
 class Quarantined:
-    """One thing at which one stage of the work failed.
-
-    Attributes:
-        kind, key, stage: What, and in which job (``ingest`` for recordings).
-        code, error: Why: a stable code and the first line of the error.
-        first_ns, last_ns, due_ns: First and last failure and begin of the next attempt, ns UTC of our clock.
-    """
+    """One thing at which one stage of the work failed."""
 
     kind: SubjectKind
     key: Annotated[str, Served("Digest, serial or code; of a window `serial@start in ns`.", example="WS-0001")]

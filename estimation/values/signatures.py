@@ -15,12 +15,18 @@ import numpy as np
 
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.quantities import Estimate
-from estimation.values.reasons import Reason
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import History, ResultKind
+from estimation.values.runs import SubjectKind
 from estimation.values.served import Served
 
 SIGNALS = 3  # y, R, roll
 POWERS, CROSSES = 3, 6  # columns of ``Signature.spectra``: powers of the signals, then Re and Im of their products
 METHOD: Final = "signature"
+SIGNATURES: Final = "signatures"
+"""The stage of signatures, and the facet that a wheelset with other ones has raised."""
+OF_OTHERS = (ReasonCode.FRAME_UNKNOWN, ReasonCode.MOUNTING_DIFFERS)
+"""What other windows or the registry lack: once the window is estimated they do not."""
 
 
 class AxlePosition(StrEnum):
@@ -85,8 +91,7 @@ class DesignPair:
     rail: str | None  # with its inclination; None where nobody knows on which rails a wheelset ran
 
 
-NO_PAIR = DesignPair("", None)
-"""Of entries all of which are of one design."""
+NO_PAIR = DesignPair("", None)  # of entries all of which are of one design
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +187,15 @@ class WindowSignatures:
 
 
 @dataclass(frozen=True, slots=True)
+class MadeOf:
+    """What the signatures of a window are made from, and whether it lacked what others had not brought yet."""
+
+    window_digest: str
+    assumed: str
+    lacked_others: bool
+
+
+@dataclass(frozen=True, slots=True)
 class KnownSignatures:
     """Signatures of a window whose mileage is believed, with that."""
 
@@ -198,8 +212,8 @@ class StoredSignatures:
 
 
 @dataclass(frozen=True, slots=True)
-class SignatureRecord:
-    """The newest answer about a wheelset, with its provenance, beside what its geometry says."""
+class SignatureFinding:
+    """The newest answer about a wheelset, beside what its geometry says."""
 
     answer: SignatureAnswer
     baseline: Annotated[int, Served("Number of reprofilings before it.")]
@@ -211,11 +225,11 @@ class SignatureRecord:
         Estimate | None, Served("What the geometry says; null without one of this profile.", "geometry_at_3_mm_1")
     ]
     disagreement: Annotated[Disagreement | None, Served("Null where one of the two says nothing.", "compared")]
-    input_digest: str
-    code_version: str
-    recorded_ns: int
 
     @property
     def wheelset(self) -> str:
         """Serial."""
         return self.answer.wheelset
+
+
+ANSWERS = ResultKind("answers", SubjectKind.WHEELSET, SignatureFinding, History.NEWEST)

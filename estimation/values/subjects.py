@@ -15,8 +15,15 @@ class Facet(StrEnum):
     """Base facts of a wheelset, vehicle or section; results of a stage are a facet of the stage's own name."""
 
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
-    WINDOWS = "windows"  # its windows, their verdicts and bin tables
+    WINDOWS = "windows"  # states, qualities and mileages
+    TABLES = "tables"  # bin tables, and the verdicts on windows that its geometry rests on
+    ALERTS = "alerts"
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
+    LAYOUTS = "layouts"  # sections and their layouts, on which all signatures rest
+    BESIDE = "beside"  # what is known of the vehicle that a wheelset runs in, and of the wheelsets beside it
+    HUNTING = "hunting"  # windows of a vehicle in which it hunts
+    RECORDINGS = "recordings"  # of a vehicle, that are rejected
+    STIFFNESS = "stiffness"  # ratios that epochs show of a vehicle
     ALIGNMENT = "alignment"  # versions of the alignment of a section
 
 
@@ -28,6 +35,7 @@ class StageInputs:
         facets: Of its subjects; none of a stage that works window by window (``fleet_db.due``).
         common: Digest of what is the same for all subjects: settings and numerics.
         together: Whether it looks at all subjects together, of whatever kind a facet is.
+        inline: Whether only other settings make it due: what is raised is followed by the transaction that raises it.
     """
 
     stage: str
@@ -35,6 +43,7 @@ class StageInputs:
     facets: tuple[str, ...]
     common: str
     together: bool = False
+    inline: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,8 @@ from estimation.values.file_units import MM, FileForm, Key
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
+from estimation.values.served import MM as IN_MM
+from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
 
 MOST_TONNAGE_MGT = 1000.0  # a year, on one section
@@ -128,15 +130,24 @@ class TrackSectionRecord:
     ``tonnage_mgt_per_year`` is the traffic that wears its rails, million gross tonnes a year; None where not known.
     """
 
-    code: Annotated[str, FileForm.CODE]
+    code: Annotated[str, FileForm.CODE, Served(example="main-1")]
     number: Annotated[int, Interval(ge=1, le=65534)]
     name: Annotated[str, FileForm.TEXT]
-    rail_profile: Annotated[str, FileForm.TEXT]
-    rail_inclination: Annotated[float, Interval(ge=0.0, le=0.5)]
-    nominal_gauge_m: Annotated[float, Interval(ge=500.0, le=2000.0), MM, Key("nominal_gauge_mm")]
+    rail_profile: Annotated[str, FileForm.TEXT, Served(example="56E1")]
+    rail_inclination: Annotated[float, Interval(ge=0.0, le=0.5), Served(name="rail_inclination_1", example=0.05)]
+    nominal_gauge_m: Annotated[
+        float,
+        Interval(ge=500.0, le=2000.0),
+        MM,
+        Key("nominal_gauge_mm"),
+        Served(name="nominal_gauge_mm", scale=IN_MM, example=1435.0),
+    ]
     length_m: Annotated[float, Interval(ge=1.0)]
     line: Annotated[SectionLine | None, Key(None)] = None
-    tonnage_mgt_per_year: Annotated[float, Interval(gt=0.0, le=MOST_TONNAGE_MGT)] | None = None
+    tonnage_mgt_per_year: Annotated[
+        Annotated[float, Interval(gt=0.0, le=MOST_TONNAGE_MGT)] | None,
+        Served("Traffic, million gross tonnes a year. Null: the registry does not say.", example=18.0),
+    ] = None
 
     def __post_init__(self) -> None:
         if self.line is not None:  # lists, as JSON has them
@@ -155,12 +166,17 @@ class AlignmentRecord:
     section: str
     version: int
     status: Status
-    source: AlignmentSource
-    same_since: int
-    cut_off_m: float  # inf where every wavelength is known
-    scale_std: float
+    source: Annotated[AlignmentSource, Served(example="fleet")]
+    same_since: Annotated[int, Served("It differs from this one by less than that left unknown.", "same_since_version")]
+    cut_off_m: Annotated[float, Served("Longer wavelengths are not in it; null where all are.", finite=False)]
+    scale_std: Annotated[
+        float, Served("Relative, of a common stretch that it leaves open.", "scale_std_1", finite=False)
+    ]
     gauge_known: bool
-    alignment_std_m: float | None  # median along the section; None where none is known
+    alignment_std_m: Annotated[
+        float | None,
+        Served("Median along the section; null of a recording as registered.", "alignment_std_mm", IN_MM),
+    ]
     points: int
     recorded_ns: int | None
     superseded_ns: int | None = None
@@ -183,11 +199,11 @@ class TrackReport:
     """What a run of the alignment job found of a section; ``version`` is the one in force afterwards, if any."""
 
     section: str
-    version: int | None
-    made: bool  # whether that run made the version
+    version: Annotated[int | None, Served("In force after that run; null where there is none yet.")]
+    made: Annotated[bool, Served("Whether that run made the version.", "made_version")]
     status: Status
-    reason: Reason | None
-    windows: int
+    reason: Annotated[Reason | None, Served("Why nothing is estimated, or why an estimate has not converged.")]
+    windows: Annotated[int, Served(name="n_windows")]
     input_digest: str  # over keys and digests of windows, and the version before
     code_version: str
     report: Mapping[str, JsonValue]
@@ -208,8 +224,7 @@ class Correction:
         return np.asarray(measured + self.offset + self.scale * (measured - self.middle))
 
 
-OPEN_NS = (1 << 63) - 1
-"""Horizon of the last epoch of a section: whatever comes later may belong to it."""
+OPEN_NS = (1 << 63) - 1  # horizon of the last epoch of a section: whatever comes later may belong to it
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,11 +243,7 @@ class FoldState:
 
 @dataclass(frozen=True, slots=True)
 class TrackEpoch:
-    """One epoch of a section as it was computed last. Key: (section, number), from 1 in vehicle time.
-
-    Attributes:
-        estimated_on: Version that its own windows are estimated on, as long as the last one does not differ materially.
-    """
+    """One epoch of a section as it was computed last. Key: (section, number), from 1 in vehicle time."""
 
     section: str
     number: int
@@ -242,21 +253,17 @@ class TrackEpoch:
     windows: int
     waits: bool  # it identified nothing: its windows are looked at again together with those of the next
     after: FoldState  # what is known after it
-    estimated_on: int | None
+    estimated_on: int | None  # version of its windows, as long as the last one does not differ materially
     report: int  # number of its report
     recorded_ns: int
 
 
 @dataclass(frozen=True, slots=True)
 class FoundOfVehicles:
-    """Of which vehicles an epoch has found what matters for their windows alone.
-
-    Attributes:
-        stiffness_ratio: By vehicle, as that version has it; 1 where it has none.
-    """
+    """Of which vehicles an epoch has found what matters for their windows alone."""
 
     version: int  # that holds it: windows of these vehicles are estimated on no older one
-    stiffness_ratio: Mapping[str, float] = field(default_factory=dict)
+    stiffness_ratio: Mapping[str, float] = field(default_factory=dict)  # as that version has it; 1 without
 
 
 @dataclass(frozen=True, slots=True)

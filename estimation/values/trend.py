@@ -18,50 +18,61 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
-from estimation.values.results import ResultKind
+from estimation.values.results import History, ResultKind
 from estimation.values.runs import SubjectKind
-from estimation.values.served import Served
+from estimation.values.served import MM, Served
 
 
 @dataclass(frozen=True, slots=True)
 class TrendStep:
     """A sudden change of the indicator that wear does not explain; what was recorded within it is of neither side."""
 
-    before_km: float  # mileage of the last interval before
-    after_km: float  # mileage of the first interval behind
-    before_ns: int  # end of the last data before
-    after_ns: int  # begin of the first data behind
+    before_km: Annotated[float, Served("Mileage of the last interval before it.", finite=False)]
+    after_km: Annotated[float, Served("Mileage of the first interval behind it.", finite=False)]
+    before_ns: Annotated[int, Served("End of the last data before it.")]
+    after_ns: Annotated[int, Served("Begin of the first data behind it.")]
     found_ns: int  # end of the data that showed it first
-    size: Estimate  # at ``amplitude``
-    level_before: float
-    amplitude: float  # m
-    probability: float
-    before: int  # intervals
-    behind: int  # intervals
+    size: Annotated[Estimate, Served("By how much the indicator has changed, at `amplitude_mm`.", "size_1")]
+    level_before: Annotated[float, Served("The indicator before it.", "level_before_1", finite=False)]
+    amplitude: Annotated[float, Served("Amplitude that size and level are of.", "amplitude_mm", MM, finite=False)]
+    probability: Annotated[float, Served("That there is a step there.", "probability_1", finite=False)]
+    before: Annotated[int, Served("Intervals before it.", "intervals_before")]
+    behind: Annotated[int, Served("Intervals behind it.", "intervals_behind")]
 
 
 @dataclass(frozen=True, slots=True)
 class WearTrend(FrozenArrays):
     """An indicator since the last reprofiling or step, its robust slope, and when it reaches its limit."""
 
-    quantity: str  # "equivalent_conicity"
+    quantity: Annotated[str, Served(example="equivalent_conicity")]  # "equivalent_conicity"
     mileage_km: Annotated[FloatArray, "k"]  # since the wheelset was new
-    measured_ns: Annotated[IntArray, "k"]
-    value: Annotated[FloatArray, "k"]
-    std: Annotated[FloatArray, "k"]
-    slope_per_1000_km: Estimate
-    slope_per_year: Estimate
-    fitted: Estimate  # value of the fitted curve at the last point
-    limit: float
+    measured_ns: Annotated[IntArray, "k", Served(name="measured_at")]
+    value: Annotated[FloatArray, "k", Served(name="value_1")]
+    std: Annotated[FloatArray, "k", Served(name="std_1")]
+    slope_per_1000_km: Annotated[Estimate, Served(name="slope_1_per_1000_km")]
+    slope_per_year: Annotated[Estimate, Served(name="slope_1_per_year")]
+    fitted: Annotated[Estimate, Served("The fitted curve at the last point, at the mileage of that point.", "fitted_1")]
+    limit: Annotated[float, Served(name="limit_1", finite=False)]
     distance_to_limit_km: Forecast  # from the last point; 0 where already reached
     date_of_limit_ns: Forecast
-    probability_over_limit: float | None  # now
+    probability_over_limit: Annotated[
+        float | None, Served("That the limit is exceeded now; null means unknown.", "probability_over_limit_1")
+    ]
     status: Status
     reason: Reason | None = None
-    converged: bool = True  # whether the robust fits over distance and date stopped changing
+    converged: Annotated[
+        bool, Served("Whether the robust fits over distance and date stopped changing; true where nothing was fitted.")
+    ] = True
     not_comparable: Reason | None = None  # why the limit is not held against it; None where it is
-    step: TrendStep | None = None  # that its points are behind
+    step: Annotated[
+        TrendStep | None, Served("The step that the trend begins behind; null where it begins with the profile.")
+    ] = None
     few_behind: Reason | None = None  # why nothing is forecast: too few points behind the step; None where enough are
+
+    @property
+    def head(self) -> JsonValue:
+        """What is read of many trends: the time within which the step is; None where there is none."""
+        return None if self.step is None else [self.step.before_ns, self.step.after_ns]
 
 
 TREND = ResultKind("trend", SubjectKind.WHEELSET, WearTrend, one_in_force=True)
@@ -83,7 +94,9 @@ class TrendRecord:
     input_digest: str
     code_version: str
     recorded_ns: int
-    parameters: Mapping[str, JsonValue] = field(default_factory=dict)  # that shaped it
+    parameters: Annotated[Mapping[str, JsonValue], Served("Settings that shaped it; empty where none were kept.")] = (
+        field(default_factory=dict)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +116,7 @@ class SuspensionFinding:
         float, Served("Yaw stiffness over longitudinal creep coefficient of the vehicle's class.", "assumed_m")
     ]
     code_version: str
-    recorded_ns: int
+    recorded_ns: int = field(metadata={"made_from": False})
 
     @property
     def stiffness_ratio(
@@ -142,6 +155,9 @@ class SuspensionShown:
     newest: SuspensionChange | None  # None where too few findings are known
     stands: bool
     since_ns: int | None = None
+
+
+SUSPENSION = ResultKind("suspension", SubjectKind.VEHICLE, SuspensionShown, History.NEWEST)
 
 
 class StepCause(StrEnum):
@@ -185,11 +201,7 @@ class IdentityChange:
 
 
 def latest_identity_change(alerts: Iterable[Alert]) -> IdentityChange | None:
-    """Return the last change; None where there is none.
-
-    Args:
-        alerts: Of one wheelset, open and closed; those of other kinds are left out.
-    """
+    """Return the last change; None where there is none."""
     changes = [_change(alert) for alert in alerts if alert.kind == IDENTITY]
     return max((change for change in changes if change is not None), key=lambda change: change.after_ns, default=None)
 
@@ -199,7 +211,6 @@ def since_change(records: Sequence[_Record], change: IdentityChange | None) -> l
 
     Args:
         records: Geometries of one wheelset, or what is left of them.
-        change: Its last; None keeps all records.
     """
     return [record for record in records if change is None or record.from_ns >= change.after_ns]
 
@@ -214,7 +225,6 @@ def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) ->
 
     Args:
         change: The last one; None where there was none.
-        first_ns, second_ns: Times, ns UTC.
     """
     if change is None:
         return True

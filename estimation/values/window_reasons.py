@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 from estimation.values.reasons import Reason
+from estimation.values.served import Served
 from estimation.values.windows import WindowState
 
 
@@ -14,24 +16,22 @@ class WindowsOfReason:
     """Windows of one wheelset with one state and one reason."""
 
     state: WindowState  # of all of them
-    reason: Reason | None  # why they were refused or what they wait for, as it is of the newest; None of estimated ones
-    windows: int  # how many
-    newest_ns: int  # end of the newest, ns UTC on the vehicle's clock
+    reason: Annotated[Reason | None, Served("Why they wait, are refused or give no number, as of the newest of them.")]
+    windows: Annotated[int, Served("How many.")]
+    newest_ns: Annotated[int, Served("End of the newest of them, on the vehicle's clock.")]
 
 
 @dataclass(frozen=True, slots=True)
 class WithoutEstimate:
-    """Why nothing is estimated of a wheelset, and what to do.
-
-    Attributes:
-        from_ns: Begin of the oldest window that was counted, ns UTC on the vehicle's clock; None where there is none.
-    """
+    """Why nothing is estimated of a wheelset, and what to do."""
 
     reason: Reason  # in one sentence
     what_to_do: str  # in sentences; empty where there is nothing to do but to wait
-    windows: tuple[WindowsOfReason, ...]  # its newest windows by state and reason, the most frequent first
-    from_ns: int | None
-    last_ns: int | None  # end of its newest window, whatever became of it; None where there is none
+    windows: Annotated[
+        tuple[WindowsOfReason, ...], Served("The windows that are counted, the most frequent reason first.", "reasons")
+    ]
+    from_ns: Annotated[int | None, Served("Begin of the oldest that is counted; null without windows.", "counted_from")]
+    last_ns: Annotated[int | None, Served("End of its newest window, whatever became of it.", "last_data_at")]
 
     def count(self, state: WindowState) -> int:
         """Return how many of the counted windows have a state."""

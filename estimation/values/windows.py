@@ -149,8 +149,7 @@ class WindowPosition:
     reason: Reason | None = None
 
 
-WindowKey = tuple[str, int]
-"""Wheelset and start of a window, in vehicle time."""
+WindowKey = tuple[str, int]  # wheelset and start of a window, in vehicle time
 
 
 def text_of_key(wheelset: str, start_ns: int) -> str:
@@ -206,19 +205,12 @@ class WindowMark:
 
 @dataclass(frozen=True, slots=True)
 class MileageReading:
-    """The mileage of a wheelset at the start of a window, and what speaks against it by itself.
-
-    Attributes:
-        odometer_excess_m: By how much the change of the odometer within the window differs from the integral of the
-            speed beyond what is allowed, m; 0 where it does not.
-        off_line_m: How far the vehicle was from the line of the section that it reported, by GNSS, m; 0 within the
-            limit.
-    """
+    """The mileage of a wheelset at the start of a window, and what speaks against it by itself."""
 
     start_ns: int  # vehicle time
     mileage_km: float  # of the wheelset since new
-    odometer_excess_m: float = 0.0
-    off_line_m: float = 0.0
+    odometer_excess_m: float = 0.0  # by which its change differs from the integral of the speed beyond what is allowed
+    off_line_m: float = 0.0  # from the line of the section that it reported, by GNSS; 0 within the limit
 
 
 OF_FRAME = ("frame_yaw", "frame_yaw_rate", "frame_displacement")

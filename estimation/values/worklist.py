@@ -4,33 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Self
+from typing import Annotated
 
 from estimation.values.alerts import Condition, Severity
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason
+from estimation.values.reasons import MeaningEnum, Reason
 from estimation.values.registry import WheelsetRecord
+from estimation.values.served import Served
 
 
-class Urgency(StrEnum):
+class Urgency(MeaningEnum):
     """How soon somebody has to look at a wheelset, the most urgent first; ``meaning`` is what puts it there."""
 
-    meaning: str
-
-    def __new__(cls, code: str, meaning: str = "") -> Self:
-        """Return the member of a code with its meaning."""
-        member = str.__new__(cls, code)
-        member._value_ = code
-        member.meaning = meaning
-        return member
-
-    OVER_LIMIT = "over_limit", "The conicity limit is exceeded, or was when that could be assessed last."
-    CRITICAL_ALERT = "critical_alert", "A critical alert of another kind is open, hunting for one."
-    DUE = "due", "The limit may be reached within 30,000 km (p10), or the alert on its forecast is open."
-    WARNING_ALERT = "warning_alert", "A warning of another kind is open."
-    UNKNOWN = "unknown", "No number of it can be trusted; the reason says why."
-    NOT_DUE = "not_due", "The limit is further away, and no alert is open."
-    NOT_MOUNTED = "not_mounted", "It runs under no vehicle."
+    OVER_LIMIT = "The conicity limit is exceeded, or was when that could be assessed last."
+    CRITICAL_ALERT = "A critical alert of another kind is open, hunting for one."
+    DUE = "The limit may be reached within 30,000 km (p10), or the alert on its forecast is open."
+    WARNING_ALERT = "A warning of another kind is open."
+    UNKNOWN = "No number of it can be trusted; the reason says why."
+    NOT_DUE = "The limit is further away, and no alert is open."
+    NOT_MOUNTED = "It runs under no vehicle."
 
     @property
     def rank(self) -> int:
@@ -49,21 +41,21 @@ class BogiePlace(StrEnum):
 class AxlePosition:
     """Where a wheelset is under its vehicle; without bogies, or where the class is not on file, the axle alone."""
 
-    bogie: int | None = None  # from 1, in the order of the axle numbers
-    place: BogiePlace | None = None
+    bogie: Annotated[int | None, Served("Number of the bogie, from 1 in the order of the axles.", example=1)] = None
+    place: Annotated[BogiePlace | None, Served("Which of the bogie's two, in the order of the axle numbers.")] = None
 
 
 @dataclass(frozen=True, slots=True)
 class OpenAlert:
     """An alert of a wheelset that is not closed."""
 
-    alert_id: int
+    alert_id: Annotated[int, Served("Number of the alert.", "id", example=1)]
     kind: str
     severity: Severity
     condition: Condition
     opened_ns: int
     acknowledged: bool
-    shelved_until_ns: int | None
+    shelved_until_ns: Annotated[int | None, Served(name="shelved_until")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,34 +68,25 @@ class MileageNow:
 
 @dataclass(frozen=True, slots=True)
 class WorklistState:
-    """How a wheelset is now.
+    """How a wheelset is now."""
 
-    Attributes:
-        status, conicity: Of the conicity at 3 mm of the current profile.
-        limit, probability_over_limit: Conicity limit that the trend is held against, and the probability that it is
-            exceeded at its last point.
-        distance_to_limit_km: Quantiles of the distance still to run from ``mileage``: those of the trend less
-            ``since_trend_km``.
-        mileage, last_data_ns: Last reading of the mileage, and end of the newest data that are estimated or wait for
-            it.
-        urgency, reasons: How urgent it is, and why, the most important reason first.
-    """
-
-    status: Status
-    conicity: Estimate
-    measured_until_ns: int | None  # end of the newest data behind it; None where there are none
-    slope_per_1000_km: Estimate  # of the trend since the last reprofiling
-    limit: float | None
-    probability_over_limit: float | None
+    status: Annotated[Status, Served("Of the conicity now.")]
+    conicity: Annotated[Estimate, Served("Equivalent conicity at 3 mm of the current profile.", "conicity_1")]
+    measured_until_ns: Annotated[int | None, Served("End of the newest data behind the conicity.", "measured_until")]
+    slope_per_1000_km: Annotated[Estimate, Served("Of the trend since the last reprofiling.", "slope_1_per_1000_km")]
+    limit: Annotated[float | None, Served("Conicity limit that the trend is held against.", "limit_1")]
+    probability_over_limit: Annotated[
+        float | None, Served("That the limit is exceeded; null means unknown.", "probability_over_limit_1")
+    ]
     distance_to_limit_km: Forecast
-    since_trend_km: float | None  # run since the last point of the trend
+    since_trend_km: Annotated[float | None, Served("Run since the last point of the trend.")]
     date_of_limit_ns: Forecast  # quantiles of the date
     forecast_reason: Reason | None  # why a quantile is missing; None where none is
     mileage: MileageNow | None
-    last_data_ns: int | None
-    alerts: tuple[OpenAlert, ...]  # open alerts, the worst first
+    last_data_ns: Annotated[int | None, Served("End of the newest data that are estimated or wait for it.")]
+    alerts: Annotated[tuple[OpenAlert, ...], Served("Open alerts, the worst first.")]
     urgency: Urgency
-    reasons: tuple[Reason, ...]
+    reasons: tuple[Reason, ...]  # why, the most important one first
 
 
 @dataclass(frozen=True, slots=True)

@@ -128,7 +128,6 @@ def lateral_acceleration(
 
     Args:
         parameters: Table A.1.
-        speed: V, (n,) or scalar, m/s, positive.
         state: (n,) states of wheelset and mass.
         contact: (n,) radii, angles and roll.
     """
@@ -154,7 +153,6 @@ def yaw_acceleration(
 
     Args:
         parameters: Table A.1.
-        speed: V, (n,) or scalar, m/s, positive.
         state: (n,) states of wheelset and mass.
         contact: (n,) radii, angles and roll.
     """
@@ -190,7 +188,6 @@ def lateral_slip_velocity(speed: npt.ArrayLike, state: WheelsetState, contact: C
     """Return y' + (rL+rR)/2 phi' - V psi (n,), m/s: the lateral slip that Eq. 1 and 2 share.
 
     Args:
-        speed: V, (n,) or scalar, m/s.
         state: (n,) lateral velocity and yaw.
         contact: (n,) radii and roll rate.
     """
@@ -205,9 +202,6 @@ def creep_rate(parameters: VehicleParameters, speed: float) -> float:
     """Return the fastest decay rate of the creep modes, 1/s: the larger of 2 f22/(m V) and 2 l^2 f11/(I V).
 
     It bounds the step of an explicit integration: the rate grows without limit as the speed falls.
-
-    Args:
-        speed: V, m/s, positive.
     """
     p = parameters
     lateral = 2.0 * p.lateral_creep_coefficient / (p.wheelset_mass * speed)

@@ -51,11 +51,7 @@ COORDINATES = (
 def bogie_model(
     parameters: VehicleParameters, bogie: BogieParameters, speed: float, contact: LinearContact
 ) -> LinearModel:
-    """Return the model of a bogie whose two wheelsets are alike.
-
-    Args:
-        speed: V, m/s, positive.
-    """
+    """Return the model of a bogie whose two wheelsets are alike."""
     arms = bogie.wheelbase / 2, -bogie.wheelbase / 2
 
     def accelerations(q: FloatArray, v: FloatArray, d: FloatArray) -> FloatArray:
@@ -128,9 +124,7 @@ def linear_model(vehicle_class: VehicleClass, speed: float, contact: LinearConta
     """Return the state space of a class.
 
     Args:
-        vehicle_class: Single wheelset or bogie.
         speed: V, m/s, positive.
-        contact: The geometry of all its wheelsets.
     """
     if vehicle_class.bogie is None:
         return single_wheelset_model(vehicle_class.parameters, speed, contact)
@@ -175,12 +169,7 @@ def _name(model: LinearModel, shares: FloatArray, shape: FloatArray, value: comp
 
 
 def critical_speed(vehicle_class: VehicleClass, contact: LinearContact) -> float:
-    """Return the lowest speed, m/s, above which a mode grows; infinite where none does up to 150 m/s.
-
-    Args:
-        vehicle_class: Single wheelset or bogie.
-        contact: The geometry of all its wheelsets.
-    """
+    """Return the lowest speed, m/s, above which a mode grows; infinite where none does up to 150 m/s."""
 
     def grows(speed: float) -> bool:
         matrix = linear_model(vehicle_class, speed, contact).matrix
@@ -224,7 +213,6 @@ def equations(p: VehicleParameters, wheelbase: float | None, speed: float, at: C
     Args:
         wheelbase: m, of the bogie, of which this is the front wheelset; None where the yaw spring is tied to a fixed
             body.
-        speed: V, m/s.
     """
     units = np.eye(2 * SIGNALS)
     u, du = units[:SIGNALS], units[SIGNALS:]
@@ -258,7 +246,6 @@ def true_signals(model: LinearModel, contact: LinearContact, p: VehicleParameter
     """Return u (f, signals) of the front wheelset per metre of alignment.
 
     Args:
-        model: Single wheelset or bogie.
         s: (f,) i omega, 1/s.
     """
     q = model.response(s.imag / (2 * np.pi))

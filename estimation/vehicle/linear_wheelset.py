@@ -78,11 +78,7 @@ class LinearModel:
 
 
 def klingel_frequency(parameters: VehicleParameters, speed: float, contact: LinearContact) -> float:
-    """Return the frequency of a free wheelset that rolls without slip, Hz (Klingel: wavelength 2 pi sqrt(r0 l/gamma)).
-
-    Args:
-        speed: m/s.
-    """
+    """Return the frequency of a free wheelset that rolls without slip, Hz (Klingel: 2 pi sqrt(r0 l/gamma) long)."""
     return speed / klingel_wavelength(parameters, contact)
 
 
@@ -138,7 +134,6 @@ def assemble(
 
     Args:
         accelerations: Of (n, m) coordinates, (n, m) rates and (2k, m) alignments (d of each wheelset, then d'), (n, m).
-        speed: m/s.
         wheelset_offsets: k distances behind the leading wheelset, m.
     """
     n, k = len(coordinates), len(wheelset_offsets)
@@ -152,11 +147,7 @@ def assemble(
 
 
 def single_wheelset_model(parameters: VehicleParameters, speed: float, contact: LinearContact) -> LinearModel:
-    """Return the model of a wheelset and its suspended mass.
-
-    Args:
-        speed: V, m/s, positive.
-    """
+    """Return the model of a wheelset and its suspended mass."""
 
     def accelerations(q: FloatArray, v: FloatArray, d: FloatArray) -> FloatArray:
         state = WheelsetState(q[0], v[0], q[1], v[1], q[2], v[2])

@@ -83,11 +83,7 @@ class Coefficients(NamedTuple):
 
 
 def signals_of(motion: Motion) -> Signals:
-    """Return the signals of a motion.
-
-    Args:
-        motion: (n,) samples.
-    """
+    """Return the signals of a motion."""
     plain = {name: getattr(motion, name) for name in Signals._fields if name not in OF_FRAME}
     if motion.frame_yaw is None or motion.frame_yaw_rate is None or motion.frame_displacement is None:
         return Signals(**plain, frame_yaw=_NOTHING, frame_yaw_rate=_NOTHING, frame_displacement=_NOTHING)
@@ -281,7 +277,6 @@ def regression(
     What is known of the vehicle's stiffness ratio is taken into account.
 
     Args:
-        motion: (n,) samples relative to the track.
         parameters: As assumed; the longitudinal creep coefficient is divided by the stiffness ratio of the motion.
         difference_noise: Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
         wheelbase: Of the bogie, m; without one it plays no part.

@@ -18,11 +18,12 @@ from estimation.alerts.rules.limit_forecast import LimitForecastRule
 from estimation.alerts.rules.no_data import NoDataRule
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.alerts import Condition, Severity
-from estimation.values.geometry import GeometryRecord
+from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.trend import TrendRecord
+from estimation.values.subjects import Facet
+from estimation.values.trend import TREND, TrendRecord
 from estimation.values.worklist import (
     AxlePosition,
     BogiePlace,
@@ -34,29 +35,27 @@ from estimation.values.worklist import (
 )
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
 
+FORM = 1
+"""Grows with every change of what a row says, so that all rows are made again."""
+STAGE = "worklist"
+FACETS = (Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, GEOMETRY.stage, TREND.stage)
+"""What a row is made from: whoever raises one of these makes it again in the same transaction."""
+
 
 @dataclass(frozen=True, slots=True)
 class WorklistInputs:
-    """All that is stored of a wheelset and decides how urgent it is.
-
-    Attributes:
-        wheelset, vehicle, vehicle_class: Its records; no vehicle where it is not mounted, no class where that is not on
-            file.
-        geometry, trend: The current geometry and the latest trend.
-        refused: How many of its newest windows are refused, by reason, the most frequent first; where it has no
-            geometry.
-    """
+    """All that is stored of a wheelset and decides how urgent it is."""
 
     wheelset: WheelsetRecord
-    vehicle: VehicleRecord | None
-    vehicle_class: VehicleClass | None
-    geometry: GeometryRecord | None
-    trend: TrendRecord | None
+    vehicle: VehicleRecord | None  # None where it is not mounted
+    vehicle_class: VehicleClass | None  # None where it is not on file
+    geometry: GeometryRecord | None  # current
+    trend: TrendRecord | None  # latest
     last_window_ns: int | None  # end of its newest window that was estimated or waits for it
     mileage: MileageNow | None  # last reading that is believed
     alerts: Sequence[OpenAlert] = ()  # open ones, in any order
     failure: Reason | None = None  # why its geometry or trend cannot be read or understood; None where they can
-    refused: Mapping[ReasonCode, int] = field(default_factory=dict)
+    refused: Mapping[ReasonCode, int] = field(default_factory=dict)  # newest windows, the most frequent first
 
 
 DUE_WITHIN_KM = 30_000.0
@@ -100,7 +99,6 @@ def judged(
     """Return how urgent a wheelset is.
 
     Args:
-        ahead: What is known of its limit.
         last_ns: End of its newest usable data, ns UTC; None where there are none.
     """
     standing = [alert for alert in alerts if alert.condition in {Condition.ACTIVE, Condition.UNKNOWN}]

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from estimation.values.quantities import Status
+from estimation.values.quantities import Status, utc_text
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import JobOutcome, JobRun, Quarantined
 from estimation.values.track import AlignmentRecord, AlignmentSource
-from estimation.values.utc_text import utc_text
 
 ESTIMATION, ALIGNMENT, GEOMETRY = "estimate_windows", "refresh_alignment", "refresh_geometry"
 """Jobs that make bin tables of windows, alignments of sections, and geometries of wheelsets."""
@@ -16,18 +15,14 @@ ESTIMATION, ALIGNMENT, GEOMETRY = "estimate_windows", "refresh_alignment", "refr
 
 @dataclass(frozen=True, slots=True)
 class SectionFacts:
-    """What is stored of a section and decides what its windows wait for.
-
-    Attributes:
-        failed: What is kept of the last failure of :data:`ALIGNMENT` at it; None where it succeeded.
-    """
+    """What is stored of a section and decides what its windows wait for."""
 
     code: str  # of the section
     in_force: AlignmentRecord | None = None  # its alignment; None where there is none
     looked_at: bool = False  # whether its passes have been looked at
     found: Reason | None = None  # why the last look found no alignment; None where it did
     survey: Reason | None = None  # why the survey on file is not used; None where it is, or there is none
-    failed: Quarantined | None = None
+    failed: Quarantined | None = None  # last failure of :data:`ALIGNMENT` at it; None where it succeeded
 
     @property
     def aligned(self) -> bool:

@@ -43,15 +43,10 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class BackupPlan:
-    """What a backup holds beside the database.
-
-    Attributes:
-        recordings: Whether recordings; None: where the store has no copies of its own. Of others their digests are
-            kept.
-    """
+    """What a backup holds beside the database."""
 
     windows: bool = True  # whether window files; without them a restore makes them again from the recordings
-    recordings: bool | None = None
+    recordings: bool | None = None  # None: where the store has no copies of its own; of others their digests are kept
 
 
 EVERYTHING = BackupPlan()
@@ -68,7 +63,6 @@ def back_up(
 
     Args:
         folder: Of the backups; made if it is not there.
-        now_ns: Our time, ns UTC.
         progress: Called with (done, total) files.
 
     Raises:

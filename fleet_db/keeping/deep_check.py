@@ -15,14 +15,7 @@ from fleet_db.keeping.orphans import orphaned_recordings, orphaned_samples
 from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.tables import (
-    AlertEventRow,
-    AlertRow,
-    TrackAlignmentRow,
-    WindowBinTableRow,
-    WindowPositionRow,
-    WindowRow,
-)
+from fleet_db.tables import AlertEventRow, AlertRow, TrackAlignmentRow, WindowBinTableRow, WindowPositionRow, WindowRow
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
 ALERTS, EVENTS, ALIGNMENTS = table_of(AlertRow), table_of(AlertEventRow), table_of(TrackAlignmentRow)

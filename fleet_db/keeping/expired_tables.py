@@ -62,9 +62,6 @@ def seal(connection: Connection, roll_up: int, now_ns: int) -> int:
     """Delete the tables of a roll-up, which holds their sums from now on alone; return how many.
 
     Where its windows were, and of which epochs, goes with them: no alignment is computed from them again.
-
-    Args:
-        now_ns: Our time, ns UTC.
     """
     this = ROLL_UPS.c.number == roll_up
     row = connection.execute(select(ROLL_UPS.c.wheelset, ROLL_UPS.c.first_ns, ROLL_UPS.c.last_ns).where(this)).one()

@@ -19,8 +19,7 @@ from fleet_db.tables import ChunkRow, WindowRow
 from fleet_db.telemetry import WindowFiles, unpack_window, window_digest
 
 WINDOWS = table_of(WindowRow)
-SAMPLES = "windows"
-"""Folder of them in a data folder or backup."""
+SAMPLES = "windows"  # folder of them in a data folder or backup
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,21 +109,16 @@ def _synchronise(path: Path) -> None:
 
 
 CHUNKS = table_of(ChunkRow)
-RAW = "raw"
-"""Folder of them in a backup."""
+RAW = "raw"  # folder of them in a backup
 
 
 @dataclass(frozen=True, slots=True)
 class KeptRecording:
-    """A recording that a row refers to.
-
-    Attributes:
-        digest, suffix, size: Of its bytes.
-    """
+    """A recording that a row refers to."""
 
     digest: str
     suffix: str
-    size: int
+    size: int  # bytes
     owner: str  # whose it is, for messages
 
     @property

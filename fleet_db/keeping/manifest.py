@@ -22,26 +22,19 @@ PREFIX, SUFFIX = "backup-", ".json"
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """One backup in a backup folder; recordings and windows are shared with the others of the folder.
-
-    Attributes:
-        database_sha256, database_bytes: Of its database file.
-        raw_files, window_files, file_bytes: That the rows refer to; the bytes are those of what the backup is to hold.
-        recordings_kept: Whether recordings are in the backup; if not, their digests are in a file beside it, and their
-            bytes are in the store.
-    """
+    """One backup in a backup folder; recordings and windows are shared with the others of the folder."""
 
     name: str  # the time of the backup, which is in the names of its files
     migration: str  # of the database
     database_sha256: str
     database_bytes: int
     rows: Mapping[str, int]  # by table
-    raw_files: int
-    window_files: int
-    file_bytes: int
+    raw_files: int  # that the rows refer to
+    window_files: int  # likewise
+    file_bytes: int  # of what the backup is to hold
     windows_kept: bool  # whether window files are in the backup; if not, they are made again from the recordings
     missing: tuple[str, ...]  # files that the rows refer to and that were not there, or damaged
-    recordings_kept: bool
+    recordings_kept: bool  # if not, their digests are in a file beside it, and their bytes in the store
     raw_store: str  # where the recordings were
 
     def database_file(self, folder: Path) -> Path:
@@ -55,11 +48,7 @@ def digests_file(folder: Path, name: str) -> Path:
 
 
 def backup_name(now_ns: int) -> str:
-    """Return the name of a backup of this time, in the order of time.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
+    """Return the name of a backup of this time, in the order of time."""
     seconds, rest = divmod(now_ns, 1_000_000_000)
     return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1_000_000:03d}Z"
 

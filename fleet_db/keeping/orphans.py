@@ -16,8 +16,7 @@ from fleet_db.storage import SqlStorage
 from fleet_db.tables import ChunkRow, WindowRow
 
 CHUNKS, WINDOWS = table_of(ChunkRow), table_of(WindowRow)
-LEAST_AGE_S = 3600.0
-"""A file may be older than its row by the length of the transaction that stores it."""
+LEAST_AGE_S = 3600.0  # a file may be older than its row by the length of the transaction that stores it
 
 
 def orphaned_samples(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> list[Path]:

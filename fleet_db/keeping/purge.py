@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from sqlalchemy import (
@@ -22,6 +23,7 @@ from sqlalchemy import (
     update,
 )
 
+from estimation.jobs.job import Job, JobContext
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import TRIED_AGAIN, JobOutcome
 from estimation.values.windows import DueStage, WindowState
@@ -86,11 +88,7 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
 
 
 def mark_purged(connection: Connection, windows: Sequence[Row[Any, Any, Any, Any]], now_ns: int) -> None:
-    """Store that the samples of windows are gone, in the transaction that found them.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
+    """Store that the samples of windows are gone, in the transaction that found them."""
     same = (WINDOWS.c.wheelset == bindparam("of_wheelset"), WINDOWS.c.start_ns == bindparam("of_start_ns"))
     keys = [{"of_wheelset": one.wheelset, "of_start_ns": one.start_ns} for one in windows]
     connection.execute(update(WINDOWS).where(*same).values(samples_purged_ns=now_ns), keys)
@@ -99,8 +97,7 @@ def mark_purged(connection: Connection, windows: Sequence[Row[Any, Any, Any, Any
 RUNS, KEYS, PURGES = table_of(JobRunRow), table_of(IdempotencyRow), table_of(PurgeRow)
 ENTRIES, DELIVERIES = table_of(AuditRow), table_of(WebhookDeliveryRow)
 RESULTS, REPORTS = table_of(ResultRow), table_of(TrackReportRow)
-BATCH = 1000
-"""Rows a transaction: others wait for a fraction of a second."""
+BATCH = 1000  # rows a transaction: others wait for a fraction of a second
 
 BY_DATA = frozenset(
     {
@@ -134,8 +131,6 @@ def purge(
     Every batch is a transaction of its own with its record, so that a purge which ends early has done a part.
 
     Args:
-        retention: Days by kind.
-        now_ns: Our time, ns UTC.
         checkpoint: Called between batches; it may raise to end the purge.
 
     Raises:
@@ -186,7 +181,6 @@ def record_purge(connection: Connection, purged: Purged, before_ns: int, now_ns:
 
     Args:
         before_ns: Everything of its kind that is older is gone.
-        now_ns: Our time, ns UTC.
     """
     values = {"kind": purged.kind.value, "items": purged.items, "item_bytes": purged.item_bytes}
     connection.execute(insert(PURGES).values(**values, before_ns=before_ns, purged_ns=now_ns))
@@ -342,3 +336,19 @@ def _purge_orphans(storage: SqlStorage, raw: RawStore, before_ns: int, now_ns: i
         with storage.write() as unit:
             record_purge(unit.connection, purged, before_ns, now_ns)
     return purged
+
+
+EVERY_S = 86_400.0
+
+
+def purge_job(retention: Retention, raw: RawStore, storage_of: Callable[[JobContext], SqlStorage]) -> Job:
+    """Return the job."""
+    run = partial(_run, retention, raw, storage_of)
+    return Job("purge", "Delete what has been kept long enough", every_s=EVERY_S, run=run)
+
+
+def _run(
+    retention: Retention, raw: RawStore, storage_of: Callable[[JobContext], SqlStorage], context: JobContext
+) -> Mapping[str, int]:
+    done = purge(storage_of(context), raw, retention, context.clock.now_ns(), partial(context.checkpoint, 0, 0))
+    return {one.kind.value: one.items for one in done}

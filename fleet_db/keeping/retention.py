@@ -9,11 +9,9 @@ from estimation.errors import ParameterError
 
 DAY_NS = 86_400_000_000_000
 
-LEAST_DAYS_OF_SAMPLES = 1.0
-"""What is estimated now, and the other axle of the bogie, must have them."""
+LEAST_DAYS_OF_SAMPLES = 1.0  # what is estimated now, and the other axle of the bogie, must have them
 
-LEAST_DAYS_OF_RECORDINGS = 31.0
-"""Recordings that are late by 30 days still meet the raw frames of those beside them."""
+LEAST_DAYS_OF_RECORDINGS = 31.0  # recordings that are late by 30 days still meet the raw frames of those beside them
 
 
 class Kept(StrEnum):
@@ -72,10 +70,6 @@ class Retention:
             raise ParameterError(f"must be at least {LEAST_DAYS_OF_SAMPLES:g} days", field="window_samples")
 
     def before_ns(self, kind: Kept, now_ns: int) -> int | None:
-        """Return the time before which this kind is deleted; None where it is kept for ever.
-
-        Args:
-            now_ns: Our time, ns UTC.
-        """
+        """Return the time before which this kind is deleted; None where it is kept for ever."""
         days: float | None = getattr(self, kind.value)
         return None if days is None else now_ns - round(days * DAY_NS)

@@ -17,8 +17,7 @@ from fleet_db.stores.raw_scrubs import RawFile, RawScrub
 
 STAGE = "scrub"
 """Under which damaged and missing files are in quarantine; a later reading that finds one whole ends that."""
-BATCH = 50
-"""Files between two commits of how far it has come."""
+BATCH = 50  # files between two commits of how far it has come
 
 
 @dataclass(frozen=True, slots=True)

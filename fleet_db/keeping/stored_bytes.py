@@ -179,8 +179,8 @@ TABLES: Mapping[str, tuple[str, ...]] = {
     "bin tables": ("window_bin_tables",),
     "roll-ups": ("roll_ups", "window_due", "roll_up_states", "rolling_sums"),
     "results": ("results", "wheelset_bins"),
-    "signatures": ("wear_signatures", "signature_answers"),
-    "dampers": ("window_dampers", "gear_dampers"),
+    "signatures": ("wear_signatures",),
+    "dampers": ("window_dampers",),
     "alignments": ("track_alignments", "track_versions", "track_reports", "track_epochs", "track_epoch_windows"),
     "receipts": ("chunks", "raw_marks", "recording_changes", "quarantine", "stale_spans"),
     "alerts and worklist": ("alerts", "alert_events", "worklist_entries", "worklist_alerts", "webhook_deliveries"),
@@ -191,21 +191,15 @@ TABLES: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class StoredKind:
-    """What there is of one kind.
-
-    Attributes:
-        item_bytes, index_bytes: Of rows or files, and of the indexes of the rows.
-        wheelset_year_bytes: What one wheelset keeps of it after a year at its running rate and these days; None where
-            nothing has run.
-    """
+    """What there is of one kind."""
 
     kind: str
     items: int  # rows, or files
-    item_bytes: int
-    index_bytes: int
+    item_bytes: int  # of rows or files
+    index_bytes: int  # of the indexes of the rows
     estimated: bool  # whether items or bytes were sampled or are the database's own estimate
     days: float | None  # how long it is kept; None for ever
-    wheelset_year_bytes: int | None
+    wheelset_year_bytes: int | None  # of one wheelset, at its running rate and these days; None where nothing has run
 
     @property
     def bytes(self) -> int:
@@ -244,7 +238,6 @@ def stored_bytes(
     """Return where the bytes are.
 
     Args:
-        retention: Days by kind.
         hours_per_day: Running of a wheelset to reckon with; None: as in the last days of data.
 
     Raises:

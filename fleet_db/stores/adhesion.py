@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, and_, delete, func, or_, select
+from sqlalchemy import Connection, Row, Select, and_, delete, func, select, tuple_
 
-from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
-from estimation.values.geometry_results import GEOMETRY
-from estimation.values.windows import WindowKey, WindowState
+from estimation.values.adhesion import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
+from estimation.values.runs import SubjectKind
+from estimation.values.windows import WindowKey
+from fleet_db.due import NOT_LOOKED_AT, list_due
 from fleet_db.packed_adhesion import (
     pack_section_adhesion,
     pack_window_adhesion,
     unpack_section_adhesion,
     unpack_window_adhesion,
 )
-from fleet_db.rows import table_of, upsert
-from fleet_db.tables import ResultRow, SectionAdhesionRow, WindowAdhesionRow, WindowRow
+from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
+from fleet_db.rows import replace as replace_row
+from fleet_db.subjects import Subjects
+from fleet_db.tables import SectionAdhesionRow, WindowAdhesionRow, WindowRow
 
 OF_WINDOWS, OF_SECTIONS = table_of(WindowAdhesionRow), table_of(SectionAdhesionRow)
-WINDOWS, RESULTS = table_of(WindowRow), table_of(ResultRow)
+WINDOWS = table_of(WindowRow)
 FORGOTTEN = 1000  # windows at once: the next run goes on
 SAME = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns == WINDOWS.c.start_ns)
 
@@ -31,41 +34,35 @@ class AdhesionStore:
     """Implements ``estimation.storage.Adhesion``."""
 
     connection: Connection
+    subjects: Subjects
 
-    def waiting(self, section: str, after: WindowKey | None, limit: int) -> Sequence[WindowKey]:
-        """Return windows of a section that are estimated and whose creep has not been looked at, by time and wheelset.
+    def looked_at(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, str]:
+        """Return digests of the samples that the creep of windows was found from."""
+        own = tuple_(OF_WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns).in_(keys)
+        rows = self.connection.execute(select(*OF_WINDOWS.primary_key, OF_WINDOWS.c.content_digest).where(own))
+        return {(row.wheelset, row.start_ns): row.content_digest for row in rows}
 
-        Their wheelsets have a geometry, and their samples are there. Each window is returned until what was found of
-        its content is stored.
+    def list_waiting(self, wheelset: str) -> None:
+        """List the estimated windows of a wheelset that have not been looked at."""
+        list_due(self.connection, CREEP, and_(WINDOWS.c.wheelset == wheelset, NOT_LOOKED_AT))
 
-        Args:
-            after: Wheelset and start of the one behind which to go on; None from the beginning.
-            limit: How many at most.
-        """
-        wheelset, start_ns = WINDOWS.c.wheelset, WINDOWS.c.start_ns
-        of_wheelset = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.subject == wheelset)
-        known = select(RESULTS.c.subject).where(*of_wheelset).correlate(WINDOWS).exists()
-        statement = _not_looked_at(section).where(known)
-        if after is not None:
-            statement = statement.where(or_(start_ns > after[1], and_(start_ns == after[1], wheelset > after[0])))
-        rows = self.connection.execute(statement.order_by(start_ns, wheelset).limit(limit))
-        return [(row.wheelset, row.start_ns) for row in rows]
+    def list_pooled(self, section: str, before_ns: int) -> None:
+        """List the windows of a section that begin before a time, and whose sums are kept, to be pooled again."""
+        kept = select(OF_WINDOWS.c.with_sums).where(SAME, OF_WINDOWS.c.with_sums).exists()
+        old = (WINDOWS.c.track_section == section, WINDOWS.c.start_ns < before_ns)
+        list_due(self.connection, FRICTION, and_(*old, kept))
 
-    def unlooked(self, section: str) -> bool:
-        """Return whether there are windows of a section that are estimated and not looked at, geometry or not."""
-        return self.connection.execute(_not_looked_at(section).limit(1)).first() is not None
-
-    def put(self, found: WindowAdhesion) -> None:
-        """Store the creep of a window; an earlier one is replaced."""
-        values = {
-            "wheelset": found.wheelset,
-            "start_ns": found.start_ns,
-            "track_section": found.track_section,
-            "content_digest": found.content_digest,
-            "with_sums": found.sums is not None,
-            "packed": pack_window_adhesion(found),
-        }
-        upsert(self.connection, OF_WINDOWS, values)
+    def put_all(self, found: Sequence[WindowAdhesion]) -> None:
+        """Store the creep of windows; earlier ones are replaced. Their sections pool them then."""
+        rows = [_values(one) for one in found]
+        if insert_all_new(self.connection, OF_WINDOWS, rows) < len(rows):
+            replace_all(self.connection, OF_WINDOWS, rows)
+        keys = [(one.wheelset, one.start_ns) for one in found]
+        if keys:
+            list_due(self.connection, FRICTION, tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys))
+        for one in found:
+            self.subjects.raised(SubjectKind.SECTION, one.track_section, CREEP)
+            self.subjects.raised(SubjectKind.VEHICLE, one.vehicle, CREEP)
 
     def window(self, wheelset: str, start_ns: int) -> WindowAdhesion | None:
         """Return the creep of a window; None where it has not been looked at."""
@@ -108,25 +105,30 @@ class AdhesionStore:
         """
         old = (OF_WINDOWS.c.track_section == section, OF_WINDOWS.c.start_ns < before_ns, OF_WINDOWS.c.with_sums)
         found = self._windows(select(OF_WINDOWS).where(*old).limit(FORGOTTEN))
-        for one in found:
-            self.put(replace(one, sums=None))
+        replace_all(self.connection, OF_WINDOWS, [_values(replace(one, sums=None)) for one in found])
         return len(found)
 
-    def put_section(self, found: SectionAdhesion, code_version: str) -> bool:
+    def put_section(self, found: SectionAdhesion, code_version: str, made_with: str) -> bool:
         """Store the friction of a section; return whether anything changed.
 
         Of the hours that end within these, those that reach back furthest are kept: so every time stays in some.
+
+        Args:
+            made_with: Digest of the limits that it was found with.
         """
         values = {
             "track_section": found.track_section,
             "to_ns": found.to_ns,
             "from_ns": found.from_ns,
             "code_version": code_version,
+            "made_with": made_with,
             "packed": pack_section_adhesion(found),
         }
         key = (OF_SECTIONS.c.track_section == found.track_section, OF_SECTIONS.c.to_ns == found.to_ns)
         before = self.connection.execute(select(OF_SECTIONS).where(*key)).mappings().first()
-        if before is not None and all(before[name] == value for name, value in values.items()):
+        if before is not None and all(before[name] == value for name, value in values.items() if name != "made_with"):
+            if before["made_with"] != made_with:
+                replace_row(self.connection, OF_SECTIONS, values)
             return False
         within = (
             OF_SECTIONS.c.track_section == found.track_section,
@@ -136,6 +138,13 @@ class AdhesionStore:
         first = select(func.min(OF_SECTIONS.c.to_ns)).where(*within).scalar_subquery()
         self.connection.execute(delete(OF_SECTIONS).where(*within, OF_SECTIONS.c.to_ns > first))
         return upsert(self.connection, OF_SECTIONS, values)
+
+    def made_with(self, sections: Sequence[str]) -> Mapping[str, tuple[int, str]]:
+        """Return when the newest hours of some sections end, and digests of the limits that they were found with."""
+        chosen = (OF_SECTIONS.c.track_section.in_(sections),)
+        columns = (OF_SECTIONS.c.track_section, OF_SECTIONS.c.to_ns, OF_SECTIONS.c.made_with)
+        rows = self.connection.execute(select(*columns).where(*chosen).order_by(OF_SECTIONS.c.to_ns))
+        return {row.track_section: (row.to_ns, row.made_with) for row in rows}
 
     def section(self, section: str, at_ns: int | None = None) -> SectionAdhesion | None:
         """Return the newest friction of a section; None where there is none.
@@ -178,12 +187,12 @@ def _standing(statement: Select[Any], section: str) -> Select[Any]:
     )
 
 
-def _not_looked_at(section: str) -> Select[Any]:
-    """Return a statement for the keys of windows of a section whose content has not been looked at."""
-    looked_at = OF_WINDOWS.c.content_digest
-    return (
-        select(WINDOWS.c.wheelset, WINDOWS.c.start_ns)
-        .select_from(WINDOWS.outerjoin(OF_WINDOWS, SAME))
-        .where(WINDOWS.c.track_section == section, WINDOWS.c.state == WindowState.ESTIMATED.value)
-        .where(WINDOWS.c.samples_purged_ns.is_(None), or_(looked_at.is_(None), looked_at != WINDOWS.c.content_digest))
-    )
+def _values(found: WindowAdhesion) -> dict[str, object]:
+    return {
+        "wheelset": found.wheelset,
+        "start_ns": found.start_ns,
+        "track_section": found.track_section,
+        "content_digest": found.content_digest,
+        "with_sums": found.sums is not None,
+        "packed": pack_window_adhesion(found),
+    }

@@ -50,6 +50,10 @@ class AlertStore:
         statement = _open() if wheelset is None else _open().where(ALERTS.c.wheelset == wheelset)
         return self._alerts(statement.order_by(ALERTS.c.alert_id))
 
+    def open_of(self, wheelsets: Collection[str]) -> Sequence[Alert]:
+        """Return the open alerts of some wheelsets, by number."""
+        return self._alerts(_open().where(ALERTS.c.wheelset.in_(wheelsets)).order_by(ALERTS.c.alert_id))
+
     def open_in_fleet(self, fleet: str) -> Sequence[Alert]:
         """Return the open alerts of a fleet and of its wheelsets, by number."""
         return self._alerts(_open().where(ALERTS.c.fleet == fleet).order_by(ALERTS.c.alert_id))
@@ -217,9 +221,9 @@ class AlertStore:
         for row in rows:
             self.connection.execute(insert(EVENTS).values(**row))
         if saved.wheelset is not None:
-            self.changes.show(saved.wheelset)
+            self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.ALERTS)
         if events and saved.kind in RESTARTING and saved.wheelset is not None:
-            self.changes.note(saved.wheelset)  # its geometry starts again from the change
+            # its geometry and trend start again from the change
             self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.RESTARTS)
         return saved
 

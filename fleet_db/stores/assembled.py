@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, and_, delete, exists, func, select, tuple_, union_all
+from sqlalchemy import Connection, and_, case, delete, exists, func, select, tuple_, union_all
 
 from estimation.errors import DamagedError
-from estimation.values.windows import PassedOver, Window, WindowKey, WindowRecord
+from estimation.values.windows import HUNTING_SHARE, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db.changes import Changes
+from fleet_db.due import samples_changed
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.window_marks import list_for_sums, pass_over
@@ -101,15 +102,19 @@ class AssembledWindowStore:
         What that one has stored stays.
         """
         rows = [self._row(each, recorded_ns) for each in windows]
-        return insert_all_new(self.connection, WINDOWS, rows) == len(rows)
+        count = insert_all_new(self.connection, WINDOWS, rows)
+        samples_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
+        return count == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
         """Replace windows without bin tables by what they are now; they wait to be estimated."""
         not_purged = {"judged": False, "samples_purged_ns": None, "passed_over": None}
         rows = [self._row(each, recorded_ns) | not_purged for each in windows]
         if rows:
-            self._touch([(each.window.wheelset, each.window.start_ns) for each in windows])
+            keys = [(each.window.wheelset, each.window.start_ns) for each in windows]
+            self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
+            samples_changed(self.connection, keys)
 
     def forget_positions(self, keys: Sequence[WindowKey]) -> None:
         """Let it be found again where windows were."""
@@ -119,14 +124,18 @@ class AssembledWindowStore:
             self.connection.execute(delete(POSITIONS).where(same))
 
     def _touch(self, keys: Sequence[WindowKey]) -> None:
-        """Let jobs look again at the sections that windows are on as they are stored."""
+        """Let jobs look again at the sections that windows are on as they are stored, and at who hunts in them."""
         same = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys)
-        for section in self.connection.scalars(select(WINDOWS.c.track_section).where(same).distinct()):
+        hunts = WINDOWS.c.hunting_share >= HUNTING_SHARE
+        stored = select(WINDOWS.c.wheelset, WINDOWS.c.track_section, case((hunts, WINDOWS.c.vehicle)))
+        for wheelset, section, hunting_in in self.connection.execute(stored.where(same).distinct()):
             self.changes.on_section(section)
+            self.changes.subjects.windows(wheelset, hunting_in)
 
     def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
         """Return the row of a window whose file is written here."""
-        self.changes.show(each.window.wheelset)
+        hunts = each.window.quality.hunting.sustained
+        self.changes.subjects.windows(each.window.wheelset, each.window.vehicle if hunts else None)
         self.changes.on_section(each.window.track_section)
         return window_values(each.window, each.mileage_km) | {
             "content_digest": each.digest,
@@ -175,6 +184,7 @@ class AssembledWindowStore:
                 same = (table.c.wheelset == record.wheelset, table.c.start_ns == record.start_ns)
                 self.connection.execute(delete(table).where(*same))
             self.changes.note(record.wheelset)
+            self.changes.subjects.windows(record.wheelset, record.vehicle if record.quality.hunting.sustained else None)
             self.changes.on_section(record.track_section)
         return removed
 

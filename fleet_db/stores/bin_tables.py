@@ -62,7 +62,7 @@ class BinTableStore:
                     continue
                 replace(self.connection, TABLES, row)
             changed.append(key)
-            self.changes.note(key[0], shown=False)  # its geometry follows
+            self.changes.note(key[0])  # its geometry follows
             self.changes.on_section(windows[key].track_section)
         list_for_sums(self.connection, changed)
 

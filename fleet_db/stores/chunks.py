@@ -24,9 +24,12 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
+from fleet_db.subjects import Subjects
 from fleet_db.tables import ChunkRow, MountingRow, VehicleRow, WindowRow
 from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, of_length
 
@@ -86,6 +89,7 @@ class ChunkStore:
     """Receipts, in one transaction."""
 
     connection: Connection
+    subjects: Subjects
 
     def get(self, digest: str) -> ChunkRecord | None:
         """Return the receipt of the recording with this digest."""
@@ -94,6 +98,7 @@ class ChunkStore:
 
     def put(self, record: ChunkRecord) -> bool:
         """Store a receipt; False, and nothing changed, if there is one of that digest."""
+        self._note(record)
         return insert_new(self.connection, CHUNKS, _values(record))
 
     def update(self, record: ChunkRecord) -> None:
@@ -102,11 +107,12 @@ class ChunkStore:
         Raises:
             NotFoundError: There is none.
         """
-        result = self.connection.execute(
-            update(CHUNKS).where(CHUNKS.c.digest == record.digest).values(**_values(record))
-        )
-        if result.rowcount == 0:
+        before = self.get(record.digest)
+        if before is None:
             raise NotFoundError("chunk", record.digest)
+        self.connection.execute(update(CHUNKS).where(CHUNKS.c.digest == record.digest).values(**_values(record)))
+        self._note(before)
+        self._note(record)
 
     def overlapping(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
         """Return decoded recordings with frames in ``[from_ns, to_ns)``, by their first frame.
@@ -259,6 +265,11 @@ class ChunkStore:
             .limit(limit)
         )
         return [_record(row) for row in self.connection.execute(statement)]
+
+    def _note(self, record: ChunkRecord) -> None:
+        """Let what rests on the rejected recordings of a vehicle follow one that is among them, or was."""
+        if record.state is ChunkState.REJECTED:
+            self.subjects.raised(SubjectKind.VEHICLE, record.vehicle, Facet.RECORDINGS)
 
 
 @cache

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, and_, delete, select
 
-from estimation.values.dampers import GearDamper, WindowDamper
-from fleet_db.changes import Changes
-from fleet_db.packed_dampers import pack_gear_damper, pack_window_damper, unpack_gear_damper, unpack_window_damper
-from fleet_db.rows import table_of, upsert
-from fleet_db.tables.opinions import GearDamperRow, WindowDamperRow
+from estimation.values.dampers import GEAR, GEAR_DAMPERS, GearDamper, WindowDamper
+from fleet_db.packed_dampers import pack_window_damper, unpack_window_damper
+from fleet_db.rows import insert_all_new, replace_all, table_of
+from fleet_db.stores.results import ResultStore
+from fleet_db.tables.opinions import WindowDamperRow
 from fleet_db.tables.windows import WindowRow
 
-OF_WINDOWS, OF_GEARS, WINDOWS = table_of(WindowDamperRow), table_of(GearDamperRow), table_of(WindowRow)
+OF_WINDOWS, WINDOWS = table_of(WindowDamperRow), table_of(WindowRow)
 SAME = and_(
     WINDOWS.c.wheelset == OF_WINDOWS.c.wheelset,
     WINDOWS.c.start_ns == OF_WINDOWS.c.start_ns,
@@ -27,19 +27,19 @@ class DamperStore:
     """Implements ``estimation.storage.Dampers``."""
 
     connection: Connection
-    changes: Changes
+    results: ResultStore
 
-    def put(self, found: WindowDamper) -> None:
-        """Store what a window says of a damper; what it said before is replaced."""
-        values = {
-            "vehicle": found.vehicle,
-            "first_axle": found.first_axle,
-            "start_ns": found.start_ns,
-            "wheelset": found.wheelset,
-            "content_digest": found.content_digest,
-            "packed": pack_window_damper(found),
-        }
-        upsert(self.connection, OF_WINDOWS, values)
+    def put_all(self, found: Sequence[WindowDamper]) -> None:
+        """Store what windows say of dampers; what they said before is replaced."""
+        rows = [_values(one) for one in found]
+        if insert_all_new(self.connection, OF_WINDOWS, rows) < len(rows):
+            replace_all(self.connection, OF_WINDOWS, rows)
+
+    def gears(self, vehicles: Sequence[str]) -> Sequence[GEAR]:
+        """Return the running gears of some vehicles of which windows say something."""
+        columns = (OF_WINDOWS.c.vehicle, OF_WINDOWS.c.first_axle)
+        rows = self.connection.execute(select(*columns).where(columns[0].in_(vehicles)).distinct().order_by(*columns))
+        return [(row.vehicle, row.first_axle) for row in rows]
 
     def newest(self, vehicle: str, first_axle: int, limit: int) -> Sequence[WindowDamper]:
         """Return what the newest windows of a running gear say, newest first.
@@ -59,35 +59,23 @@ class DamperStore:
         own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
         return self.connection.execute(delete(OF_WINDOWS).where(*own, OF_WINDOWS.c.start_ns < before_ns)).rowcount
 
-    def put_gear(self, found: GearDamper, wheelset: str, code_version: str) -> bool:
-        """Store the damper of a running gear in place of what was known; return whether anything changed.
-
-        Jobs look again at the wheelset then: its alerts rest on it.
-
-        Args:
-            found: From its newest windows.
-        """
-        values = {
-            "vehicle": found.vehicle,
-            "first_axle": found.first_axle,
-            "code_version": code_version,
-            "packed": pack_gear_damper(found),
-        }
-        own = (OF_GEARS.c.vehicle == found.vehicle, OF_GEARS.c.first_axle == found.first_axle)
-        before = self.connection.execute(select(OF_GEARS).where(*own)).mappings().first()
-        if before is not None and all(before[name] == value for name, value in values.items()):
-            return False
-        self.changes.touch(wheelset)
-        return upsert(self.connection, OF_GEARS, values)
-
-    def gear(self, vehicle: str, first_axle: int) -> GearDamper | None:
-        """Return the damper of a running gear; None where it was not looked at, or none begins at that axle."""
-        own = (OF_GEARS.c.vehicle == vehicle, OF_GEARS.c.first_axle == first_axle)
-        packed: bytes | None = self.connection.scalar(select(OF_GEARS.c.packed).where(*own))
-        return None if packed is None else unpack_gear_damper(packed, where=f"damper of {vehicle} axle {first_axle}")
-
     def of_vehicle(self, vehicle: str) -> Sequence[GearDamper]:
         """Return the dampers of a vehicle by axle."""
-        statement = select(OF_GEARS).where(OF_GEARS.c.vehicle == vehicle).order_by(OF_GEARS.c.first_axle)
-        rows = self.connection.execute(statement)
-        return [unpack_gear_damper(row.packed, where=f"damper of {vehicle} axle {row.first_axle}") for row in rows]
+        return self.of_vehicles([vehicle])
+
+    def of_vehicles(self, vehicles: Collection[str]) -> Sequence[GearDamper]:
+        """Return the dampers of some vehicles, by vehicle and axle."""
+        found = self.results.in_force(GEAR_DAMPERS, vehicles)
+        dampers = (one.value for one in found if one.value is not None)
+        return sorted(dampers, key=lambda one: (one.vehicle, one.first_axle))
+
+
+def _values(found: WindowDamper) -> dict[str, object]:
+    return {
+        "vehicle": found.vehicle,
+        "first_axle": found.first_axle,
+        "start_ns": found.start_ns,
+        "wheelset": found.wheelset,
+        "content_digest": found.content_digest,
+        "packed": pack_window_damper(found),
+    }

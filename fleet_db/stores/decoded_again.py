@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from sqlalchemy import Connection
-
 from estimation.errors import ConflictError
 from estimation.failures import after_failure
 from estimation.values.reasons import Reason, ReasonCode
@@ -24,19 +22,19 @@ UNDECODED = (
 """What becomes of a recording that is read with a wrong bus."""
 
 
-def decode_again(connection: Connection, record: ChunkRecord, why: str, now_ns: int) -> None:
+def decode_again(chunks: ChunkStore, record: ChunkRecord, why: str, now_ns: int) -> None:
     """Let a recording be decoded at the next run of the job or ingest."""
     error = ConflictError(why, kind="recording", key=record.digest)
     item = after_failure(None, (SubjectKind.RECORDING, record.digest, STAGE), record.vehicle, error, now_ns)
-    QuarantineStore(connection).put(item)
+    QuarantineStore(chunks.connection).put(item)
     reason = Reason(item.code, item.error)
     again = replace(record, state=ChunkState.STORED, reason=reason, first_ns=None, last_ns=None)
-    ChunkStore(connection).update(again)
+    chunks.update(again)
 
 
-def decode_undecoded(connection: Connection, vehicle: str, why: str, now_ns: int) -> None:
+def decode_undecoded(chunks: ChunkStore, vehicle: str, why: str, now_ns: int) -> None:
     """Let the recordings of a vehicle be decoded again that were rejected, or wait for a time."""
     for state, code in UNDECODED:
-        for record in ChunkStore(connection).page(ChosenChunks(state=state, vehicle=vehicle, code=code), MOST):
+        for record in chunks.page(ChosenChunks(state=state, vehicle=vehicle, code=code), MOST):
             if record.purged_ns is None:
-                decode_again(connection, record, why, now_ns)
+                decode_again(chunks, record, why, now_ns)

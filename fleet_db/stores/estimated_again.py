@@ -124,6 +124,7 @@ class Again:
         of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
         for wheelset, section in self.connection.execute(of):
             self.changes.note(wheelset)
+            self.changes.subjects.windows(wheelset)
             self.changes.on_section(section)
 
 

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, delete, exists, func, insert, select
 from estimation.errors import DamagedError
 from estimation.values.geometry import (
     COMBINATIONS,
+    GEOMETRY,
     BinValues,
     GeometryRecord,
     IntervalConicities,
@@ -19,7 +20,7 @@ from estimation.values.geometry import (
     KnownConicity,
     WheelsetGeometry,
 )
-from estimation.values.geometry_results import GEOMETRY, MOST_INTERVALS, key_of_part, part_of, result_of_geometry
+from estimation.values.geometry_results import MOST_INTERVALS, key_of_part, part_of, result_of_geometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import Result
@@ -56,6 +57,13 @@ class GeometryStore:
         found = self._current(wheelset, as_of_ns)
         return None if found is None else _record(found)
 
+    def current_of(self, wheelsets: Collection[str]) -> Mapping[str, GeometryRecord]:
+        """Return what :meth:`current` does of each of some wheelsets that has one, by serial."""
+        found: dict[str, list[Result[WheelsetGeometry]]] = {}
+        for result in self.results.in_force(GEOMETRY, wheelsets, None, CURRENT):
+            found.setdefault(result.subject, []).append(result)
+        return {wheelset: _record(_newest(results)) for wheelset, results in found.items()}
+
     def version(self, wheelset: str) -> tuple[int, int] | None:
         """Return what changes whenever :meth:`current` does, at less cost: None where there is no geometry.
 
@@ -64,11 +72,16 @@ class GeometryStore:
         number, recorded_ns = self.results.version(GEOMETRY, wheelset, CURRENT)
         return None if number is None or recorded_ns is None else (number, recorded_ns)
 
-    def newest_numbers(self) -> Mapping[str, int]:
+    def having(self, wheelsets: Collection[str]) -> frozenset[str]:
+        """Return which of some wheelsets have a geometry."""
+        return self.results.having(GEOMETRY, wheelsets, CURRENT)
+
+    def newest_numbers(self, wheelsets: Collection[str]) -> Mapping[str, int]:
         """Return by wheelset what changes whenever a geometry of it is another: the number of the one put last."""
         of_wheelset = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.subject == WHEELSETS.c.serial)
         last = select(func.max(RESULTS.c.result_id)).where(*of_wheelset, RESULTS.c.superseded_ns.is_(None))
-        rows = self.connection.execute(select(WHEELSETS.c.serial, last.scalar_subquery()))
+        chosen = select(WHEELSETS.c.serial, last.scalar_subquery()).where(WHEELSETS.c.serial.in_(wheelsets))
+        rows = self.connection.execute(chosen)
         return {serial: number for serial, number in rows if number is not None}
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
@@ -126,8 +139,7 @@ class GeometryStore:
 
     def _current(self, wheelset: str, as_of_ns: int | None = None) -> Result[WheelsetGeometry] | None:
         found = self.results.in_force(GEOMETRY, [wheelset], as_of_ns, CURRENT)
-        with_windows = [result for result in found if _head(result)["windows"]]
-        return next(reversed(with_windows or found), None)
+        return _newest(found) if found else None
 
     def estimable(self, wheelsets: Collection[str]) -> frozenset[str]:
         """Return those of some wheelsets that have a bin table or a geometry."""
@@ -149,6 +161,11 @@ class GeometryStore:
         found = self._current(wheelset)
         if found is not None and found.value is not None and found.number != self._shown(wheelset):
             _replace_bins(self.connection, wheelset, found.number, found.value)
+
+
+def _newest(results: Sequence[Result[WheelsetGeometry]]) -> Result[WheelsetGeometry]:
+    """Return the current geometry of the newest baseline with windows, or else of the newest one."""
+    return ([result for result in results if _head(result)["windows"]] or results)[-1]
 
 
 def _intervals(baseline: int, first: int | None = None, last: int | None = None) -> Parts:

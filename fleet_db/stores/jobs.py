@@ -10,8 +10,8 @@ from sqlalchemy import ColumnElement, Connection, Row, insert, or_, select, upda
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
-from fleet_db import locks
 from fleet_db.rows import table_of
+from fleet_db.stores.work_claims import LEASES, WorkClaimStore, living
 from fleet_db.tables import JobRunRow
 
 RUNS = table_of(JobRunRow)
@@ -23,7 +23,7 @@ class JobRunStore:
     """Implements ``estimation.storage.JobRuns``."""
 
     connection: Connection
-    owner: int | None = None  # token of the process that starts runs here
+    owner: int | None = None  # lease of the process that starts runs here
 
     def start(self, job: str, trigger: JobTrigger, started_ns: int) -> JobRun:
         """Record that a run has begun; a process runs one job at a time, so that what it ran before has ended."""
@@ -63,9 +63,9 @@ class JobRunStore:
             )
 
     def abandon_running(self, finished_ns: int) -> int:
-        """Mark every run as abandoned whose process is gone; return how many. Forget those processes."""
-        alive = locks.remove_dead(self.connection)
-        return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(alive)))
+        """Mark every run as abandoned whose process is gone; return how many."""
+        WorkClaimStore(self.connection).end_outdated()
+        return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id))))
 
     def _abandon(self, finished_ns: int, which: ColumnElement[bool]) -> int:
         statement = update(RUNS).where(RUNS.c.outcome == JobOutcome.RUNNING.value, which)
@@ -95,7 +95,7 @@ class JobRunStore:
 
     def _runs(self, rows: Sequence[Row[Any]]) -> list[JobRun]:
         tokens = {row.owner for row in rows if row.owner is not None and row.outcome == JobOutcome.RUNNING.value}
-        return [_run(row, tokens - locks.living(self.connection, tokens)) for row in rows]
+        return [_run(row, tokens - living(self.connection, tokens)) for row in rows]
 
 
 def _run(row: Row[Any], gone: Collection[int]) -> JobRun:

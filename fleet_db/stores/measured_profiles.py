@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, func, select
@@ -22,11 +22,11 @@ def measured_profiles_of(connection: Connection, wheelset: str) -> Sequence[Meas
     return [_to_measured(row) for row in connection.execute(statement)]
 
 
-def newest_measurement_of(connection: Connection, wheelset: str) -> tuple[int, float] | None:
-    """Return time (ns UTC) and mileage (km) of the newest measurement of a wheelset; None where there is none."""
-    statement = select(MEASURED.c.at_ns, MEASURED.c.mileage_km).where(MEASURED.c.wheelset == wheelset)
-    row = connection.execute(statement.order_by(MEASURED.c.at_ns.desc()).limit(1)).one_or_none()
-    return None if row is None else (int(row.at_ns), float(row.mileage_km))
+def newest_measurement_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, tuple[int, float]]:
+    """Return time (ns UTC) and mileage (km) of the newest measurement of each wheelset that has one, by serial."""
+    statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
+    statement = statement.where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
+    return {wheelset: (int(at_ns), float(mileage)) for wheelset, at_ns, mileage in connection.execute(statement)}
 
 
 def newest_measurements(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import Connection, func, select, update
@@ -103,7 +103,7 @@ class PlausibilityStore:
         replace_all(self.connection, WINDOWS, rows)
         if marks:
             self.windows.mark_all(marks)
-            self.windows.changes.show(wheelset)  # its mileage is another now
+            self.windows.changes.subjects.windows(wheelset)
         return len(marks)
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:
@@ -117,10 +117,11 @@ class PlausibilityStore:
         )
         return {ReasonCode(code): int(count) for code, count in self.connection.execute(statement)}
 
-    def rejected(self) -> Mapping[str, Mapping[str, int]]:
-        """Return how many recordings are rejected, by vehicle and by reason code."""
+    def rejected(self, vehicles: Collection[str]) -> Mapping[str, Mapping[str, int]]:
+        """Return how many recordings of some vehicles are rejected, by vehicle and by reason code."""
         columns = (CHUNKS.c.vehicle, CHUNKS.c.reason_code)
-        statement = select(*columns, func.count()).where(CHUNKS.c.state == ChunkState.REJECTED.value)
+        chosen = (CHUNKS.c.state == ChunkState.REJECTED.value, CHUNKS.c.vehicle.in_(vehicles))
+        statement = select(*columns, func.count()).where(*chosen)
         found: dict[str, dict[str, int]] = {}
         for vehicle, code, count in self.connection.execute(statement.group_by(*columns).order_by(*columns)):
             found.setdefault(vehicle, {})[code] = int(count)

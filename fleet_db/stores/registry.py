@@ -17,6 +17,7 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of, upsert
+from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
 from fleet_db.stores.measured_profiles import (
@@ -162,6 +163,12 @@ class RegistryStore:
             mountings.setdefault(row.wheelset, []).append(to_mounting(row))
         return mountings
 
+    def mounted_on(self, vehicles: Collection[str]) -> Sequence[Mounting]:
+        """Return the mountings on some vehicles that last, by vehicle and axle."""
+        statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle.in_(vehicles), MOUNTINGS.c.to_ns.is_(None))
+        rows = self.connection.execute(statement.order_by(MOUNTINGS.c.vehicle, MOUNTINGS.c.axle, MOUNTINGS.c.wheelset))
+        return [to_mounting(row) for row in rows]
+
     def measured_wheelsets(self) -> frozenset[str]:
         """Return the serials of the wheelsets whose profiles were measured."""
         return frozenset(self.connection.scalars(select(MEASURED.c.wheelset).distinct()))
@@ -174,9 +181,9 @@ class RegistryStore:
         """
         return measured_profiles_of(self.connection, wheelset)
 
-    def newest_measurement(self, wheelset: str) -> tuple[int, float] | None:
-        """Return time (ns UTC) and mileage (km) of the newest measurement of the profiles of a wheelset, or None."""
-        return newest_measurement_of(self.connection, wheelset)
+    def newest_measurement_of(self, wheelsets: Collection[str]) -> Mapping[str, tuple[int, float]]:
+        """Return time (ns UTC) and mileage (km) of the newest measurement of the profiles of wheelsets, by serial."""
+        return newest_measurement_of(self.connection, wheelsets)
 
     def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
         """Return the newest version of a class, or the one given; of the package where none is registered."""
@@ -243,9 +250,8 @@ class RegistryStore:
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
         if was is None or was.vehicle_class == record.vehicle_class:
             return NOTHING_AGAIN
-        decode_undecoded(
-            self.connection, record.code, f"vehicle {record.code} is of another class now", recorded_ns or 0
-        )
+        chunks = ChunkStore(self.connection, self.changes.subjects)
+        decode_undecoded(chunks, record.code, f"vehicle {record.code} is of another class now", recorded_ns or 0)
         before, after = self.vehicle_class(was.vehicle_class), self.vehicle_class(record.vehicle_class)
         return Again(self.connection, self.changes, recorded_ns).class_changed([record.code], before, after)
 

@@ -9,8 +9,6 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, RowMapping, Subquery, and_, func, insert, null, select
 
 from estimation.values.json_value import JsonValue
-from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from fleet_db.changes import Changes
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import table_of
@@ -98,7 +96,7 @@ class RegistryHistoryStore:
             for vehicle in self.connection.scalars(of_class).all():
                 self.changes.refile_vehicle(vehicle)
         elif key.kind is RecordKind.SECTION:
-            self.changes.subjects.raised(SubjectKind.SECTION, key.subject, Facet.REGISTRY)
+            self.changes.subjects.section_on_file(key.subject)
         else:
             self.changes.refile(key.subject)
         if key.kind is RecordKind.MOUNTING:  # the wheelsets beside it have another beside them

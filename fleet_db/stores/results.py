@@ -29,6 +29,8 @@ NEWEST_FIRST = (RESULTS.c.recorded_ns.desc(), RESULTS.c.result_id.desc())
 SAME_INPUTS = ("part", "made_from", "numerics", "parameters")
 SHOWN = ("part", "status", "reason_code", "head", "value")
 """Another one of these is another result for whoever reads it; else only its provenance is."""
+SAID = ("reason_code", "head", "value")
+"""A first result without any of these is no news."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,21 +43,25 @@ class ResultStore:
     def in_force(
         self,
         kind: ResultKind[V],
-        subjects: Collection[str],
+        subjects: Collection[str] | None = None,
         as_of_ns: int | None = None,
         parts: Parts | None = None,
     ) -> Sequence[Result[V]]:
         """Return the newest result of each part of some subjects, as it was recorded at ``as_of_ns``.
 
-        By subject and part, in their order.
+        By subject and part, in their order; where of all parts one counts, newest first.
 
         Args:
+            subjects: None is all that have one.
             parts: First and last; None is all.
         """
-        statement = _chosen(kind, subjects, as_of_ns, parts).order_by(RESULTS.c.subject, RESULTS.c.part)
+        order = NEWEST_FIRST if kind.one_in_force else (RESULTS.c.subject, RESULTS.c.part)
+        statement = _chosen(kind, subjects, as_of_ns, parts).order_by(*order)
         return [_result(kind, row) for row in self.connection.execute(statement)]
 
-    def heads(self, kind: ResultKind[V], subjects: Collection[str], parts: Parts | None = None) -> Sequence[Result[V]]:
+    def heads(
+        self, kind: ResultKind[V], subjects: Collection[str] | None, parts: Parts | None = None
+    ) -> Sequence[Result[V]]:
         """Return what :meth:`in_force` does now, without the values."""
         statement = _chosen(kind, subjects, None, parts).with_only_columns(*WITHOUT_VALUE)
         rows = self.connection.execute(statement.order_by(RESULTS.c.subject, RESULTS.c.part))
@@ -84,6 +90,12 @@ class ResultStore:
         found = _chosen(kind, subjects, None, parts).with_only_columns(RESULTS.c.subject)
         return frozenset(self.connection.scalars(found))
 
+    def made_from(self, kind: ResultKind[Any]) -> Mapping[str, tuple[str, str]]:
+        """Return by subject what the results in force are made from, and by which version of the numerics."""
+        columns = (RESULTS.c.subject, RESULTS.c.made_from, RESULTS.c.numerics)
+        statement = select(*columns).where(RESULTS.c.stage == kind.stage, RESULTS.c.superseded_ns.is_(None))
+        return {row.subject: (row.made_from, row.numerics) for row in self.connection.execute(statement)}
+
     def put_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Sequence[AnyResult]:
         """Put results in force; return those that are not made from what the ones before were made from.
 
@@ -107,12 +119,10 @@ class ResultStore:
         else:
             self._replace([(values, was) for _, values, was in news])
         for result, values, was in news:
-            if was is None or any(getattr(was, name) != values[name] for name in SHOWN):
+            if any(getattr(was, name, None) != values[name] for name in SHOWN if was is not None or name in SAID):
                 self.changes.subjects.raised(kind.subject, result.subject, kind.stage)
             if (None if was is None else was.head) != values["head"]:
                 self.changes.subjects.raised(kind.subject, result.subject, kind.head_facet)
-            if kind.subject == "wheelset" and kind.history is History.APPENDED:  # the worklist shows no others
-                self.changes.show(result.subject)
         return [result for result, _, _ in news]
 
     def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None:
@@ -159,26 +169,29 @@ def _key(kind: ResultKind[Any], result: AnyResult) -> tuple[str, str]:
     return result.subject, "" if kind.one_in_force else result.part
 
 
-def _in_force(kind: ResultKind[Any], subjects: Collection[str]) -> Select[Any]:
-    chosen = (RESULTS.c.stage == kind.stage, RESULTS.c.subject.in_(sorted(subjects)))
-    return select(RESULTS).where(*chosen, RESULTS.c.superseded_ns.is_(None))
+def _in_force(kind: ResultKind[Any], subjects: Collection[str] | None) -> Select[Any]:
+    found = select(RESULTS).where(RESULTS.c.stage == kind.stage, RESULTS.c.superseded_ns.is_(None))
+    return found if subjects is None else found.where(RESULTS.c.subject.in_(sorted(subjects)))
 
 
-def _chosen(kind: ResultKind[Any], subjects: Collection[str], as_of_ns: int | None, parts: Parts | None) -> Select[Any]:
+def _chosen(
+    kind: ResultKind[Any], subjects: Collection[str] | None, as_of_ns: int | None, parts: Parts | None
+) -> Select[Any]:
     if as_of_ns is not None:
         return _as_of(kind, subjects, as_of_ns, parts)
     statement = _in_force(kind, subjects)
     return statement if parts is None else statement.where(RESULTS.c.part.between(*parts))
 
 
-def _as_of(kind: ResultKind[Any], subjects: Collection[str], as_of_ns: int, parts: Parts | None) -> Select[Any]:
+def _as_of(kind: ResultKind[Any], subjects: Collection[str] | None, as_of_ns: int, parts: Parts | None) -> Select[Any]:
     """Return the statement of what was in force: of each part the last that was recorded until then."""
     now, then = RESULTS.alias("now"), RESULTS.alias("then")
     same = (then.c[name] == now.c[name] for name in ("stage", "subject", "part"))
     earlier = select(then.c.result_id).where(*same, then.c.superseded_ns.is_not(None), then.c.recorded_ns <= as_of_ns)
     earlier = earlier.order_by(then.c.recorded_ns.desc(), then.c.result_id.desc()).limit(1).correlate(now)
     number = case((now.c.recorded_ns <= as_of_ns, now.c.result_id), else_=earlier.scalar_subquery())
-    chosen = [now.c.stage == kind.stage, now.c.subject.in_(sorted(subjects)), now.c.superseded_ns.is_(None)]
+    chosen = [now.c.stage == kind.stage, now.c.superseded_ns.is_(None)]
+    chosen += [] if subjects is None else [now.c.subject.in_(sorted(subjects))]
     chosen += [] if parts is None else [now.c.part.between(*parts)]
     return select(RESULTS).where(RESULTS.c.result_id.in_(select(number).where(*chosen)))
 

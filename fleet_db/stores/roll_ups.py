@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import Connection, Row, delete, func, insert, select, update
@@ -52,8 +52,7 @@ class RollUpStore:
         where = f"roll-up {number}"
         plain = unpack_bin_table(row.plain, where=where)
         if row.forgetting is None:
-            none = {name: 0.0 * getattr(plain, name) for name in ("weight", "lateral", "yaw")}
-            return plain, replace(plain, samples=0, windows=0, **none)
+            return plain, plain.without_samples
         return plain, unpack_bin_table(row.forgetting, where=where)
 
     def earlier(self, wheelset: str, digest: str) -> BinTable | None:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, delete, select
+from sqlalchemy import Connection, delete, func, select
 
 from estimation.errors import ConflictError, ParameterError
+from estimation.values.quantities import utc_text
 from estimation.values.registry import SensorChange, SensorWork
-from estimation.values.utc_text import utc_text
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.rows import table_of, upsert
-from fleet_db.stores.mountings import mounting_at
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.tables import SensorChangeRow
 
@@ -34,10 +33,11 @@ class SensorChangeStore:
         statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle).order_by(CHANGES.c.at_ns)
         return [sensor_change_of(row) for row in self.connection.execute(statement).mappings()]
 
-    def at_axle(self, vehicle: str, axle: int) -> Sequence[int]:
-        """Return when something was done to the sensors of an axle, ns UTC, oldest first."""
-        chosen = (CHANGES.c.vehicle == vehicle, CHANGES.c.axle == axle)
-        return list(self.connection.scalars(select(CHANGES.c.at_ns).where(*chosen).order_by(CHANGES.c.at_ns)))
+    def newest(self, vehicles: Collection[str]) -> Mapping[tuple[str, int], int]:
+        """Return by vehicle and axle when something was done last to the sensors, ns UTC."""
+        axle = (CHANGES.c.vehicle, CHANGES.c.axle)
+        statement = select(*axle, func.max(CHANGES.c.at_ns)).where(CHANGES.c.vehicle.in_(vehicles)).group_by(*axle)
+        return {(vehicle, axle): at_ns for vehicle, axle, at_ns in self.connection.execute(statement)}
 
     def add(self, record: SensorChange, axles: int, decision: Decision) -> bool:
         """Add a record, or change the one of the same vehicle, axle and time; return whether anything changed.
@@ -59,27 +59,17 @@ class SensorChangeStore:
             return False
         key = RecordKey(RecordKind.SENSOR_CHANGE, record.vehicle, record.at_ns)
         RegistryHistoryStore(self.connection, self.changes).note_change(key, was, values, decision)
-        self._note(record)
         return True
 
     def remove(self, vehicle: str, at_ns: int) -> None:
         """Remove the record of a vehicle and time, if there is one."""
-        found = self.stored(vehicle, at_ns)
-        if found is not None:
-            self.connection.execute(delete(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns))
-            self._note(sensor_change_of(found))
+        self.connection.execute(delete(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns))
 
     def stored(self, vehicle: str, at_ns: int) -> dict[str, Any] | None:
         """Return the row of a vehicle and time; None where there is none."""
         statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns)
         row = self.connection.execute(statement).mappings().first()
         return None if row is None else dict(row)
-
-    def _note(self, record: SensorChange) -> None:
-        """Let what is known of the wheelset at the axle follow."""
-        mounted = mounting_at(self.connection, record.vehicle, record.axle, record.at_ns)
-        if mounted is not None:
-            self.changes.note(mounted.wheelset)
 
 
 def sensor_change_of(values: Mapping[Any, Any]) -> SensorChange:

@@ -1,4 +1,4 @@
-"""Wear signatures of windows, and what is concluded from them."""
+"""Wear signatures of windows."""
 
 from __future__ import annotations
 
@@ -6,24 +6,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, and_, delete, func, or_, select, tuple_
+from sqlalchemy import Connection, Row, and_, delete, func, select, tuple_
 
 from estimation.errors import DamagedError
-from estimation.values.reasons import ReasonCode
-from estimation.values.signatures import KnownSignatures, SignatureRecord, StoredSignatures, WindowSignatures
-from estimation.values.windows import WindowKey, WindowState
-from fleet_db.packed_signatures import pack_answer, pack_signatures, unpack_answer, unpack_signatures
-from fleet_db.rows import reason_columns, stored_reason, table_of, upsert
-from fleet_db.tables import SignatureAnswerRow, WearSignatureRow, WindowRow
+from estimation.values.runs import SubjectKind
+from estimation.values.signatures import OF_OTHERS, KnownSignatures, MadeOf, StoredSignatures, WindowSignatures
+from estimation.values.signatures import SIGNATURES as STAGE
+from estimation.values.windows import WindowKey
+from fleet_db.due import list_due, samples_changed
+from fleet_db.packed_signatures import pack_signatures, unpack_signatures
+from fleet_db.rows import insert_all_new, reason_columns, replace_all, stored_reason, table_of
+from fleet_db.subjects import Subjects
+from fleet_db.tables import WearSignatureRow, WindowRow
 
-SIGNATURES, ANSWERS, WINDOWS = table_of(WearSignatureRow), table_of(SignatureAnswerRow), table_of(WindowRow)
+SIGNATURES, WINDOWS = table_of(WearSignatureRow), table_of(WindowRow)
 SAME = and_(SIGNATURES.c.wheelset == WINDOWS.c.wheelset, SIGNATURES.c.start_ns == WINDOWS.c.start_ns)
 SPEED_BAND = 5  # m/s
 NEWEST = 24  # windows of a wheelset on a section in a band of speed that the library may use
-OF_OTHERS = (
-    ReasonCode.FRAME_UNKNOWN.value,
-    ReasonCode.MOUNTING_DIFFERS.value,
-)  # what other windows or the registry lack
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,76 +30,39 @@ class SignatureStore:
     """Implements ``estimation.storage.Signatures``."""
 
     connection: Connection
+    subjects: Subjects
 
-    def missing(self, wheelsets: Sequence[str], limit: int, after: WindowKey | None = None) -> Sequence[WindowKey]:
-        """Return windows with samples that have no signatures, or have those of other samples, by wheelset and start.
-
-        A window that lacked the other axle of its bogie is one of them once it has been estimated.
-
-        Args:
-            wheelsets: Serials, a few hundred at most.
-            after: Key behind which they are.
-        """
-        key = (WINDOWS.c.wheelset, WINDOWS.c.start_ns)
-        other = SIGNATURES.c.window_digest != WINDOWS.c.content_digest
-        possible = and_(SIGNATURES.c.reason_code.in_(OF_OTHERS), WINDOWS.c.state == WindowState.ESTIMATED.value)
-        statement = select(*key).select_from(WINDOWS.outerjoin(SIGNATURES, SAME))
-        statement = statement.where(
-            WINDOWS.c.wheelset.in_(wheelsets),
-            WINDOWS.c.samples_purged_ns.is_(None),
-            or_(SIGNATURES.c.window_digest.is_(None), other, possible),
-        )
-        if after is not None:
-            statement = statement.where(tuple_(*key) > tuple_(*after))
-        rows = self.connection.execute(statement.order_by(*key).limit(limit))
-        return [(row.wheelset, row.start_ns) for row in rows]
+    def made_of(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, MadeOf]:
+        """Return what the signatures of windows are made from, of those that have been looked at."""
+        names = ("wheelset", "start_ns", "window_digest", "assumed", "reason_code")
+        own = tuple_(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns).in_(keys)
+        rows = self.connection.execute(select(*(SIGNATURES.c[name] for name in names)).where(own))
+        others = {code.value for code in OF_OTHERS}
+        return {
+            (row.wheelset, row.start_ns): MadeOf(row.window_digest, row.assumed, row.reason_code in others)
+            for row in rows
+        }
 
     def put_all(self, found: Sequence[WindowSignatures]) -> None:
         """Store what became of windows, in the place of what was stored of them."""
+        rows = [_values(one) for one in found]
+        if insert_all_new(self.connection, SIGNATURES, rows) < len(rows):
+            replace_all(self.connection, SIGNATURES, rows)
         for one in found:
-            first = one.signatures[0] if one.signatures else None
-            place = None if first is None else first.place
-            values = {
-                "wheelset": one.wheelset,
-                "start_ns": one.start_ns,
-                "vehicle": one.vehicle,
-                "section": None if place is None else place.section,
-                "speed_band_m_s": None if first is None else SPEED_BAND * int(first.speed // SPEED_BAND),
-                "window_digest": one.window_digest,
-                "assumed": one.assumed,
-                "places": len(one.signatures),
-                "packed": pack_signatures(one.signatures),
-                **reason_columns(one.reason),
-            }
-            upsert(self.connection, SIGNATURES, values)
+            self.subjects.raised(SubjectKind.WHEELSET, one.wheelset, STAGE)
 
-    def assumptions(self, wheelsets: Sequence[str]) -> Sequence[tuple[str, str, str]]:
-        """Return vehicle, wheelset and digest of what was assumed, of all that is stored with samples to make it of.
+    def vehicles(self, wheelsets: Sequence[str]) -> Sequence[tuple[str, str]]:
+        """Return wheelset and vehicle of the windows with samples of some wheelsets."""
+        columns = (WINDOWS.c.wheelset, WINDOWS.c.vehicle)
+        chosen = (WINDOWS.c.wheelset.in_(wheelsets), WINDOWS.c.samples_purged_ns.is_(None))
+        rows = self.connection.execute(select(*columns).where(*chosen).distinct().order_by(*columns))
+        return [(row.wheelset, row.vehicle) for row in rows]
 
-        Args:
-            wheelsets: Serials, a few hundred at most.
-        """
-        columns = (SIGNATURES.c.vehicle, SIGNATURES.c.wheelset, SIGNATURES.c.assumed)
-        statement = select(*columns).select_from(SIGNATURES.join(WINDOWS, SAME))
-        statement = (
-            statement.where(SIGNATURES.c.wheelset.in_(wheelsets), WINDOWS.c.samples_purged_ns.is_(None))
-            .distinct()
-            .order_by(*columns)
-        )
-        return [(row.vehicle, row.wheelset, row.assumed) for row in self.connection.execute(statement)]
-
-    def forget(self, vehicle: str, wheelset: str, assumed: str) -> int:
-        """Remove signatures that were made with other assumptions and can be made again; return how many."""
-        with_samples = select(WINDOWS.c.start_ns).where(
-            WINDOWS.c.wheelset == wheelset, WINDOWS.c.samples_purged_ns.is_(None)
-        )
-        same = (
-            SIGNATURES.c.vehicle == vehicle,
-            SIGNATURES.c.wheelset == wheelset,
-            SIGNATURES.c.assumed == assumed,
-            SIGNATURES.c.start_ns.in_(with_samples),
-        )
-        return int(self.connection.execute(delete(SIGNATURES).where(*same)).rowcount)
+    def list_other(self, wheelset: str, vehicle: str, assumed: str) -> None:
+        """List the windows of a wheelset on a vehicle whose signatures were not made with these assumptions."""
+        made = select(SIGNATURES.c.places).where(SAME, SIGNATURES.c.assumed == assumed)
+        own = (WINDOWS.c.wheelset == wheelset, WINDOWS.c.vehicle == vehicle, WINDOWS.c.samples_purged_ns.is_(None))
+        list_due(self.connection, STAGE, and_(*own, ~made.exists()))
 
     def known(self) -> StoredSignatures:
         """Return signatures of windows as they are stored by now, whose mileage is believed; by key.
@@ -133,34 +95,27 @@ class SignatureStore:
 
     def drop(self, keys: Sequence[WindowKey]) -> None:
         """Remove what is stored of windows, so that it is made again where their samples are there."""
-        for wheelset, start_ns in keys:
-            own = (SIGNATURES.c.wheelset == wheelset, SIGNATURES.c.start_ns == start_ns)
-            self.connection.execute(delete(SIGNATURES).where(*own))
+        if keys:
+            own = tuple_(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns).in_(keys)
+            self.connection.execute(delete(SIGNATURES).where(own))
+            samples_changed(self.connection, keys)
 
-    def counts(self) -> Mapping[str, int]:
-        """Return how many windows have signatures, and how many have none, by code of the reason; empty for none."""
-        statement = select(SIGNATURES.c.reason_code, func.count()).group_by(SIGNATURES.c.reason_code)
-        return {code or "": count for code, count in self.connection.execute(statement)}
 
-    def put_answer(self, record: SignatureRecord) -> None:
-        """Store the answer about a wheelset, in the place of an earlier one."""
-        values = {
-            "wheelset": record.wheelset,
-            "input_digest": record.input_digest,
-            "code_version": record.code_version,
-            "packed": pack_answer(record),
-        }
-        upsert(self.connection, ANSWERS, values)
-
-    def answer(self, wheelset: str) -> SignatureRecord | None:
-        """Return the newest answer about a wheelset; None where there is none."""
-        packed: bytes | None = self.connection.scalar(select(ANSWERS.c.packed).where(ANSWERS.c.wheelset == wheelset))
-        return None if packed is None else unpack_answer(packed, wheelset)
-
-    def answered(self) -> Mapping[str, tuple[str, str]]:
-        """Return by wheelset what its newest answer was made from, and by which version of the code."""
-        columns = (ANSWERS.c.wheelset, ANSWERS.c.input_digest, ANSWERS.c.code_version)
-        return {row.wheelset: (row.input_digest, row.code_version) for row in self.connection.execute(select(*columns))}
+def _values(one: WindowSignatures) -> dict[str, object]:
+    first = one.signatures[0] if one.signatures else None
+    place = None if first is None else first.place
+    return {
+        "wheelset": one.wheelset,
+        "start_ns": one.start_ns,
+        "vehicle": one.vehicle,
+        "section": None if place is None else place.section,
+        "speed_band_m_s": None if first is None else SPEED_BAND * int(first.speed // SPEED_BAND),
+        "window_digest": one.window_digest,
+        "assumed": one.assumed,
+        "places": len(one.signatures),
+        "packed": pack_signatures(one.signatures),
+        **reason_columns(one.reason),
+    }
 
 
 def _of_window(row: Row[Any]) -> WindowSignatures:

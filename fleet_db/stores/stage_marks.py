@@ -122,7 +122,9 @@ def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> 
         statement = statement.where(VERSIONS.c.kind == inputs.kind.value)
         if subjects is not None:
             statement = statement.where(VERSIONS.c.subject.in_(subjects))
-    changed = or_(MARKS.c.seen.is_(None), MARKS.c.seen != SUM, MARKS.c.common != inputs.common, come)
+    changed: ColumnElement[bool] = MARKS.c.common != inputs.common
+    if not inputs.inline:
+        changed = or_(MARKS.c.seen.is_(None), MARKS.c.seen != SUM, MARKS.c.common != inputs.common, come)
     if inputs.together:
         return statement.group_by(*marked).having(changed)
     return statement.group_by(VERSIONS.c.subject, *marked).having(changed).order_by(VERSIONS.c.subject)

@@ -9,8 +9,11 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, delete, func, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
 from estimation.values.trend import SuspensionFinding
 from fleet_db.rows import table_of, upsert
+from fleet_db.subjects import Subjects
 from fleet_db.tables.track import SuspensionFindingRow
 
 FINDINGS = table_of(SuspensionFindingRow)
@@ -21,6 +24,7 @@ class SuspensionStore:
     """Implements ``estimation.storage.Suspensions``."""
 
     connection: Connection
+    subjects: Subjects
 
     def put(self, finding: SuspensionFinding, epoch: int | None = None) -> None:
         """Store a finding of an epoch; one of the same vehicle, section and time is replaced."""
@@ -37,6 +41,7 @@ class SuspensionStore:
             "recorded_ns": finding.recorded_ns,
         }
         upsert(self.connection, FINDINGS, values)
+        self.subjects.raised(SubjectKind.VEHICLE, finding.vehicle, Facet.STIFFNESS)
 
     def forget(self, section: str, epoch: int, *, behind: bool) -> None:
         """Remove what an epoch of a section has shown, before it is stored again.
@@ -45,7 +50,9 @@ class SuspensionStore:
             behind: What the epochs behind it have shown goes too.
         """
         chosen = FINDINGS.c.epoch >= epoch if behind else FINDINGS.c.epoch == epoch
-        self.connection.execute(delete(FINDINGS).where(FINDINGS.c.section == section, chosen))
+        gone = delete(FINDINGS).where(FINDINGS.c.section == section, chosen).returning(FINDINGS.c.vehicle)
+        for vehicle in self.connection.scalars(gone):
+            self.subjects.raised(SubjectKind.VEHICLE, vehicle, Facet.STIFFNESS)
 
     def list(self, vehicle: str | None = None) -> Sequence[SuspensionFinding]:
         """Return the findings of a vehicle, or of all, in order of vehicle, time and section."""

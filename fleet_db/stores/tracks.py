@@ -315,7 +315,10 @@ class TrackStore:
         """
         serialise(self.connection, Subject.TRACKS)
         self.section(layout.section)
-        return store_layout(self.connection, layout)
+        before, version = self.layout_version(layout.section), store_layout(self.connection, layout)
+        if version != before:
+            self.changes.subjects.section_on_file(layout.section)
+        return version
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:
         return [TrackSectionRecord(*row) for row in self.connection.execute(statement)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from estimation.values.results import Result
@@ -25,6 +26,11 @@ class TrendStore:
         """Return what changes whenever the newest trend or the current geometry does; None for none."""
         return *self.results.version(TREND, wheelset), *(self.geometries.version(wheelset) or (None, None))
 
+    def of(self, wheelsets: Collection[str]) -> Mapping[str, TrendRecord]:
+        """Return the newest trend of each of some wheelsets that has one, by serial."""
+        newest_first = self.results.in_force(TREND, wheelsets)
+        return {result.subject: _record(result) for result in reversed(newest_first)}
+
     def latest(self, wheelset: str, as_of_ns: int | None = None) -> TrendRecord | None:
         """Return the newest trend, as it was recorded at ``as_of_ns``: that of the baseline in force then."""
         found = self.results.latest(TREND, wheelset, as_of_ns)
@@ -40,9 +46,9 @@ def result_of_trend(record: TrendRecord) -> Result[WearTrend]:
         numerics=record.code_version,
         recorded_ns=record.recorded_ns,
         value=record.trend,
-        head=None if record.trend.step is None else [record.trend.step.before_ns, record.trend.step.after_ns],
         status=record.trend.status,
         reason=record.trend.reason,
+        head=record.trend.head,
         parameters=record.parameters,
     )
 

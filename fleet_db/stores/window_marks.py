@@ -24,7 +24,7 @@ from sqlalchemy import (
 from estimation.errors import NotFoundError
 from estimation.values.windows import DueStage, PassedOver, WindowKey, WindowMark, WindowState
 from fleet_db.changes import Changes
-from fleet_db.due import list_due
+from fleet_db.due import estimated, list_due
 from fleet_db.rows import reason_columns, replace_all, table_of
 from fleet_db.tables import WindowBinTableRow, WindowRow
 
@@ -69,11 +69,11 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
             if mark.state is WindowState.REFUSED:
                 gone.append(mark.key)
             if before.state != mark.state.value:
-                refused = WindowState.REFUSED.value in {before.state, mark.state.value}  # else the newest usable stays
-                changes.note(mark.wheelset, shown=refused)
-            elif mark.state is WindowState.REFUSED:
-                changes.show(mark.wheelset)  # another reason
+                changes.note(mark.wheelset)
+            if WindowState.REFUSED.value in {before.state, mark.state.value}:  # else the newest usable one stays
+                changes.subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)
+    estimated(connection, [mark.key for mark in held if mark.state is WindowState.ESTIMATED])
     remove_tables(connection, changes, gone)
     return held
 
@@ -88,7 +88,7 @@ def remove_tables(connection: Connection, changes: Changes, keys: Sequence[Windo
         if tabled:
             connection.execute(delete(TABLES).where(keys_given(TABLES)), {"keys": tabled})
         for wheelset, _ in tabled:
-            changes.note(wheelset, shown=False)
+            changes.note(wheelset)
 
 
 def list_for_sums(connection: Connection, keys: Sequence[WindowKey]) -> None:

@@ -39,6 +39,7 @@ from estimation.values.windows import (
     WindowState,
 )
 from fleet_db.changes import Changes
+from fleet_db.due import samples_changed
 from fleet_db.rows import (
     insert_new,
     key_given,
@@ -52,12 +53,12 @@ from fleet_db.rows import (
     table_of,
 )
 from fleet_db.stores.window_marks import BATCH, keys_given, list_for_sums, mark_all, pass_over, remove_tables
-from fleet_db.tables import WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.tables import MountingRow, WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.tables.windows import PENDING
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
-POSITIONS = table_of(WindowPositionRow)
+POSITIONS, MOUNTINGS = table_of(WindowPositionRow), table_of(MountingRow)
 PLACED = exists().where(
     POSITIONS.c.wheelset == WINDOWS.c.wheelset,
     POSITIONS.c.start_ns == WINDOWS.c.start_ns,
@@ -66,8 +67,9 @@ PLACED = exists().where(
 PURGED = ("samples_purged_ns", "table_purged_ns")
 NOT_PASSED_OVER = or_(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.passed_over.is_(None))
 SAME = and_(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.start_ns == bindparam("start_ns"))
+OF_STORED = ("content_digest", "sample_bytes", "mileage_km", "track_section", "hunting_share", *PURGED)
 STORED = (
-    select(*(WINDOWS.c[name] for name in ("content_digest", "sample_bytes", "mileage_km", "track_section", *PURGED)))
+    select(*(WINDOWS.c[name] for name in OF_STORED))
     .select_from(WHEELSETS.outerjoin(WINDOWS, SAME))
     .where(WHEELSETS.c.serial == bindparam("wheelset"))
 )
@@ -124,12 +126,16 @@ class WindowStore:
             "samples_purged_ns": None,
             "passed_over": None,
         }
-        self.changes.show(window.wheelset)
+        hunts = max(window.quality.hunting.share, found.hunting_share or 0.0) >= HUNTING_SHARE
+        self.changes.subjects.windows(window.wheelset, window.vehicle if hunts else None)
         self.changes.on_section(window.track_section)
         if found.content_digest is None:
-            # another transaction may have stored it since the look-up
-            return insert_new(self.connection, WINDOWS, values) or self.put(window, mileage_km, recorded_ns)
+            if not insert_new(self.connection, WINDOWS, values):  # another transaction has stored it meanwhile
+                return self.put(window, mileage_km, recorded_ns)
+            samples_changed(self.connection, [(window.wheelset, window.start_ns)])
+            return True
         replace(self.connection, WINDOWS, values)
+        samples_changed(self.connection, [(window.wheelset, window.start_ns)])
         self.changes.on_section(found.track_section)
         remove_tables(self.connection, self.changes, [(window.wheelset, window.start_ns)])
         return True
@@ -222,6 +228,7 @@ class WindowStore:
         ).one()
         same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
         self.changes.on_section(standing.track_section)
+        samples_changed(self.connection, [(wheelset, start_ns)])
         if standing.state == WindowState.ESTIMATED.value:
             damaged = POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value
             self.connection.execute(delete(POSITIONS).where(*same, damaged))
@@ -325,6 +332,17 @@ class WindowStore:
         )
         return frozenset(self.connection.scalars(statement))
 
+    def in_service(self, wheelsets: Collection[str], count: int) -> Mapping[str, Sequence[WindowRecord]]:
+        """Return by serial the newest windows of wheelsets since they were mounted where they are, oldest first.
+
+        Args:
+            count: At most so many of each.
+        """
+        found: dict[str, builtins.list[WindowRecord]] = {}
+        for record in self._records(_in_service(wheelsets, count)):
+            found.setdefault(record.wheelset, []).append(record)
+        return found
+
     def page(self, wheelset: str, after_start_ns: int | None, limit: int) -> Sequence[WindowRecord]:
         """Return at most ``limit`` windows of a wheelset that start after ``after_start_ns``, oldest first."""
         statement = select(WINDOWS).where(WINDOWS.c.wheelset == wheelset)
@@ -372,6 +390,7 @@ class WindowStore:
         replace(self.connection, WINDOWS, values)
         list_for_sums(self.connection, [(window.wheelset, window.start_ns)])
         self.changes.note(window.wheelset)
+        self.changes.subjects.windows(window.wheelset)
         self.changes.on_section(found.track_section)
         return True
 
@@ -388,6 +407,18 @@ def _digest(connection: Connection, wheelset: str, start_ns: int) -> Row[Any, An
 
 def _purged(wheelset: str, start_ns: int) -> PurgedError:
     return PurgedError(f"the samples of window {wheelset}@{start_ns} have been purged")
+
+
+def _in_service(wheelsets: Collection[str], count: int) -> Select[Any]:
+    """Return the statement for the newest windows of mountings that last: of each by one range of the index."""
+    newest = WINDOWS.alias("newest")
+    own = (newest.c.wheelset == MOUNTINGS.c.wheelset, newest.c.start_ns >= MOUNTINGS.c.from_ns)
+    last = select(newest.c.start_ns).where(*own).order_by(newest.c.start_ns.desc()).limit(1).offset(count - 1)
+    from_ns = func.coalesce(last.correlate(MOUNTINGS).scalar_subquery(), MOUNTINGS.c.from_ns).label("from_ns")
+    chosen = (MOUNTINGS.c.wheelset.in_(wheelsets), MOUNTINGS.c.to_ns.is_(None))
+    begins = select(MOUNTINGS.c.wheelset, from_ns).where(*chosen).cte("begins").prefix_with("MATERIALIZED")
+    behind = and_(WINDOWS.c.wheelset == begins.c.wheelset, WINDOWS.c.start_ns >= begins.c.from_ns)
+    return select(WINDOWS).join(begins, behind).order_by(*WINDOWS.primary_key)
 
 
 @cache

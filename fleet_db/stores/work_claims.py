@@ -7,7 +7,7 @@ with SQLite. Whoever stores results locks the row of the lease first; so nobody 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import (
@@ -20,6 +20,7 @@ from sqlalchemy import (
     func,
     insert,
     literal,
+    not_,
     or_,
     select,
     tuple_,
@@ -27,13 +28,15 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.errors import LeaseLostError
+from estimation.errors import AlreadyRunningError, LeaseLostError
 from estimation.values.runs import Claimed
-from fleet_db.locks import UnendedLease, living
+from fleet_db.locks import UnendedLease
 from fleet_db.rows import table_of
 from fleet_db.tables import WorkClaimRow, WorkLeaseRow
 
 LEASES, CLAIMS = table_of(WorkLeaseRow), table_of(WorkClaimRow)
+PLACE = "schedule", ("scheduler",)
+"""Stage and key of the claim of the one scheduler."""
 KEPT_NS = 86_400_000_000_000
 """So long it counts that a worker has ended at a thing."""
 
@@ -44,20 +47,35 @@ class WorkClaimStore:
 
     connection: Connection
 
-    def lease(self, holder: str, length_ns: int, owner: int | None = None) -> int:
+    def lease(self, holder: str, length_ns: int, owner: int | None = None, unit: str | None = None) -> int:
         """Begin a lease and return its number; those that have ended are removed, what was claimed is free again.
-
-        A lease has ended at its time, or when its owner is gone. One that ends further ahead than its own length was
-        given before the clock was set back: it has ended, too.
 
         Args:
             length_ns: How long it lasts from now, ns.
-            owner: Token of the process that runs the job; None where the worker goes on without it.
+            owner: Lease of the process that runs the job, with which this one ends; None where it does not.
+            unit: Number of a unit of work. It was begun before where a worker is gone: that lease ends.
+
+        Raises:
+            LeaseLostError: That of the owner has ended.
         """
-        self._end_outdated()
-        self._end_of_the_dead(owner)
-        values = {"holder": holder, "owner": owner, "length_ns": length_ns, "until_ns": self._now() + length_ns}
+        self.end_outdated()
+        if owner is not None:
+            self.check(owner, holder)
+        if unit is not None:
+            self.connection.execute(delete(LEASES).where(LEASES.c.unit == unit))
+        until = _now(self.connection) + length_ns
+        values = {"holder": holder, "owner": owner, "unit": unit, "length_ns": length_ns, "until_ns": until}
         return int(self.connection.execute(insert(LEASES).values(values).returning(LEASES.c.lease_id)).scalar_one())
+
+    def take_place(self, lease: int) -> None:
+        """Claim the place of the one scheduler of this database.
+
+        Raises:
+            AlreadyRunningError: Another process holds it; names the holder.
+        """
+        if not self.take(lease, *PLACE, alone=True).keys:
+            held = select(LEASES.c.holder).join(CLAIMS, CLAIMS.c.lease_id == LEASES.c.lease_id)
+            raise AlreadyRunningError(self.connection.scalar(held.where(CLAIMS.c.stage == PLACE[0])) or "just ended")
 
     def take(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool = False) -> Claimed:
         """Claim what is free.
@@ -80,7 +98,7 @@ class WorkClaimStore:
 
     def prolong(self, lease: int) -> bool:
         """Let a lease last its length from now; return whether it is still there."""
-        until = self._now() + LEASES.c.length_ns
+        until = _now(self.connection) + LEASES.c.length_ns
         return (
             self.connection.execute(update(LEASES).where(LEASES.c.lease_id == lease).values(until_ns=until)).rowcount
             > 0
@@ -102,12 +120,20 @@ class WorkClaimStore:
         Raises:
             LeaseLostError: It has ended.
         """
-        if self.connection.execute(_locked(lease)).first() is None:
+        if self.connection.dialect.name == "sqlite":
+            there = self.prolong(lease)  # a process that writes without a pause leaves no gap for its other thread
+        else:
+            there = self.connection.execute(_locked(lease)).first() is not None
+        if not there:
             raise LeaseLostError(holder)
 
     def holds(self, lease: int) -> bool:
         """Return whether a lease is still there."""
         return self.connection.scalar(select(LEASES.c.lease_id).where(LEASES.c.lease_id == lease)) is not None
+
+    def has_holder(self, holder: str) -> bool:
+        """Return whether anybody of this name holds a lease."""
+        return self.connection.scalar(select(LEASES.c.lease_id).where(LEASES.c.holder == holder)) is not None
 
     def end(self, lease: int) -> None:
         """End a lease in order, if it is still there: what was claimed under it is forgotten."""
@@ -130,37 +156,24 @@ class WorkClaimStore:
         self.connection.execute(delete(CLAIMS).where(*own, CLAIMS.c.attempts == 1))
         self.connection.execute(update(CLAIMS).where(*own).values(attempts=CLAIMS.c.attempts - 1))
 
-    def end_of(self, holder: str, *, forgiven: bool) -> None:
-        """End the leases of a worker that is known to be gone: what it had claimed is free at once.
-
-        Args:
-            forgiven: Whether it ended for reasons of its own, which do not count against what it had claimed.
-        """
+    def forgive(self, holder: str) -> None:
+        """End the leases of a worker that was ended for no reason of its work: that does not count against it."""
         of_holder = select(LEASES.c.lease_id).where(LEASES.c.holder == holder)
-        if forgiven:
-            self.connection.execute(delete(CLAIMS).where(CLAIMS.c.lease_id.in_(of_holder)))
+        self.connection.execute(delete(CLAIMS).where(CLAIMS.c.lease_id.in_(of_holder)))
         self.connection.execute(delete(LEASES).where(LEASES.c.holder == holder))
 
-    def _end_outdated(self) -> None:
-        now = self._now()
-        outdated = or_(LEASES.c.until_ns < now, LEASES.c.until_ns > now + 2 * LEASES.c.length_ns)
+    def end_outdated(self) -> None:
+        """Remove the leases that have ended, with those of the processes that they owned."""
         # one that is being committed under is skipped
-        found = select(LEASES.c.lease_id).where(outdated).with_for_update(skip_locked=True)
+        found = select(LEASES.c.lease_id).where(_outdated(self.connection)).with_for_update(skip_locked=True)
         ended = self.connection.execute(delete(LEASES).where(LEASES.c.lease_id.in_(found))).rowcount
         if ended:
-            forgotten = (CLAIMS.c.lease_id.is_(None), CLAIMS.c.begun_ns < now - KEPT_NS)
+            forgotten = (CLAIMS.c.lease_id.is_(None), CLAIMS.c.begun_ns < _now(self.connection) - KEPT_NS)
             self.connection.execute(delete(CLAIMS).where(*forgotten))
-
-    def _end_of_the_dead(self, owner: int | None) -> None:
-        found = select(LEASES.c.owner).where(LEASES.c.owner.is_not(None), LEASES.c.owner != (owner or 0)).distinct()
-        others = {token for token in self.connection.scalars(found) if token is not None}
-        dead = others - living(self.connection, others)
-        if dead:
-            self.connection.execute(delete(LEASES).where(LEASES.c.owner.in_(dead)))
 
     def _insert(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool) -> dict[str, int]:
         """Insert claims, in one order in all transactions; return when each was begun that is ours now."""
-        now = self._now()
+        now = _now(self.connection)
         values = [
             {"stage": stage, "key": key, "lease_id": lease, "attempts": 1, "begun_ns": now}
             for key in dict.fromkeys(keys)
@@ -175,10 +188,26 @@ class WorkClaimStore:
         rows = self.connection.execute(claimed.returning(CLAIMS.c.key, CLAIMS.c.begun_ns))
         return {row.key: row.begun_ns for row in rows}
 
-    def _now(self) -> ColumnElement[int]:
-        if self.connection.dialect.name == "sqlite":
-            return literal(time.time_ns(), BigInteger)
-        return cast(func.extract("epoch", func.clock_timestamp()) * 1_000_000_000, BigInteger)
+
+def living(connection: Connection, leases: Collection[int]) -> frozenset[int]:
+    """Return which of these leases last."""
+    chosen = select(LEASES.c.lease_id).where(LEASES.c.lease_id.in_(leases), not_(_outdated(connection)))
+    return frozenset(connection.scalars(chosen)) if leases else frozenset()
+
+
+def _outdated(connection: Connection) -> ColumnElement[bool]:
+    """Return the condition that a lease has ended by its time.
+
+    One that ends further ahead than its own length was given before the clock was set back: it has ended, too.
+    """
+    now = _now(connection)
+    return or_(LEASES.c.until_ns < now, LEASES.c.until_ns > now + 2 * LEASES.c.length_ns)
+
+
+def _now(connection: Connection) -> ColumnElement[int]:
+    if connection.dialect.name == "sqlite":
+        return literal(time.time_ns(), BigInteger)
+    return cast(func.extract("epoch", func.clock_timestamp()) * 1_000_000_000, BigInteger)
 
 
 def _locked(lease: int, *, ending: bool = False) -> Select[tuple[int]]:

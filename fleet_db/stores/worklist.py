@@ -20,13 +20,15 @@ from estimation.failures import code_of_error, first_line
 from estimation.values.alerts import Severity
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
+from estimation.values.subjects import EVERYTHING
 from estimation.values.worklist import Urgency, WorklistRow
-from estimation.worklist.row import WorklistInputs, distance_key, urgency_key, worklist_row
-from fleet_db.changes import Changes
+from estimation.worklist.row import FORM, STAGE, WorklistInputs, distance_key, urgency_key, worklist_row
 from fleet_db.rows import insert_new, replace_all, table_of
+from fleet_db.stores.stage_marks import MARKS
 from fleet_db.stores.worklist_inputs import WorklistReader, not_voided
+from fleet_db.subjects import Subjects
 from fleet_db.tables import WheelsetRow, WorklistAlertRow, WorklistEntryRow
-from fleet_db.worklist_documents import FORM, to_document
+from fleet_db.worklist_documents import to_document
 
 ENTRIES, KINDS, WHEELSETS = table_of(WorklistEntryRow), table_of(WorklistAlertRow), table_of(WheelsetRow)
 AT_ONCE = 500
@@ -90,7 +92,7 @@ class WorklistStore:
     """Rows of the worklist, in one transaction."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
     reader: WorklistReader
 
     def page(
@@ -109,7 +111,7 @@ class WorklistStore:
             after: Place of the last row of the page before.
             limit: How many rows at most.
         """
-        base = _chosen(select(ENTRIES.c.wheelset, ENTRIES.c.form, ENTRIES.c.document), chosen)
+        base = _chosen(select(ENTRIES.c.wheelset, ENTRIES.c.document), chosen)
         key = KEYS.get(order)
         if key is None:
             return self._entries(_behind(base, None, after, descending=descending).limit(limit))
@@ -133,7 +135,7 @@ class WorklistStore:
         Raises:
             NotFoundError: There is none of that serial.
         """
-        statement = select(ENTRIES.c.wheelset, ENTRIES.c.form, ENTRIES.c.document).where(ENTRIES.c.wheelset == serial)
+        statement = select(ENTRIES.c.wheelset, ENTRIES.c.document).where(ENTRIES.c.wheelset == serial)
         found = self._entries(statement)
         if not found:
             raise NotFoundError("wheelset", serial)
@@ -153,36 +155,32 @@ class WorklistStore:
                 self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_(gone)))
                 self.connection.execute(delete(ENTRIES).where(ENTRIES.c.wheelset.in_(gone)))
 
-    def outdated(self) -> Sequence[str]:
-        """Return the wheelsets whose row has another form, or that have none, by serial."""
-        current = exists().where(ENTRIES.c.wheelset == WHEELSETS.c.serial, ENTRIES.c.form == FORM)
-        serials = list(self.connection.scalars(select(WHEELSETS.c.serial).where(~current)))
-        return [serial for part in _parts(serials) for serial in not_voided(self.connection, part)]
-
-    def renew(self, serials: Sequence[str]) -> None:
-        """Let the rows of wheelsets be made again when this transaction ends."""
-        for serial in serials:
-            self.changes.show(serial)
+    def refresh_all(self) -> None:
+        """Make all rows again when this transaction ends."""
+        for serial in self.connection.scalars(select(WHEELSETS.c.serial)):
+            self.subjects.show(serial)
 
     def _locked(self, serials: Sequence[str]) -> list[str]:
         """Return those of the wheelsets that are not voided, their rows locked; a row that is missing is added."""
         kept = not_voided(self.connection, serials)
         locking = select(ENTRIES.c.wheelset).where(ENTRIES.c.wheelset.in_(serials)).order_by(ENTRIES.c.wheelset)
         found = set(self.connection.scalars(locking.with_for_update()))
-        for serial in kept:
-            if serial not in found:
-                insert_new(self.connection, ENTRIES, {**_EMPTY, "wheelset": serial})
+        missing = [serial for serial in kept if serial not in found]
+        for serial in missing:
+            insert_new(self.connection, ENTRIES, {**_EMPTY, "wheelset": serial})
+        if missing:  # the first rows are of this form
+            insert_new(self.connection, MARKS, _OF_FORM)
         return kept
 
     def _store(self, rows: Sequence[WorklistRow]) -> None:
         """Store rows whose entries are there, with the kinds of their alerts, where they are others now."""
-        found = select(ENTRIES.c.wheelset, ENTRIES.c.document, ENTRIES.c.form)
         serials = [row.wheelset.serial for row in rows]
-        before = {one.wheelset: one for one in self.connection.execute(found.where(ENTRIES.c.wheelset.in_(serials)))}
+        stored = select(ENTRIES.c.wheelset, ENTRIES.c.document).where(ENTRIES.c.wheelset.in_(serials))
+        before = {one.wheelset: one.document for one in self.connection.execute(stored)}
         changed, kinds = [], []
         for row in rows:
-            values, was = _values(row), before[row.wheelset.serial]
-            if (was.document, was.form) != (values["document"], FORM):
+            values = _values(row)
+            if before[row.wheelset.serial] != values["document"]:
                 changed.append(values)
                 alerts = dict.fromkeys(one.kind for one in row.state.alerts)
                 kinds += [{"kind": kind, "wheelset": row.wheelset.serial} for kind in alerts]
@@ -193,13 +191,8 @@ class WorklistStore:
             self.connection.execute(insert(KINDS), kinds)
 
     def _entries(self, statement: Select[Any]) -> list[WorklistEntry]:
-        """Return the rows; those of another form as they would be made now, where they stand."""
         rows = self.connection.execute(statement).all()
-        old = [row.wheelset for row in rows if row.form != FORM]
-        made = {one.wheelset.serial: to_document(_row(one)) for one in (self.reader.read(old) if old else ())}
-        return [
-            WorklistEntry(made.get(row.wheelset, row.document), WorklistPlace(_key(row), row.wheelset)) for row in rows
-        ]
+        return [WorklistEntry(row.document, WorklistPlace(_key(row), row.wheelset)) for row in rows]
 
 
 _EMPTY = {
@@ -207,9 +200,10 @@ _EMPTY = {
     "status": Status.UNESTIMATED.value,
     "urgency": Urgency.UNKNOWN.value,
     "urgency_key": 0.0,
-    "form": 0,
     "document": "",
 }
+
+_OF_FORM = {"stage": STAGE, "subject": EVERYTHING, "seen": 0, "common": str(FORM), "made_from": "", "again_ns": None}
 
 
 def _row(inputs: WorklistInputs) -> WorklistRow:
@@ -274,7 +268,6 @@ def _values(row: WorklistRow) -> dict[str, Any]:
         "trend_key": state.slope_per_1000_km.value,
         "mileage_key": None if state.mileage is None else state.mileage.mileage_km,
         "last_data_ns": state.last_data_ns,
-        "form": FORM,
         "document": to_document(row),
     }
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, select
 
@@ -11,23 +12,22 @@ from estimation.errors import DamagedError
 from estimation.failures import code_of_error, first_line
 from estimation.values.alerts import Condition, Severity
 from estimation.values.geometry import GeometryRecord
-from estimation.values.geometry_results import GEOMETRY
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.trend import TREND, TrendRecord
 from estimation.values.windows import WindowState
 from estimation.values.worklist import MileageNow, OpenAlert
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
-from fleet_db.stores.geometries import CURRENT, GeometryStore
+from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
 from fleet_db.stores.window_reasons import refused_by_code
 from fleet_db.tables import AlertRow, WheelsetRow, WindowRow
 
+Stored = TypeVar("Stored")
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)
 
 
@@ -49,30 +49,31 @@ class WorklistReader:
             serials: Some hundreds at most.
         """
         alerts, windows = self._alerts(serials), self._windows(serials)
-        results = self.trends.results
-        with_geometry, with_trend = results.having(GEOMETRY, serials, CURRENT), results.having(TREND, serials)
-        found = []
-        for record in self.registry.wheelsets_of(serials):
+        geometries, trends = _readable(self.geometries.current_of, serials), _readable(self.trends.of, serials)
+        found, records = [], self.registry.wheelsets_of(serials)
+        vehicles = {record.mounting.vehicle for record in records if record.mounting is not None}
+        self.vehicles.update(self.registry.vehicles_of(vehicles - self.vehicles.keys()))
+        for record in records:
             serial, mounting = record.serial, record.mounting
-            vehicle = None if mounting is None else self._vehicle(mounting.vehicle)
+            vehicle = None if mounting is None else self.vehicles[mounting.vehicle]
             last_ns, mileage = windows[serial]
             if mileage is None and mounting is not None:
                 mileage = MileageNow(mounting.wheelset_mileage_km, mounting.from_ns)
-            current, latest, failure = self._results(
-                serial, geometry=serial in with_geometry, trend=serial in with_trend
-            )
+            current, trend = geometries.get(serial), trends.get(serial)
+            failure = next((one for one in (current, trend) if isinstance(one, Reason)), None)
+            geometry = None if failure is not None or isinstance(current, Reason) else current
             found.append(
                 WorklistInputs(
                     wheelset=record,
                     vehicle=vehicle,
                     vehicle_class=None if vehicle is None else self._class(vehicle.vehicle_class),
-                    geometry=current,
-                    trend=latest,
+                    geometry=geometry,
+                    trend=None if failure is not None or isinstance(trend, Reason) else trend,
                     last_window_ns=last_ns,
                     mileage=mileage,
                     alerts=alerts.get(serial, ()),
                     failure=failure,
-                    refused=self._refused(record, current),
+                    refused=self._refused(record, geometry),
                 )
             )
         return found
@@ -84,21 +85,6 @@ class WorklistReader:
             return {}
         since_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
         return refused_by_code(self.connection, wheelset.serial, since_ns)
-
-    def _results(
-        self, serial: str, *, geometry: bool, trend: bool
-    ) -> tuple[GeometryRecord | None, TrendRecord | None, Reason | None]:
-        """Return current geometry and latest trend, where there are any, or why they cannot be read."""
-        try:
-            current = self.geometries.current(serial) if geometry else None
-            return current, self.trends.latest(serial) if trend else None, None
-        except DamagedError as error:
-            return None, None, Reason(code_of_error(error), first_line(error))
-
-    def _vehicle(self, code: str) -> VehicleRecord:
-        if code not in self.vehicles:
-            self.vehicles[code] = self.registry.vehicle(code)
-        return self.vehicles[code]
 
     def _class(self, code: str) -> VehicleClass | None:
         """Return a class; None where it is not on file or damaged, which stops nobody from storing."""
@@ -147,6 +133,18 @@ class WorklistReader:
             )
             for row in self.connection.execute(statement)
         }
+
+
+def _readable(
+    read: Callable[[Sequence[str]], Mapping[str, Stored]], serials: Sequence[str]
+) -> Mapping[str, Stored | Reason]:
+    """Return what is stored of wheelsets, by serial; where it cannot be read, why."""
+    try:
+        return dict(read(serials))
+    except DamagedError as error:
+        if len(serials) == 1:
+            return {serials[0]: Reason(code_of_error(error), first_line(error))}
+        return {serial: record for one in serials for serial, record in _readable(read, [one]).items()}
 
 
 def _newest(column: Column[int] | Column[float], chosen: ColumnElement[bool]) -> ScalarSelect[float]:

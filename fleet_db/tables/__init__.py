@@ -12,9 +12,7 @@ from fleet_db.tables.alerts import (
 )
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
-    JobOwnerRow,
     JobRunRow,
-    LookRow,
     SectionChangeRow,
     SectionLookRow,
     StageMarkRow,
@@ -24,10 +22,8 @@ from fleet_db.tables.jobs import (
     WorkLeaseRow,
 )
 from fleet_db.tables.opinions import (
-    GearDamperRow,
     RailCellRow,
     SectionAdhesionRow,
-    SignatureAnswerRow,
     WearSignatureRow,
     WindowAdhesionRow,
     WindowDamperRow,
@@ -50,7 +46,6 @@ from fleet_db.tables.registry import (
     SensorChangeRow,
     VehicleClassRow,
     VehicleRow,
-    WheelsetChangeRow,
     WheelsetRow,
 )
 from fleet_db.tables.results import ResultRow, WorklistAlertRow, WorklistEntryRow
@@ -85,11 +80,8 @@ __all__ = [
     "ChunkRow",
     "FeedBranchRow",
     "FleetRow",
-    "GearDamperRow",
     "IdempotencyRow",
-    "JobOwnerRow",
     "JobRunRow",
-    "LookRow",
     "MeasuredProfilesRow",
     "MountingRow",
     "PurgeRow",
@@ -108,7 +100,6 @@ __all__ = [
     "SectionChangeRow",
     "SectionLookRow",
     "SensorChangeRow",
-    "SignatureAnswerRow",
     "StageMarkRow",
     "StaleSpanRow",
     "StoredSettingRow",
@@ -130,7 +121,6 @@ __all__ = [
     "WebhookRow",
     "WebhookSecretRow",
     "WheelsetBinRow",
-    "WheelsetChangeRow",
     "WheelsetRow",
     "WindowAdhesionRow",
     "WindowBinTableRow",

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, String, text
+from sqlalchemy import CheckConstraint, ForeignKey, Index, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.values.runs import JobOutcome, JobTrigger
+from estimation.values.runs import JobOutcome
 from fleet_db.tables.base import Base, Count, Digest, Json, Name, Nanoseconds, Serial, one_of
 
 
 class JobRunRow(Base):
-    """One run; ``finished_ns`` is null until its end is recorded. ``owner`` is the token of its process."""
+    """One run; ``finished_ns`` is null until its end is recorded. ``owner`` is the lease of its process."""
 
     __tablename__ = "job_runs"
     __table_args__ = (
@@ -31,39 +31,11 @@ class JobRunRow(Base):
     owner: Mapped[Count | None]
 
 
-ONE_SCHEDULER = text("kind = 'schedule'")
-
-
-class JobOwnerRow(Base):
-    """A process that runs jobs, from its start to its end or until it is found dead; at most one scheduler.
-
-    ``token`` is never used twice. While the process lives it holds a lock with this number.
-    """
-
-    __tablename__ = "job_owners"
-    __table_args__ = (
-        one_of("kind", JobTrigger),
-        Index(
-            "ix_job_owners_one_scheduler",
-            "kind",
-            unique=True,
-            sqlite_where=ONE_SCHEDULER,
-            postgresql_where=ONE_SCHEDULER,
-        ),
-        {"sqlite_autoincrement": True},
-    )
-
-    token: Mapped[Serial]
-    kind: Mapped[str] = mapped_column(String(16))
-    holder: Mapped[Name]
-    since_ns: Mapped[Nanoseconds]
-
-
 class WorkLeaseRow(Base):
-    """Leave to work on some things until a time by the clock of the database, prolonged as long as the worker lives.
+    """Leave to work until a time by the clock of the database, prolonged as long as the process lives.
 
-    ``lease_id`` is never used twice: whoever has lost one stores nothing under it. ``owner`` is the token of the
-    process that runs the job, where the lease ends with it.
+    ``lease_id`` is never used twice: whoever has lost one stores nothing under it. ``owner`` is the lease of the
+    process that runs the job, where this one ends with it; ``unit`` the number of the unit of work.
     """
 
     __tablename__ = "work_leases"
@@ -75,7 +47,8 @@ class WorkLeaseRow(Base):
 
     lease_id: Mapped[Serial]
     holder: Mapped[Name]
-    owner: Mapped[Count | None]
+    owner: Mapped[Count | None] = mapped_column(ForeignKey("work_leases.lease_id", ondelete="CASCADE"))
+    unit: Mapped[str | None] = mapped_column(String(32))
     length_ns: Mapped[Nanoseconds]
     until_ns: Mapped[Nanoseconds]
 
@@ -94,18 +67,6 @@ class WorkClaimRow(Base):
     lease_id: Mapped[Count | None] = mapped_column(ForeignKey("work_leases.lease_id", ondelete="SET NULL"))
     attempts: Mapped[Count]
     begun_ns: Mapped[Nanoseconds]
-
-
-class LookRow(Base):
-    """Everything that a job's last look at a wheelset was made from, as one digest, and when time alone changes it."""
-
-    __tablename__ = "looks"
-
-    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    inputs: Mapped[Digest]
-    until_ns: Mapped[Nanoseconds | None]
-    number: Mapped[Count | None]
 
 
 class SubjectVersionRow(Base):

@@ -54,6 +54,7 @@ class SectionAdhesionRow(Base):
     to_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
     from_ns: Mapped[Nanoseconds]
     code_version: Mapped[Name]
+    made_with: Mapped[Digest]
     packed: Mapped[Packed]
 
 
@@ -68,18 +69,6 @@ class WindowDamperRow(Base):
     start_ns: Mapped[Nanoseconds] = mapped_column(primary_key=True)
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"))
     content_digest: Mapped[Digest]
-    packed: Mapped[Packed]
-
-
-class GearDamperRow(Base):
-    """The damper of a running gear from its newest windows; ``packed`` holds all of it."""
-
-    __tablename__ = "gear_dampers"
-    __table_args__ = (CheckConstraint("first_axle > 0", name="first_axle_positive"),)
-
-    vehicle: Mapped[str] = mapped_column(ForeignKey("vehicles.code"), primary_key=True)
-    first_axle: Mapped[int] = mapped_column(primary_key=True)
-    code_version: Mapped[Name]
     packed: Mapped[Packed]
 
 
@@ -99,15 +88,4 @@ class WearSignatureRow(Base):
     places: Mapped[Count]
     reason: Mapped[Name]
     reason_code: Mapped[ReasonCodeColumn | None]
-    packed: Mapped[Packed]
-
-
-class SignatureAnswerRow(Base):
-    """The newest answer about a wheelset; ``packed`` holds all of it."""
-
-    __tablename__ = "signature_answers"
-
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    input_digest: Mapped[Digest]
-    code_version: Mapped[Name]
     packed: Mapped[Packed]

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.registry import SensorWork
 from fleet_db.registry_events import RecordAction, RecordKind
-from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
+from fleet_db.tables.base import Base, Code, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 
 class WheelsetRow(Base):
@@ -22,15 +22,6 @@ class WheelsetRow(Base):
     fleet: Mapped[str] = mapped_column(ForeignKey("fleets.code"), index=True)
     wheel_profile: Mapped[Name]
     nominal_radius_m: Mapped[Real]
-
-
-class WheelsetChangeRow(Base):
-    """How often something has happened to the windows, results, alerts or registration of a wheelset."""
-
-    __tablename__ = "wheelset_changes"
-
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    touched: Mapped[Count]
 
 
 class ReprofilingRow(Base):

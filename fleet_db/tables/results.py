@@ -11,7 +11,6 @@ from estimation.values.worklist import Urgency
 from fleet_db.tables.base import (
     Base,
     Code,
-    Count,
     Digest,
     Json,
     Name,
@@ -80,10 +79,7 @@ SORT_KEYS = ("urgency_key", "distance_key", "conicity_key", "trend_key", "mileag
 
 
 class WorklistEntryRow(Base):
-    """One wheelset that is not voided. ``document`` is the whole row as JSON, made in the ``form`` of its release.
-
-    A form of 0 is a row of a database that was migrated: its document is empty until the first evaluation of alerts.
-    """
+    """One wheelset that is not voided. ``document`` is the whole row as JSON."""
 
     __tablename__ = "worklist_entries"
     __table_args__ = (
@@ -113,7 +109,6 @@ class WorklistEntryRow(Base):
     trend_key: Mapped[Real | None]
     mileage_key: Mapped[Real | None]
     last_data_ns: Mapped[Nanoseconds | None]
-    form: Mapped[Count]
     document: Mapped[Name]
 
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray, frozen_array
-from ingest.align.cycles import SyncClock, place_frames, sync_clock_of
-from ingest.align.stamp_order import UNPLACED
+from ingest.align.cycles import UNPLACED, SyncClock, place_frames, sync_clock_of
 from ingest.canopen import SYNC_ID, SYNC_PERIOD, TIME_ID, vehicle_time_ns
 from ingest.catalogue import ACCELERATION, EMERGENCY, HEARTBEAT, Catalogue, MessagePlan
 from ingest.codec import Decoded, FrameCounts, RawArray, decode
@@ -130,7 +129,6 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
 
     Args:
         decoded, batch: The batch, in the order of time, and what it contains.
-        interval_ns: Sampling interval, ns.
     """
     syncs = decoded.messages.get(SYNC_ID)
     times = time_frames(decoded, batch)
@@ -182,9 +180,6 @@ def _jumps(times: TimeFrames) -> int:
 
 def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
     """Check that the SYNCs of a time-ordered recording come at the sampling rate.
-
-    Args:
-        interval_ns: Sampling interval of the catalogue, ns.
 
     Raises:
         LogFileError: They come at another rate: the recording does not belong to this catalogue.

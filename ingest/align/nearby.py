@@ -48,7 +48,6 @@ def values_near(
 
     Args:
         span: ``[from, to)`` of the vehicle's clock, ns.
-        interval_ns: Sampling interval, ns.
     """
     ends = [(span[0] - CONTEXT_NS) // interval_ns, -(-(span[1] + CONTEXT_NS) // interval_ns)]
     near = {}

@@ -262,7 +262,6 @@ def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> Ve
 
     Args:
         messages: Its frames on its clock, by arbitration id.
-        interval_ns: Sampling interval, ns.
     """
     motion = _track(messages, MOTION, ("speed", "odometer"))
     position = _track(messages, POSITION, ("track_section", "distance", "position_quality"))

@@ -152,9 +152,6 @@ def windows_of(
     """Yield the windows, and counts of those that are not made.
 
     Args:
-        samples: The vehicle's samples and motion.
-        starts: Starts of the windows on the vehicle's clock, ns.
-        length_ns: Length of a window, ns.
         lookup: The registry, over all of the windows.
 
     Raises:

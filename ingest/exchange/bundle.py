@@ -43,11 +43,7 @@ def read_run(file: ExchangeFile, table: Path, facts: RegistryFacts) -> ExchangeR
 
 
 def write_bundle(path: Path, description: Path, table: Path, facts: RegistryFacts) -> None:
-    """Write an exchange as one file.
-
-    Args:
-        description, table: The TOML file and the table of the exchange.
-    """
+    """Write an exchange as one file."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as bundle:
         _add(bundle, DESCRIPTION, description)
         _add(bundle, TABLE + table.suffix.lower(), table)

@@ -7,15 +7,34 @@ from pathlib import Path
 
 import numpy as np
 
-from estimation.errors import NotFoundError
+from estimation.errors import ConflictError, NotFoundError
 from estimation.values.registry import VehicleRecord
 from estimation.values.track import TrackSectionRecord
 from fleet_db.storage import SqlUnitOfWork
-from ingest.exchange.bundle import read_run
+from ingest.exchange.bundle import SUFFIX, read_run
 from ingest.exchange.description import ExchangeFile, read_description
 from ingest.exchange.run import INTERVAL_NS, ExchangeRun, RegistryFacts
 from ingest.exchange.signs import check_signs
 from ingest.input_file import InputFile, Location
+
+
+def check_alone(unit: SqlUnitOfWork, vehicle: str, first_ns: int, last_ns: int, digest: str) -> None:
+    """Raise where another exchange of the vehicle shares an instant with one.
+
+    Args:
+        first_ns, last_ns: First and last instant of the exchange, ns on the vehicle's clock.
+
+    Raises:
+        ConflictError: There is one; names it.
+    """
+    for other in unit.chunks.overlapping(vehicle, first_ns, last_ns + 1):
+        if other.suffix == SUFFIX and other.digest != digest:
+            reason = (
+                f"another exchange of vehicle {vehicle} is stored for the same time: {other.digest[:12]};"
+                f" where that one is wrong: treadwatch recordings set-aside {other.digest[:12]}"
+            )
+            raise ConflictError(reason, kind="chunk", key=other.digest)
+
 
 BEYOND_M = 1.0
 """How far beyond the ends of its section a position may be: sections are surveyed to that."""

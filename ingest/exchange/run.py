@@ -91,7 +91,6 @@ def ticks_of(time: UniformTime, start_ns: int, interval_ns: int) -> tuple[IntArr
 
     Args:
         start_ns: Vehicle time at which its time is 0, ns.
-        interval_ns: Interval of the instants, ns.
     """
     first = round((start_ns + round(time.start_s * 1e9)) / interval_ns)
     ratio = interval_ns * 1e-9 / time.interval_s

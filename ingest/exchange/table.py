@@ -42,7 +42,6 @@ def read_table(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTa
 
     Args:
         path: A CSV (``.csv``, ``.txt``) or Parquet file.
-        layout: How a CSV file is written.
 
     Raises:
         ExchangeError: The file is missing, is no such table, lacks a column, or a value is no finite number; names line

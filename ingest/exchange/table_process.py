@@ -23,10 +23,9 @@ import numpy as np
 from estimation.errors import ExchangeError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from fleet_db.atomic_files import passing_fault
-from ingest.bounded_file import MEBIBYTE
+from ingest.bounded_file import MEBIBYTE, end_with, limit_memory
 from ingest.exchange.description import CsvTable
 from ingest.exchange.table import ExchangeTable, read_table
-from ingest.limited_process import end_with, limit_memory
 
 MEMORY_BYTES = 2048 * MEBIBYTE
 """Of address space, beyond what the process has before it reads: four times the largest table that is taken."""
@@ -40,10 +39,6 @@ COLUMNS = "columns.npy"
 
 def read_table_apart(path: Path, layout: CsvTable, names: Sequence[str]) -> ExchangeTable:
     """Return the columns of a table, read in a process of its own; as :func:`ingest.exchange.table.read_table`.
-
-    Args:
-        path: A CSV or Parquet file.
-        layout: How a CSV file is written.
 
     Raises:
         ExchangeError: As there, or it cannot be read within the limits.
@@ -92,7 +87,6 @@ def main(path: str, layout: str, names: str, folder: str, parent: str, memory_by
 
     Args:
         folder: Where the columns are written.
-        memory_bytes: That it may take.
     """
     end_with(int(parent))
     csv, wanted = CsvTable.model_validate_json(layout), json.loads(names)

@@ -52,7 +52,6 @@ class BacklogWatch:
     """Says whether a chunk may come; asks database and disk at most once a second.
 
     Args:
-        storage: The database, of all fleets.
         folder: In which chunks are received before they are stored.
         now_s: A clock that never goes back, s.
     """
@@ -79,7 +78,6 @@ class BacklogWatch:
             size_bytes: Of the chunk, or what it may have at most.
 
         Raises:
-            StorageError: The database cannot be reached.
             PassingFaultError: The disk cannot be asked.
         """
         with self._lock:

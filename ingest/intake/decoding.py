@@ -36,9 +36,6 @@ def decode_received(
         receiver: Decodes them; it rejects what is no log and keeps in quarantine what fails otherwise.
         checkpoint: Called between two chunks with (done, of how many as far as known); it may raise to end the work.
         vehicle: Only its chunks are decoded; None for all.
-
-    Raises:
-        StorageError: The database cannot be reached.
     """
     counts, after = DecodedChunks(), (-1, "")
     with decoding_locks(storage, holder) as try_vehicle:

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 
 class Backoff:
-    """Delays that double from attempt to attempt, until one succeeds.
-
-    Args:
-        first_s, longest_s: First and longest delay, s.
-    """
+    """Delays that double from attempt to attempt, until one succeeds."""
 
     def __init__(self, first_s: float, longest_s: float) -> None:
         self._first_s = first_s

@@ -17,8 +17,7 @@ from estimation.errors import ParameterError
 from estimation.failures import first_line
 from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from ingest.live.backoff import Backoff
-from ingest.live.buffer import FrameBuffer
-from ingest.live.records import pack_frame
+from ingest.live.records import FrameBuffer, pack_frame
 from ingest.live.status import LiveStatus, Reports
 
 PATIENCE_S = 0.2
@@ -166,9 +165,6 @@ class Listening:
 
 def packed(message: can.Message) -> bytes:
     """Return a frame of python-can as bytes of the spool.
-
-    Args:
-        message: The frame.
 
     Raises:
         ValueError: It is no frame of a classic CAN bus.

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from estimation.errors import StorageError
-from ingest.live.buffer import FrameBuffer
-from ingest.live.drop_count import DropCount
 from ingest.live.listening import BusSource, Listening
-from ingest.live.records import FRAME_BYTES, Record
-from ingest.live.spool import Spool, spool_folder
+from ingest.live.records import FRAME_BYTES, FrameBuffer, Record
+from ingest.live.spool import DropCount, Spool, spool_folder
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import Stores, Storing
 
@@ -28,11 +27,7 @@ REPORT_EVERY_S = 60.0
 
 
 class Spooling:
-    """Writes what is in the buffer until asked to end, then the rest of it.
-
-    Args:
-        piece_seconds: Length of a piece, s.
-    """
+    """Writes what is in the buffer until asked to end, then the rest of it."""
 
     def __init__(
         self, spool: Spool, buffer: FrameBuffer, piece_seconds: float, status: LiveStatus, reports: Reports
@@ -169,10 +164,7 @@ class LiveSettings:
     """Of a live receiver.
 
     Attributes:
-        vehicle: Code of the vehicle on the bus.
-        spool_dir: Folder of all spools.
         spool_bytes, memory_bytes: How much may wait on the disk, and in memory while the disk takes nothing.
-        piece_seconds: Length of a piece, s.
         shutdown_s: How long storing may go on after a stop is requested, s.
     """
 
@@ -195,7 +187,6 @@ def receive_live(
     """Receive a bus until ``stop`` is set. What has no receipt then stays in the spool for the next start.
 
     Args:
-        settings: Which vehicle, and how much may wait.
         stop: Set by whoever ends it; set here where bus or stores refuse for good.
 
     Raises:
@@ -231,3 +222,43 @@ def receive_live(
     for work in (listening, storing):
         if work.refused is not None:
             raise work.refused
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedBus:
+    """A bus with all that receiving it takes; the attributes are the parameters of :func:`receive_live`."""
+
+    settings: LiveSettings
+    source: BusSource
+    stores: Stores
+    status: LiveStatus
+    reports: Reports
+
+
+def receive_buses(buses: Sequence[ReceivedBus], stop: threading.Event) -> None:
+    """Receive buses until ``stop`` is set, or one of them is refused for good, which ends all of them.
+
+    Raises:
+        ConflictError: Another process receives one of the vehicles.
+        StorageError: The folder of a spool cannot be used.
+        TreadwatchError: A bus or the stores refused for good. What the other buses had received is stored, or in their
+            spools.
+    """
+    failures: list[Exception] = []
+
+    def receive(bus: ReceivedBus) -> None:
+        try:
+            receive_live(bus.settings, bus.source, bus.stores, bus.status, bus.reports, stop)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the others end in order, then it is raised
+            failures.append(error)
+            stop.set()
+
+    threads = [
+        threading.Thread(target=receive, args=(bus,), name=f"receiver of {bus.settings.vehicle}") for bus in buses
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    if failures:
+        raise failures[0]

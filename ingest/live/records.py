@@ -7,6 +7,7 @@ frames of 21 bytes. All numbers are little endian.
 from __future__ import annotations
 
 import struct
+import threading
 import zlib
 from dataclasses import dataclass
 
@@ -59,9 +60,7 @@ def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:
     """Return the bytes of a frame.
 
     Args:
-        t_ns: Stamp of the recorder, ns.
         arbitration_id: With SocketCAN's flags.
-        dlc: 0 to 8.
         data: Payload; filled up with zeros to 8 bytes.
     """
     return _FRAME.pack(t_ns, arbitration_id, dlc, data)
@@ -74,11 +73,7 @@ def encode(record: Record) -> bytes:
 
 
 def decode(content: bytes) -> Contents:
-    """Return every whole record of a file, in order; what is torn or damaged is skipped.
-
-    Args:
-        content: The bytes of the file.
-    """
+    """Return every whole record of a file, in order; what is torn or damaged is skipped."""
     records: list[Record] = []
     at = end = skipped = 0
     while (start := content.find(MARK, at)) >= 0:
@@ -111,3 +106,52 @@ def _record(content: bytes, at: int) -> tuple[Record | None, int]:
 
 def _checksum(body: bytes) -> int:
     return zlib.crc32(body, zlib.crc32(len(body).to_bytes(4, "little")))
+
+
+class FrameBuffer:
+    """Frames in memory, oldest first. When it is full the newest are dropped."""
+
+    def __init__(self, limit_bytes: int) -> None:
+        self._limit = limit_bytes
+        self._lock = threading.Lock()
+        self._frames = bytearray()
+        self._dropped = 0
+        self._handed_over = 0
+
+    @property
+    def dropped(self) -> int:
+        """Frames dropped since the start."""
+        return self._dropped
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes that wait."""
+        return len(self._frames)
+
+    def add(self, frame: bytes) -> None:
+        """Keep a packed frame, or count it as dropped; never waits for a disk."""
+        with self._lock:
+            if len(self._frames) + FRAME_BYTES <= self._limit:
+                self._frames += frame
+            else:
+                self._dropped += 1
+
+    def count_dropped(self, frames: int) -> None:
+        """Count frames that were dropped before they came here."""
+        with self._lock:
+            self._dropped += frames
+
+    def take(self, limit_bytes: int) -> tuple[bytes, int]:
+        """Return the oldest frames, and how many were dropped behind them.
+
+        Args:
+            limit_bytes: How much to take at most; a multiple of the size of a frame.
+        """
+        with self._lock:
+            frames = bytes(self._frames[:limit_bytes])
+            del self._frames[:limit_bytes]
+            if self._frames or not frames:
+                return frames, 0
+            dropped = self._dropped - self._handed_over
+            self._handed_over = self._dropped
+            return frames, dropped

@@ -26,8 +26,7 @@ from estimation.errors import (
 from estimation.failures import first_line
 from estimation.values.reasons import ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState
-from ingest.dropped_frames import dropped_marker
-from ingest.frames import DEFAULT_CHANNEL, FrameBatch, concatenate, from_owned_arrays, sort_by_time
+from ingest.frames import DEFAULT_CHANNEL, FrameBatch, concatenate, dropped_marker, from_owned_arrays, sort_by_time
 from ingest.live.backoff import Backoff
 from ingest.live.records import FRAME, decode
 from ingest.live.spool import Piece, Spool
@@ -111,7 +110,6 @@ class Storing:
     """Stores pieces until asked to end, then those that can be stored in the time that is left.
 
     Args:
-        spool, vehicle: Where pieces wait, and of which vehicle they are.
         stores: Where they go. An error of :attr:`Stores.connect` that does not pass is kept as ``refused``.
     """
 

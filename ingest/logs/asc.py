@@ -14,9 +14,7 @@ from pathlib import Path
 
 from estimation.errors import LogFileError
 from ingest.frames import DATA_BYTES, ERROR_FLAG, REMOTE_FLAG, channel_name
-from ingest.logs.frame_sink import FrameSink
-from ingest.logs.log_format import LogFormat
-from ingest.logs.read_limits import ReadLimits
+from ingest.logs.log_format import FrameSink, LogFormat, ReadLimits
 from ingest.logs.text_lines import LONGEST_LINE, SECOND_NS, Facts, LineFormat, identifier_limits, skip_mark
 from ingest.logs.text_log import TextLog
 

@@ -6,9 +6,7 @@ import re
 from pathlib import Path
 
 from ingest.frames import ERROR_FLAG, REMOTE_FLAG
-from ingest.logs.frame_sink import FrameSink
-from ingest.logs.log_format import LogFormat, library_channel_name
-from ingest.logs.read_limits import ReadLimits
+from ingest.logs.log_format import FrameSink, LogFormat, ReadLimits, library_channel_name
 from ingest.logs.text_lines import Facts, LineFormat, identifier_limits
 from ingest.logs.text_log import TextLog
 

@@ -16,10 +16,9 @@ from typing import Any, BinaryIO
 
 from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
-from ingest.limited_process import end_with, limit_memory
+from ingest.bounded_file import end_with, limit_memory
 from ingest.logs.formats import format_of
-from ingest.logs.frame_sink import COLUMNS, FrameSink, SinkSummary
-from ingest.logs.read_limits import MEBIBYTE, ReadLimits
+from ingest.logs.log_format import COLUMNS, MEBIBYTE, FrameSink, ReadLimits, SinkSummary
 
 PASSING = {
     *(errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.EACCES, errno.EPERM),
@@ -35,7 +34,6 @@ def main(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], pa
     """Read one file and end the process.
 
     Args:
-        limits: What reading may cost.
         answer: Descriptor that the answer is written to.
         parent: The process that started this one: with it this one ends.
     """

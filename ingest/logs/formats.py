@@ -9,9 +9,8 @@ from estimation.errors import LogFileError
 from fleet_db.atomic_files import passing_fault
 from ingest.frames import FrameBatch
 from ingest.logs import asc, blf_reader, candump, mf4
-from ingest.logs.log_format import LogFormat
+from ingest.logs.log_format import LogFormat, ReadLimits, limits_of
 from ingest.logs.processes import LogContent, ReadCost, read_in_process
-from ingest.logs.read_limits import ReadLimits, limits_of
 
 FORMATS = (blf_reader.FORMAT, asc.FORMAT, candump.FORMAT, mf4.FORMAT)
 """A new format is a module with its ``FORMAT``, and its entry here."""
@@ -31,7 +30,6 @@ def read_content(
     """Read a recording of one bus, in a process of its own.
 
     Args:
-        path: A file of one of ``FORMATS``.
         limits: What reading may cost; by default what a file of its size and format may need.
         cost: Takes what it cost, also of a file that is refused.
 

@@ -34,9 +34,7 @@ from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from fleet_db.atomic_files import passing_fault
 from ingest.frames import FrameBatch
-from ingest.logs.frame_sink import COLUMNS
-from ingest.logs.log_format import LogFormat
-from ingest.logs.read_limits import ReadLimits
+from ingest.logs.log_format import COLUMNS, LogFormat, ReadLimits
 
 SERVER = "ingest.logs.server"
 ENVIRONMENT = {"TZ": "UTC", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
@@ -54,7 +52,6 @@ class LogContent:
     """What a log file holds.
 
     Attributes:
-        batch: Its frames.
         counts: What was left out or is strange, where there was any: ``lines_lost``, ``lines_not_frames``,
             ``objects_not_frames``, ``frames_out_of_time``, ``recorder_steps_back``, ``header_disagrees``.
     """
@@ -142,7 +139,6 @@ def read_in_process(
     """Read a log file in a process of its own.
 
     Args:
-        limits: What reading may cost.
         cost: Takes what it cost, also of a file that is refused.
 
     Raises:

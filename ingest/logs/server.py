@@ -22,8 +22,7 @@ from typing import Any
 
 from estimation.values.reasons import ReasonCode
 from ingest.logs import child
-from ingest.logs.frame_sink import COLUMNS
-from ingest.logs.read_limits import ReadLimits
+from ingest.logs.log_format import COLUMNS, ReadLimits
 
 REQUEST_BYTES = 16_384
 DESCRIPTORS = 1 + len(COLUMNS)

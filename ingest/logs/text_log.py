@@ -10,7 +10,7 @@ import numpy as np
 
 from estimation.errors import LogFileError
 from estimation.values.arrays import BoolArray, IntArray
-from ingest.logs.frame_sink import FramePart, FrameSink
+from ingest.logs.log_format import FramePart, FrameSink
 from ingest.logs.text_lines import LineBlock, LineFormat, line_blocks
 
 LINES_PER_LOST = 1000
@@ -29,14 +29,7 @@ line is no line of such a log."""
 
 @dataclass
 class TextLog:
-    """Reads one text log.
-
-    Attributes:
-        path: The file.
-        form: How its lines hold frames.
-        other: What lines without frames do.
-        sink: Takes the frames.
-    """
+    """Reads one text log."""
 
     path: Path
     form: LineFormat

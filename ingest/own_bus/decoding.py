@@ -167,7 +167,6 @@ def stamp_clock(stamps: IntArray, interval_ns: int) -> tuple[SyncClock, AlignCou
 
     Args:
         stamps: (n,) ns, ascending.
-        interval_ns: Sampling interval, ns.
     """
     if len(stamps) == 0:
         return SyncClock(stamps, stamps, stamps, interval_ns), AlignCounts()

@@ -41,7 +41,6 @@ def runs_alike(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> list[
 
     Args:
         t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
-        tolerance_ns: How far two in a row may disagree.
     """
     if len(t_ns) == 0:
         return []
@@ -57,7 +56,6 @@ def without_odd_ones(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) ->
 
     Args:
         t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
-        tolerance_ns: How far frames may disagree.
     """
     kept = np.ones(len(t_ns), dtype=np.bool_)
     offset = vehicle_ns - t_ns
@@ -76,7 +74,6 @@ def believed(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> BoolArr
 
     Args:
         t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
-        tolerance_ns: How far frames may disagree.
     """
     found = np.zeros(len(t_ns), dtype=np.bool_)
     for first, behind in runs_alike(t_ns, vehicle_ns, tolerance_ns):
@@ -89,7 +86,6 @@ def clock_verdict(first_ns: int, last_ns: int, received_ns: int) -> Reason | Non
 
     Args:
         first_ns, last_ns: Of the recording, on the vehicle's clock.
-        received_ns: When it was received, by ours.
     """
     days = (last_ns - first_ns) / DAY_NS
     if last_ns - first_ns > LONGEST_SPAN_NS:

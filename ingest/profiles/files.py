@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Literal
+from typing import TypedDict, Unpack
 
 from estimation.contact.profiles import Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile
@@ -13,19 +13,15 @@ from estimation.errors import ProfileError
 from ingest.bounded_file import PROFILE_BYTES, read_text_within
 from ingest.profiles.formats import FORMATS
 from ingest.profiles.orientation import oriented
-from ingest.profiles.origin import Origin
-from ingest.profiles.points import FilePoints, number, points_of
+from ingest.profiles.points import FilePoints, Origin, number, points_of
 
 _DECIMAL_COMMAS = re.compile(r"^[+-]?\d+,\d+(\s*;\s*|\s+)[+-]?\d+(,\d+)?$")
 
 
-def parse_columns(text: str, file: str, unit: float) -> FilePoints:
-    """Return the points of a two-column file; separators are commas, semicolons or blanks.
+def parse_columns(text: str, file: str) -> FilePoints:
+    """Return the points of a two-column file in mm; separators are commas, semicolons or blanks.
 
     Lines that begin with ``#`` and leading lines without any number are skipped. Further columns are ignored.
-
-    Args:
-        unit: Millimetres in one unit of the file: 1, or 1000 for metres.
 
     Raises:
         ProfileError: Decimal commas, a row with fewer than two columns or with something that is not a finite number.
@@ -41,7 +37,7 @@ def parse_columns(text: str, file: str, unit: float) -> FilePoints:
         if len(cells) < 2:  # noqa: PLR2004 - y and z
             raise ProfileError(f"{len(cells)} column, two are expected", file=file, line=line)
         across = number(cells[0], file=file, line=line, field="y")
-        rows.append((line, across * unit, number(cells[1], file=file, line=line, field="z") * unit))
+        rows.append((line, across, number(cells[1], file=file, line=line, field="z")))
     return points_of(file, rows)
 
 
@@ -49,61 +45,43 @@ _SLICES = (".slcs", ".slcw")  # CONTACT's lists of cross sections
 _MILLIMETRE = 1e-3
 
 
-def read_profile(
-    path: Path | str,
-    kind: ProfileKind,
-    *,
-    unit: Literal["mm", "m"] = "mm",
-    mirror: bool | None = None,
-    origin: Origin = Origin.AUTO,
-    noise_std: float | None = None,
-) -> Profile:
-    """Read a wheel or rail profile, in the format of ``FORMATS`` that has its suffix, else as two columns of text.
+class ProfileOptions(TypedDict, total=False):
+    """What a file leaves open.
+
+    Attributes:
+        mirror: Of a rail: True if its gauge side is at positive y of the file, False if at negative y; None decides
+            from the shape.
+        noise_std: Known noise of the instrument, m; 0 takes the points as they are; None estimates it from the points.
+    """
+
+    mirror: bool | None
+    origin: Origin
+    noise_std: float | None
+
+
+def read_profile(path: Path | str, kind: ProfileKind, **options: Unpack[ProfileOptions]) -> Profile:
+    """Read a wheel or rail profile, in the format of ``FORMATS`` that has its suffix, else as two columns of text, mm.
 
     Raises:
         ProfileError: The file cannot be read as that; the message names file, line and field.
     """
-    return read_measured_profile(path, kind, unit=unit, mirror=mirror, origin=origin, noise_std=noise_std).profile
+    return read_measured_profile(path, kind, **options).profile
 
 
-def read_measured_profile(
-    path: Path | str,
-    kind: ProfileKind,
-    *,
-    unit: Literal["mm", "m"] = "mm",
-    mirror: bool | None = None,
-    origin: Origin = Origin.AUTO,
-    noise_std: float | None = None,
-) -> SmoothedProfile:
-    """Read a wheel or rail profile with the uncertainty of its shape.
-
-    Args:
-        kind: What it holds; this decides, not the suffix.
-        unit: Of two-column files; the others are in mm or contain their unit.
-        mirror: Of a rail: True if its gauge side is at positive y of the file, False if at negative y; None decides
-            from the shape.
-        origin: Of a wheel: what y = 0 of the file is.
-        noise_std: Known noise of the instrument, m; 0 takes the points as they are; None estimates it from the points.
+def read_measured_profile(path: Path | str, kind: ProfileKind, **options: Unpack[ProfileOptions]) -> SmoothedProfile:
+    """Read a wheel or rail profile with the uncertainty of its shape; ``kind`` decides what it is, not the suffix.
 
     Raises:
         ProfileError: The file cannot be read as that; the message names file, line and field.
     """
     file = Path(path)
     _refuse_lists(file)
-    text = read_text_within(file, PROFILE_BYTES, ProfileError, errors="replace")
-    return measured_profile_of(text, file, kind, unit=unit, mirror=mirror, origin=origin, noise_std=noise_std)
+    return measured_profile_of(
+        read_text_within(file, PROFILE_BYTES, ProfileError, errors="replace"), file, kind, **options
+    )
 
 
-def measured_profile_of(
-    text: str,
-    file: Path,
-    kind: ProfileKind,
-    *,
-    unit: Literal["mm", "m"] = "mm",
-    mirror: bool | None = None,
-    origin: Origin = Origin.AUTO,
-    noise_std: float | None = None,
-) -> SmoothedProfile:
+def measured_profile_of(text: str, file: Path, kind: ProfileKind, **options: Unpack[ProfileOptions]) -> SmoothedProfile:
     """Return the wheel or rail profile that the content of a file describes.
 
     Args:
@@ -112,6 +90,7 @@ def measured_profile_of(
     Raises:
         ProfileError: It is none.
     """
+    mirror, noise_std = options.get("mirror"), options.get("noise_std")
     if kind == "wheel" and mirror is not None:
         raise ProfileError("the flange shows which side of a wheel is which", file=file, field="mirror")
     if noise_std is not None and not (math.isfinite(noise_std) and noise_std >= 0.0):
@@ -119,9 +98,11 @@ def measured_profile_of(
     _refuse_lists(file)
     if "\x00" in text:
         raise ProfileError("is not a text file; export the profile as text", file=file)
-    points = _parsed(text, str(file), file.suffix.lower(), unit)
+    suffix = file.suffix.lower()
+    parse = next((item.parse for item in FORMATS if suffix in item.suffixes), parse_columns)
     noise = None if noise_std is None else noise_std / _MILLIMETRE
-    return oriented(points, kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)
+    origin = options.get("origin", Origin.AUTO)
+    return oriented(parse(text, str(file)), kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)
 
 
 def _refuse_lists(file: Path) -> None:
@@ -131,10 +112,3 @@ def _refuse_lists(file: Path) -> None:
             "names it",
             file=file,
         )
-
-
-def _parsed(text: str, file: str, suffix: str, unit: Literal["mm", "m"]) -> FilePoints:
-    for item in FORMATS:
-        if suffix in item.suffixes:
-            return item.parse(text, file)
-    return parse_columns(text, file, 1.0 if unit == "mm" else 1000.0)

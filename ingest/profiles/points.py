@@ -5,11 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray
+
+
+class Origin(StrEnum):
+    """What y = 0 of a wheel file is. A rail needs none: it is placed by its gauge."""
+
+    AUTO = "auto"  # by the distance from the tip of the flange
+    DATUM = "datum"  # the tread datum, 70 mm from the flange back
+    FLANGE_BACK = "flange-back"
+
 
 MOST_ROWS = 50_000  # of a profile: one in some 3 um
 

@@ -10,12 +10,12 @@ from functools import cache
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ProfileError
 from estimation.jobs.steps.running_mileage import most_km, running_mileage
+from estimation.values.quantities import utc_text
 from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from estimation.values.utc_text import utc_text
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.distances import MOUNTINGS, LifeOnFile, any_windows, lives_on_file, mountings_where, windows_beside
-from ingest.registry_entry.contradiction import Contradiction, Kind, RecordName, Rule
+from ingest.registry_entry.contents import Contradiction, Kind, RecordName, Rule
 
 LEAST_RADIUS_MM, MOST_RADIUS_MM = 140.0, 650.0
 """Of usual wheels: of low-floor wagons, worn; of electric locomotives, new."""
@@ -44,11 +44,7 @@ def unusable_code(record: RecordName, field: str) -> list[Contradiction]:
 
 
 def unusual_radius(record: RecordName, nominal_radius_m: float) -> list[Contradiction]:
-    """Return what is said against a nominal radius that hardly a railway wheel has.
-
-    Args:
-        nominal_radius_m: Its nominal radius, m.
-    """
+    """Return what is said against a nominal radius that hardly a railway wheel has."""
     radius_mm = 1e3 * nominal_radius_m
     if LEAST_RADIUS_MM - 1e-6 <= radius_mm <= MOST_RADIUS_MM + 1e-6:
         return []
@@ -61,7 +57,6 @@ def unusual_gauge(record: RecordName, nominal_gauge_m: float, contacts_m: Collec
     """Return what is said against a track gauge on which no vehicle that is known runs.
 
     Args:
-        nominal_gauge_m: Its gauge, m.
         contacts_m: Distances between the contact points of a wheelset, of the classes of all vehicles, m; none says
             nothing.
     """
@@ -76,11 +71,7 @@ def unusual_gauge(record: RecordName, nominal_gauge_m: float, contacts_m: Collec
 
 
 def unknown_profile(record: RecordName, field: str, name: str) -> list[Contradiction]:
-    """Return what is said against a design profile that is not built in.
-
-    Args:
-        record, field: What names it: ``wheel_profile`` or ``rail_profile``.
-    """
+    """Return what is said against a design profile that is not built in."""
     try:
         (rail_profile if field == "rail_profile" else wheel_profile)(name)
     except ProfileError as error:
@@ -100,7 +91,6 @@ class DistancePoint:
     """A distance that a record or a window gives for a time.
 
     Attributes:
-        record: Which one.
         at_ns: ns UTC on the vehicle's clock.
         km: Mileage of the wheelset since new, or what the odometer of the vehicle showed.
         field: In which the record gives it.
@@ -164,12 +154,7 @@ AHEAD_NS = 86_400 * 1_000_000_000
 
 
 def in_the_future(record: RecordName, field: str, at_ns: int, now_ns: int) -> list[Contradiction]:
-    """Return what is said against a record of something that has not happened yet.
-
-    Args:
-        record, field, at_ns: What is entered, the field of its time, and the time, ns UTC.
-        now_ns: Our time, ns UTC.
-    """
+    """Return what is said against a record of something that has not happened yet."""
     if at_ns <= now_ns + AHEAD_NS:
         return []
     reason = f"{utc_text(at_ns)} is in the future: our clock shows {utc_text(now_ns - now_ns % 1_000_000_000)}"
@@ -245,7 +230,6 @@ def contradictions(unit: SqlUnitOfWork, entered: Entered, now_ns: int | None) ->
     """Return everything that is said against what was entered, which is stored already in this transaction.
 
     Args:
-        entered: What is new or has changed.
         now_ns: Our time; None says nothing about the future.
     """
     found = [one for name, where in entered.new_codes for one in unusable_code(name, where)]

@@ -7,28 +7,34 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from estimation.contact.profiles import MeasuredProfiles
-from estimation.errors import ConflictError, NotFoundError, ParameterError
+from estimation.errors import ConflictError, InputError, NotFoundError, ParameterError
 from estimation.values.registry import Mounting, Reprofiling, SensorChange
 from estimation.values.track import TrackAlignment, TrackLayout
 from fleet_db.receipts import EstimatedAgain
+from fleet_db.registry_events import RecordKind
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.distances import MOUNTINGS, mountings_where
 from fleet_db.stores.mountings import MountedTwiceError
 from fleet_db.stores.registry import RegistryStore
+from fleet_db.stores.registry_history import RecordKey
 from fleet_db.stores.section_numbers import free_numbers
 from ingest.input_file import Location
 from ingest.registry_entry.checks import Entered, contradictions, mileage_point
 from ingest.registry_entry.classes_on_file import class_refusals, without_class
 from ingest.registry_entry.contents import (
     ARRAYS,
+    CONFIRMABLE,
+    Contradiction,
     Entry,
+    Kind,
     LoadedRegistry,
+    RecordName,
     Refusal,
     RegistryContents,
     RegistryRefusedError,
+    Rule,
     Source,
 )
-from ingest.registry_entry.contradiction import CONFIRMABLE, Contradiction, Kind, RecordName, Rule
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")
@@ -41,8 +47,6 @@ def enter(
 
     Args:
         unit: An open transaction; nothing is committed here.
-        entry: Who enters it and when, and what has been confirmed.
-        refusals: What is known to be wrong already.
 
     Raises:
         RegistryRefusedError: Something is impossible, contradicts what is on file, or refers to something unknown; it
@@ -228,3 +232,40 @@ def _add_layout(unit: SqlUnitOfWork, layout: TrackLayout) -> None:
     version = unit.tracks.add_layout(layout)
     if before is None or before.version != version:
         unit.windows.requeue_section(layout.section)
+
+
+def refuse_contradicted(unit: SqlUnitOfWork, key: RecordKey, now_ns: int) -> None:
+    """Refuse a record that was just put back if it contradicts others.
+
+    Doubts that can be confirmed are none here: it was on file before.
+
+    Raises:
+        RegistryRefusedError: It contradicts what is on file now; names the records.
+    """
+    found = contradictions(unit, _entered(unit, key), now_ns)
+    refusals = tuple(
+        Refusal(InputError(one.reason, field="at" if one.field in {"at", "from", "to"} else None), one)
+        for one in found
+        if one.rule not in CONFIRMABLE
+    )
+    if refusals:
+        raise RegistryRefusedError(refusals)
+
+
+def _entered(unit: SqlUnitOfWork, key: RecordKey) -> Entered:
+    entered = Entered()
+    if key.kind is RecordKind.MOUNTING:
+        entered.mountings += [one for one in unit.registry.mountings(key.subject) if one.from_ns == key.at_ns]
+    elif key.kind is RecordKind.REPROFILING:
+        entered.reprofilings += [
+            mileage_point(Kind.REPROFILING, one.wheelset, one.at_ns, one.mileage_km)
+            for one in unit.registry.wheelset(key.subject).reprofilings
+            if one.at_ns == key.at_ns
+        ]
+    elif key.kind is RecordKind.MEASUREMENT:
+        entered.measurements += [
+            mileage_point(Kind.MEASUREMENT, one.wheelset, one.at_ns, one.mileage_km)
+            for one in unit.registry.measured_profiles(key.subject)
+            if one.at_ns == key.at_ns
+        ]
+    return entered

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import convolve1d
 
-from estimation.contact.table import ContactTable
+from estimation.contact.geometry import ContactTable
 from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -18,7 +18,7 @@ from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
 from ingest.simulator.campaign import VehicleRun
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
-from ingest.simulator.rail_course import section_at
+from ingest.simulator.profile_files import section_at
 from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
 from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
@@ -101,7 +101,6 @@ def wheelset_motion(
     ``table`` is its contact geometry where that is at hand already; made here otherwise.
 
     Args:
-        scenario: Section, wear, errors of the vehicle's parameters.
         axle: Number of the axle, from 0.
         table: Contact geometry of the wheelset, if it has been computed already; None to compute it here.
 
@@ -117,7 +116,6 @@ def together(scenario: Scenario, vehicle: VehiclePlan, axle: int) -> tuple[int, 
     """Return the axles (from 0) that move together with ``axle``: those of its bogie, or itself alone.
 
     Args:
-        scenario: With or without bogies.
         axle: From 0.
     """
     if scenario.bogie is None:
@@ -249,7 +247,6 @@ def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odomet
     """Return the contact geometry of a wheelset at one mileage of its vehicle.
 
     Args:
-        track: The true track, whose gauge deviations the table covers.
         odometer: Of the vehicle, m.
 
     Raises:

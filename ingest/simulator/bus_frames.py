@@ -51,9 +51,6 @@ class BusTiming:
 def bus_timing(bus: BusPlan, messages: Sequence[MessagePlan], interval_ns: int) -> BusTiming:
     """Return when the frames of ``messages`` are on the bus.
 
-    Args:
-        interval_ns: Sampling interval, ns.
-
     Raises:
         ScenarioError: There is more to send than the bus can carry.
     """
@@ -158,7 +155,6 @@ def vehicle_frames(
     """Return all frames of the vehicle's bus over a run, in time order.
 
     Args:
-        catalogue: Messages and signals of the bus, and its sample interval.
         records: What the node of each axle measured, by axle; None for a node that has failed.
 
     Raises:

@@ -60,7 +60,6 @@ def with_wheelset(scenario: Scenario, vehicle: str, axle: int, wheelset: Wheelse
 
     Args:
         axle: From 0.
-        wheelset: What is there instead.
     """
     plan = scenario.vehicle(vehicle)
     wheelsets = tuple(wheelset if place == axle else item for place, item in enumerate(plan.wheelsets))
@@ -69,11 +68,7 @@ def with_wheelset(scenario: Scenario, vehicle: str, axle: int, wheelset: Wheelse
 
 
 def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
-    """Return the true parameters of a vehicle: those of the scenario, or drawn around them.
-
-    Args:
-        scenario: With or without errors of the vehicle parameters.
-    """
+    """Return the true parameters of a vehicle: those of the scenario, or drawn around them."""
     assumed, limits = scenario.parameters, scenario.vehicle_errors
     if limits is None:
         return assumed
@@ -97,11 +92,7 @@ def vehicle_parameters(scenario: Scenario, vehicle: str) -> VehicleParameters:
 
 
 def vehicle_bogie(scenario: Scenario, vehicle: str) -> BogieParameters | None:
-    """Return the true parameters of a vehicle's bogies; masses are as far off as its suspended mass.
-
-    Args:
-        scenario: With or without bogies, and errors of the vehicle parameters.
-    """
+    """Return the true parameters of a vehicle's bogies; masses are as far off as its suspended mass."""
     assumed, limits = scenario.bogie, scenario.vehicle_errors
     if assumed is None or limits is None:
         return assumed
@@ -134,7 +125,6 @@ def no_wear_left(scenario: Scenario, vehicle: str, axle: int, last: ScenarioErro
     """Return the error of a wheelset that derails with every share of its wear.
 
     Args:
-        scenario: The scenario with its least wear tried.
         axle: Number of the axle, from 0.
     """
     plan = scenario.vehicle(vehicle).wheelsets[axle]

@@ -9,30 +9,16 @@ from enum import StrEnum
 from typing import Annotated, Self
 
 from annotated_types import Interval, MinLen
-from pydantic import AfterValidator
 
-from estimation.contact.profiles import wheel_profile
-from estimation.errors import ProfileError
 from estimation.values.file_units import KM_H, MM, PERCENT, Key
 from estimation.values.registry import MAX_AXLES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 from ingest.file_value import As, FileBeside, between
 from ingest.input_file import Text, field_error
-from ingest.simulator.section import Inclination, RailFiles, RailName, SideFiles
+from ingest.simulator.section import Inclination, RailFiles, RailName, SideFiles, WheelName
 
 MAX_VEHICLES = 64
 Wear = Annotated[float, between(0.0, 5.0), MM]
-
-
-def _wheel(name: str) -> str:
-    try:
-        wheel_profile(name)
-    except ProfileError as error:
-        raise field_error(error.reason) from error
-    return name
-
-
-WheelName = Annotated[Text, AfterValidator(_wheel)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,11 +20,21 @@ from ingest.frames import FrameBatch
 from ingest.logs.blf_writer import write_blf
 from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of, together, true_geometry
 from ingest.simulator.bus_frames import vehicle_frames
-from ingest.simulator.campaign import VehicleRun, failed, scenario_track, vehicle_run, wheelset_record, with_margins
+from ingest.simulator.campaign import (
+    VehicleRun,
+    as_measured,
+    failed,
+    length_ahead,
+    runs_rear_first,
+    scenario_track,
+    seen_from_ahead,
+    vehicle_run,
+    wheelset_record,
+    with_margins,
+)
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
 from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.random_streams import Stream, generator, seed_of
-from ingest.simulator.rear_first import as_measured, length_ahead, runs_rear_first, seen_from_ahead
 from ingest.simulator.scenario import Scenario, VehiclePlan
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
@@ -145,7 +155,6 @@ def run_fleet(
         out: Folder, made where missing; recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``.
         vehicles: Codes of the vehicles to simulate; all by default. The registry always names all.
         workers: Processes; by default as many as cores, at most the recordings. With 1 everything runs in this process.
-        progress: Called after each recording.
 
     Raises:
         ScenarioError: The scenario cannot be run: unknown vehicle, too little track, a wheelset that derails.

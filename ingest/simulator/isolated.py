@@ -13,7 +13,7 @@ from annotated_types import Interval
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
 from estimation.values.file_units import MM, FileUnit, Key, M
-from ingest.file_value import As, IncreasingPlaces, between, taken
+from ingest.file_value import As, IncreasingPlaces, between
 from ingest.input_file import field_error
 
 FEWEST_INTERVALS = 8  # of the grid over an isolated irregularity
@@ -51,40 +51,20 @@ class Isolated:
             raise field_error("is missing, and 'gauge_mm' too: it changes nothing", "alignment_mm")
         return self
 
-    def plan(self) -> Isolated:
-        """Return it without the defaults of its kind."""
-        return taken(Isolated, self)
 
-
-@dataclass(frozen=True, slots=True)
-class _Defects(Isolated):
-    kind: Annotated[IsolatedKind, Key(None)] = IsolatedKind.DEFECT
-    length: Annotated[float, Interval(gt=0.0, le=200.0), M] = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class _Switches(Isolated):
-    kind: Annotated[IsolatedKind, Key(None)] = IsolatedKind.SWITCH
-    length: Annotated[float, Interval(gt=0.0, le=200.0), M] = 20.0
-    alignment: Annotated[float, between(-30.0, 30.0), MM] = 2e-3
-    gauge: Annotated[float, between(-30.0, 30.0), MM] = -3e-3
-
-
-@dataclass(frozen=True, slots=True)
-class _Joints(Isolated):
-    kind: Annotated[IsolatedKind, Key(None)] = IsolatedKind.JOINT
-    length: Annotated[float, Interval(gt=0.0, le=200.0), M] = 4.0
-    alignment: Annotated[float, between(-30.0, 30.0), MM] = 1e-3 * 0.8
-    gauge: Annotated[float, between(-30.0, 30.0), MM] = -0.5e-3
+def _usual(kind: IsolatedKind, length: float, alignment_mm: float = 0.0, gauge_mm: float = 0.0) -> As:
+    """Return what a file need not say of a kind."""
+    sizes = (("alignment", 1e-3 * alignment_mm), ("gauge", 1e-3 * gauge_mm))
+    return As(Isolated, (("kind", kind), ("length", length), *sizes))
 
 
 @dataclass(frozen=True, slots=True)
 class IsolatedTables:
     """``[[section.defects]]``, ``[[section.switches]]``, ``[[section.joints]]``."""
 
-    defects: tuple[Annotated[Isolated, As(_Defects)], ...] = ()
-    switches: tuple[Annotated[Isolated, As(_Switches)], ...] = ()
-    joints: tuple[Annotated[Isolated, As(_Joints)], ...] = ()
+    defects: tuple[Annotated[Isolated, _usual(IsolatedKind.DEFECT, 10.0)], ...] = ()
+    switches: tuple[Annotated[Isolated, _usual(IsolatedKind.SWITCH, 20.0, 2.0, -3.0)], ...] = ()
+    joints: tuple[Annotated[Isolated, _usual(IsolatedKind.JOINT, 4.0, 0.8, -0.5)], ...] = ()
 
     def plan(self) -> tuple[Isolated, ...]:
         """Return them all."""

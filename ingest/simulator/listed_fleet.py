@@ -17,22 +17,17 @@ from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, Arrangement, BogieParameters
 from ingest.file_value import FileBeside, IncreasingPlaces, Inline, between
 from ingest.input_file import NotNegative, Positive, Text, field_error
-from ingest.simulator.drawn_plan import WheelName
 from ingest.simulator.scenario import Fault, VehiclePlan, WeakDamper, WheelsetPlan, usual_offsets
+from ingest.simulator.section import WheelName
 
 ROUNDING = 1e-3  # m, of axle offsets
-WHEELBASES = 0.5, 10.0  # m
 FLANGE_SHARE = 0.6
 Rate = Annotated[float, between(0.0, 20.0), FileUnit("_mm_per_100000_km", 1e-3 / 1e8)]
 Wear = Annotated[float, between(0.0, 5.0), MM]
 
 
 def impossible_bogies(offsets: Sequence[float], wheelbase: float) -> str | None:
-    """Return why axles at ``offsets`` are not in bogies of ``wheelbase``, both m; None where they are.
-
-    Args:
-        wheelbase: Of every bogie.
-    """
+    """Return why axles at ``offsets`` are not in bogies of ``wheelbase``, both m; None where they are."""
     if len(offsets) % AXLES_OF_A_BOGIE:
         return f"{len(offsets)} wheelsets, bogies have two each"
     for front, rear in zip(offsets[::2], offsets[1::2], strict=True):
@@ -66,19 +61,11 @@ class DynamicsTable:
         if self.bogie is None:
             load = parameters.axle_load
         else:
-            self._check_wheelbase(self.bogie.wheelbase)
             above = (self.bogie.frame_mass + self.bogie.body_mass) / AXLES_OF_A_BOGIE
             load = (parameters.wheelset_mass + above) * GRAVITY
             if "suspended_mass" not in given:
                 parameters = replace(parameters, suspended_mass=above)
         return replace(self, parameters=parameters if "load" in given else replace(parameters, load=load))
-
-    @staticmethod
-    def _check_wheelbase(wheelbase: float) -> None:
-        lowest, highest = WHEELBASES
-        if not lowest <= wheelbase <= highest:
-            limit = f"at least {lowest:g}" if wheelbase < lowest else f"at most {highest:g}"
-            raise field_error(f"{wheelbase} is outside the range: {limit}", "bogie", "wheelbase")
 
 
 @dataclass(frozen=True, slots=True)

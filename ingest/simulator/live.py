@@ -35,7 +35,6 @@ def transmit(
     rate of SYNC.
 
     Args:
-        scenario, vehicle: What to simulate, and the code of the one vehicle whose bus this is.
         stop: Ends the sending when set, within a frame.
         progress: Called with (campaign from 1, frames sent so far) before each campaign.
 

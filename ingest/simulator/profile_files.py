@@ -2,15 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.wear import worn_rail
+from estimation.contact.wear import RailWear, worn_rail
 from ingest.profiles.files import read_profile
 from ingest.profiles.wheel_profile import read_wheel_profile
-from ingest.simulator.scenario import WheelsetPlan
-from ingest.simulator.section import SectionPlan
+from ingest.simulator.scenario import Scenario, WheelsetPlan
+from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
+
+DAYS_PER_YEAR = 365.25
+
+
+def depth_gained(section: SectionPlan, days: float) -> float:
+    """Return by how much the bands of both rails are deeper after some days of traffic, m."""
+    if section.tonnage is None:
+        return 0.0
+    return section.rail_growth * section.tonnage / MGT_OF_GROWTH * days / DAYS_PER_YEAR
+
+
+def section_at(scenario: Scenario, odometer: float) -> SectionPlan:
+    """Return the section as its rails are when the vehicles' odometer stands at ``odometer``, m.
+
+    Args:
+        odometer: m.
+    """
+    section, sessions = scenario.section, scenario.sessions
+    gained = depth_gained(section, (odometer - sessions.first_odometer) / sessions.distance_per_day)
+    if gained == 0.0:
+        return section
+    left, right = (_deeper(one, gained) for one in section.rail_wear)
+    return replace(section, rail_wear=(left, right))
+
+
+def _deeper(wear: RailWear | None, gained: float) -> RailWear | None:
+    return None if wear is None else replace(wear, depth=wear.depth + gained)
 
 
 @lru_cache(maxsize=256)

@@ -15,15 +15,33 @@ from annotated_types import Interval
 from estimation.errors import ScenarioError
 from estimation.values.file_units import KM, M_S, M_S2, MINUTES, MS, PERCENT, US, FileUnit, Key, M, S
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
+from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
 from ingest.file_value import Counted, between, written
 from ingest.input_file import NotNegative, Positive, field_error
-from ingest.simulator.class_on_file import ClassOnFile
 from ingest.simulator.drawn_plan import DrawnFleet
 from ingest.simulator.motion import MINIMUM_SPEED
 from ingest.simulator.running import RunningPlan
 from ingest.simulator.section import SectionPlan, SideFiles
 from ingest.simulator.sensors import SensorNode
+
+
+@dataclass(frozen=True, slots=True)
+class ClassOnFile:
+    """A class file, and what the registry says of vehicles of that class."""
+
+    path: Path
+    vehicle_class: VehicleClass
+    nominal_radius: float | None = None  # m, of the wheelsets; None: what it is
+
+    def axle_offsets(self, true: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the axle offsets, m, of a vehicle with its bogies in place and the wheelbase of the class."""
+        bogie = self.vehicle_class.bogie
+        if bogie is None or len(true) % AXLES_OF_A_BOGIE:
+            return true
+        half = 0.5 * bogie.wheelbase
+        middles = (0.5 * (front + rear) for front, rear in zip(true[::2], true[1::2], strict=True))
+        return tuple(round(middle + side * half, 6) for middle in middles for side in (-1.0, 1.0))
+
 
 DAY_NS = 86_400_000_000_000
 SECOND_NS = 1_000_000_000

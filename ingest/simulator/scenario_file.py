@@ -21,18 +21,23 @@ from estimation.values.file_units import MM
 from ingest.file_value import As, FileBeside, between, read_value, taken
 from ingest.input_file import Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN
-from ingest.simulator.class_on_file import ClassOnFile
 from ingest.simulator.creep_laws import Creep
 from ingest.simulator.drawn_fleet import drawn_serial, with_seed
 from ingest.simulator.drawn_plan import DrawnFleet
 from ingest.simulator.listed_fleet import DynamicsTable, VehicleTable, impossible_bogies
-from ingest.simulator.profile_files import rail_in, wheel_in
-from ingest.simulator.rail_course import DAYS_PER_YEAR
+from ingest.simulator.profile_files import DAYS_PER_YEAR, rail_in, wheel_in
 from ingest.simulator.running import CreepTable, RunningPlan, TractionTable, WheelsTable
-from ingest.simulator.scenario import BusPlan, PositionErrors, Scenario, Sessions, SpeedRange, VehicleErrors
+from ingest.simulator.scenario import (
+    BusPlan,
+    ClassOnFile,
+    PositionErrors,
+    Scenario,
+    Sessions,
+    SpeedRange,
+    VehicleErrors,
+)
 from ingest.simulator.section import RailFiles, SectionTable
-from ingest.simulator.sensor_table import SensorsTable
-from ingest.simulator.sensors import SensorNode
+from ingest.simulator.sensors import SensorNode, SensorsTable
 from ingest.vehicle_class_file import read_vehicle_class, shipped_classes, shipped_path
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Self
@@ -10,11 +10,11 @@ from typing import Annotated, Self
 from annotated_types import Interval
 from pydantic import AfterValidator
 
-from estimation.contact.profiles import rail_profile
+from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import DEEPEST_BAND, RailWear
 from estimation.errors import ProfileError
 from estimation.values.file_units import DEG, MM, FileUnit, Key, M
-from ingest.file_value import As, FileBeside, Inline, between, taken
+from ingest.file_value import As, FileBeside, Inline, between, keys_of, taken
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.blows import TrackBlows
 from ingest.simulator.irregularity import CrossLevel, LoadVariation, Waves
@@ -31,12 +31,17 @@ SideMirrors = tuple[bool | None, bool | None]
 """Of left and right rail: whether the gauge side is at positive y of the file; None: the shape shows it."""
 
 
-def _rail(name: str) -> str:
-    try:
-        rail_profile(name)
-    except ProfileError as error:
-        raise field_error(error.reason) from error
-    return name
+def known(look_up: Callable[[str], Profile]) -> AfterValidator:
+    """Return the check that a profile of a name is built in."""
+
+    def check(name: str) -> str:
+        try:
+            look_up(name)
+        except ProfileError as error:
+            raise field_error(error.reason) from error
+        return name
+
+    return AfterValidator(check)
 
 
 def _as_built(run: float) -> float:
@@ -45,7 +50,8 @@ def _as_built(run: float) -> float:
     return 0.0 if run == 0.0 else 1.0 / run
 
 
-RailName = Annotated[Text, AfterValidator(_rail)]
+RailName = Annotated[Text, known(rail_profile)]
+WheelName = Annotated[Text, known(wheel_profile)]
 Inclination = Annotated[float, Interval(ge=LEAST_RUN), AfterValidator(lambda run: 1.0 / run)]
 """A tangent; in files 1 in so many."""
 
@@ -203,7 +209,7 @@ class SectionTable(SectionPlan):
         self.check_rails()
         if self.file is None:
             _check_recipe(self.recipe)
-        for key in _RECIPE_KEYS if self.file is not None else ():
+        for key in keys_of(TrackRecipe) if self.file is not None else ():
             if key in given:
                 raise field_error("cannot be given beside 'file'", key)
         if self.recipe is not None:
@@ -258,21 +264,4 @@ def _check_curves(recipe: TrackRecipe) -> None:
                 raise field_error(f"{value:g} m; the section has {recipe.length:g} m", "curves", index, key)
 
 
-_RECIPE_KEYS = (
-    "length_m",
-    "interval_m",
-    "shortest_wavelength_m",
-    "longest_wavelength_m",
-    "alignment_std_mm",
-    "gauge_std_mm",
-    "gauge_offset_mm",
-    "curves",
-    "alignment_kurtosis",
-    "gauge_kurtosis",
-    "long_alignment",
-    "long_gauge",
-    "defects",
-    "switches",
-    "joints",
-)
 _ISOLATED_KEYS = {IsolatedKind.DEFECT: "defects", IsolatedKind.SWITCH: "switches", IsolatedKind.JOINT: "joints"}

@@ -19,8 +19,7 @@ import numpy as np
 from estimation.values.arrays import FloatArray
 from estimation.values.json_value import JsonValue
 from ingest.simulator.campaign import failed
-from ingest.simulator.class_on_file import ClassOnFile
-from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import ClassOnFile, Scenario, VehiclePlan, WheelsetPlan
 from ingest.simulator.section import SectionPlan
 from ingest.simulator.sensors import Channel
 from ingest.simulator.track import TrackTruth, write_track
@@ -304,6 +303,5 @@ def wheelset_truth(
         axle: Number of the axle, from 0.
         campaign: Number of the campaign, from 0.
         odometer: Of the vehicle, m.
-        geometry: Contact geometry and conicity of the wheelset at that mileage.
     """
     return WheelsetTruth(plan.code, axle + 1, campaign + 1, wear_at(plan.wheelsets[axle], odometer), geometry)

@@ -17,10 +17,8 @@ from estimation.values.file_units import MM, Key, M
 from ingest.file_value import As, Inline, between
 from ingest.input_file import Positive
 from ingest.simulator.curves import Curve, Curves, laid_out
-from ingest.simulator.irregularity import Band, LongWaves, Waves, superpose
+from ingest.simulator.irregularity import GAUSSIAN, HIGHEST, Band, Irregularity, LongWaves, Waves, superpose
 from ingest.simulator.isolated import Isolated, IsolatedTables, isolated
-from ingest.simulator.kurtosis import GAUSSIAN, HIGHEST
-from ingest.simulator.spectra import Irregularity
 from ingest.track_file import (
     COLUMNS,
     FEWEST_POINTS,
@@ -152,9 +150,6 @@ class TrackRecipe:
 
 def make_track(recipe: TrackRecipe, seed: np.random.SeedSequence) -> TrackTruth:
     """Return a track after the B176 spectra; alignment, gauge and all else have random streams of their own.
-
-    Args:
-        seed: Of all random streams.
 
     Raises:
         ParameterError: The recipe cannot be made; its field is that of a scenario's section.

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, ContactTable, WheelsetOnTrack, contact_table, refined_curve
 from estimation.contact.profiles import Profile
-from estimation.contact.radius_difference import refined_curve
-from estimation.contact.table import ContactMethod, ContactTable
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray, frozen_array
 from ingest.simulator.profile_files import rails_of, wheels_of
@@ -60,7 +58,6 @@ def worn_contact(
     """Return the contact geometry of a worn wheelset on ``section``, rigid with roll.
 
     Args:
-        plan, wear: The wheelset as new, and what it has lost.
         gauge_deviation: (g,) m, for which gauges.
         limit: m of lateral displacement to either side.
         step: m of lateral displacement between the points of the table.

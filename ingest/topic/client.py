@@ -67,7 +67,6 @@ class Topic:
 
     Attributes:
         servers: Brokers, ``host:port`` with commas between them.
-        name: Of the topic.
         properties: Of librdkafka beside ours, such as those of TLS and SASL. They may hold passwords.
     """
 

@@ -18,9 +18,8 @@ from ingest.intake.backlog import Behind, Limit
 from ingest.intake.decoding import decode_received
 from ingest.live.backoff import Backoff
 from ingest.receiver import Receiver
-from ingest.topic.outcomes import Outcome, Refused
 from ingest.topic.reading import Received, TopicReader
-from ingest.topic.reference import Reference, read_message
+from ingest.topic.reference import Outcome, Reference, Refused, read_message
 from ingest.topic.status import ConsumerStatus
 from ingest.topic.taking import ReferenceTaking, Taken
 
@@ -44,11 +43,7 @@ class Decoding:
 
 
 class Consuming:
-    """Takes messages until asked to end.
-
-    Args:
-        stopped: Whether an end is requested.
-    """
+    """Takes messages until asked to end."""
 
     def __init__(
         self,

@@ -95,11 +95,7 @@ class Publisher:
         self._queue.put(reference)
 
     def close(self, timeout_s: float = CLOSE_S) -> None:
-        """Publish what waits within a time, drop the rest, and log how many did not reach the topic.
-
-        Args:
-            timeout_s: In all, s.
-        """
+        """Publish what waits within a time, drop the rest, and log how many did not reach the topic."""
         from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
 
         until = time.monotonic() + timeout_s

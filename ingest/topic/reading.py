@@ -59,11 +59,7 @@ class TopicReader:
         self._consumer.subscribe([topic.name], on_assign=self._on_assign, on_revoke=self._on_revoke)
 
     def next(self, timeout_s: float) -> Received | None:
-        """Return the next message; None where none came in time.
-
-        Args:
-            timeout_s: s.
-        """
+        """Return the next message; None where none came in time."""
         return self._early.popleft() if self._early else self._polled(timeout_s)
 
     def done(self, message: Received) -> None:
@@ -90,12 +86,7 @@ class TopicReader:
                 self._take_part(0.0)
 
     def wait(self, seconds: float, stopped: Callable[[], bool]) -> None:
-        """Take no message for a while, and stay in the group.
-
-        Args:
-            seconds: s.
-            stopped: Whether an end is requested.
-        """
+        """Take no message for a while, and stay in the group."""
         until_s = time.monotonic() + seconds
         with self.paused():
             while not stopped() and (left_s := until_s - time.monotonic()) > 0.0:

@@ -1,9 +1,10 @@
-"""A reference to a chunk, and its form on the topic: a key ``fleet:vehicle`` and a small JSON object."""
+"""A reference to a chunk, its form on the topic (key ``fleet:vehicle``, a small JSON object), and what became of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
+from enum import StrEnum
 from typing import Annotated
 
 import orjson
@@ -11,7 +12,30 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationErro
 
 from fleet_db.receipts import ChunkRecord
 from ingest.logs.formats import SUFFIXES
-from ingest.topic.outcomes import Outcome, Refused
+
+
+class Outcome(StrEnum):
+    """What became of a message, once its offset is committed."""
+
+    STORED = "stored"  # the receipt is new: the bytes were in the raw store already
+    KNOWN = "known"  # there was a receipt
+    MISSING = "missing"  # no such bytes in the raw store: in quarantine, tried again
+    DAMAGED = "damaged"  # other bytes under that digest, or of another size: in quarantine, tried again
+    FAILED = "failed"  # the program failed at it: in quarantine, tried again
+    OTHER_VEHICLE = "other_vehicle"  # the same chunk was received from another vehicle
+    DELETED = "deleted"  # the chunk was deleted by hand
+    MALFORMED = "malformed"
+    OTHER_VERSION = "other_version"
+    CONTRADICTORY = "contradictory"  # key and body name different vehicles
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A message of which nothing is taken: what it counts as, and why in a sentence."""
+
+    outcome: Outcome
+    text: str
+
 
 VERSION = 1
 MOST_BYTES = 4096
@@ -31,9 +55,7 @@ class Reference:
     Attributes:
         digest: sha256 of its bytes, in hexadecimal.
         suffix: Of its format, such as ``.blf``.
-        vehicle: Code.
         size_bytes: Of the chunk.
-        file_name: Under which it came.
         received_ns: When it was received, ns UTC of the clock of whoever published the reference.
     """
 

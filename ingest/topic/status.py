@@ -6,7 +6,7 @@ import threading
 from collections import Counter
 from dataclasses import dataclass, field
 
-from ingest.topic.outcomes import Outcome
+from ingest.topic.reference import Outcome
 
 
 @dataclass(slots=True)

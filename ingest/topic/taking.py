@@ -1,23 +1,74 @@
-"""From a reference to a committed receipt: known already, or new where the bytes are in the raw store."""
+"""From a reference to a committed receipt: known already, or new where the bytes are in the raw store.
+
+References whose chunk cannot be taken yet: kept in quarantine, and tried again a bounded number of times.
+
+A reference may overtake the file that it is about, where another site's files are replicated.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from estimation.errors import ConflictError
+from estimation.errors import ConflictError, PassingFaultError
+from estimation.failures import after_failure
 from estimation.storage import Clock
 from estimation.values.reasons import ReasonCode, code_of
+from estimation.values.runs import Quarantined, SubjectKind
 from fleet_db.raw import LostRecordingError, RawStore
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
-from ingest.deleted import DeletedRecordings
+from ingest.held import release_recording
 from ingest.intake.backlog import BacklogWatch, Behind
-from ingest.intake.chunk import Chunk
-from ingest.receipts import enter_receipt
-from ingest.topic.held_references import HeldReferences, missing
-from ingest.topic.outcomes import Outcome
-from ingest.topic.reference import Reference
+from ingest.receipts import Chunk, DeletedRecordings, enter_receipt
+from ingest.topic.reference import Outcome, Reference, as_text, from_text
+
+STAGE = "consume"
+MOST_ATTEMPTS = 30
+"""Over some 23 hours, as their delays grow; behind it a new message or ``treadwatch quarantine retry`` is needed."""
+NEVER_NS = (1 << 63) - 1
+AT_ONCE = 100
+"""References that are tried again between two messages."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldReferences:
+    """The quarantine of references."""
+
+    storage: SqlStorage
+    clock: Clock
+
+    def hold(self, reference: Reference, error: Exception) -> None:
+        """Keep a reference with what stood against it.
+
+        Args:
+            reference: To a chunk without a receipt.
+        """
+        subject, text = (SubjectKind.RECORDING, reference.digest, STAGE), as_text(reference)
+        with self.storage.write() as unit:
+            if unit.chunks.get(reference.digest) is not None:
+                return  # it came meanwhile, or what failed is kept with its receipt
+            item = after_failure(unit.quarantine.get(*subject), subject, text, error, self.clock.now_ns())
+            if item.attempts >= MOST_ATTEMPTS:
+                item = replace(item, due_ns=NEVER_NS)
+            unit.quarantine.put(item)
+
+    def release(self, digest: str) -> None:
+        """End the quarantine of a reference, if it was in one."""
+        release_recording(self.storage, digest, STAGE)
+
+    def due(self) -> Sequence[Reference]:
+        """Return references for which another attempt is due, at most :data:`AT_ONCE`."""
+        with self.storage.read() as unit:
+            items: Sequence[Quarantined] = unit.quarantine.due(STAGE, self.clock.now_ns(), AT_ONCE)
+        found = [from_text(item.inputs) for item in items]
+        return [reference for reference in found if reference is not None]
+
+
+def missing(reference: Reference, fault: LostRecordingError) -> PassingFaultError:
+    """Return what is kept of a chunk whose bytes are not there, or are others."""
+    return PassingFaultError(f"a reference names this chunk of vehicle {reference.vehicle}: {fault}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +81,7 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class ReferenceTaking:
-    """Takes references in.
-
-    Args:
-        storage, raw: Where receipts go, and where the bytes must be.
-        backlog: Says whether more receipts may come.
-    """
+    """Takes references in."""
 
     storage: SqlStorage
     raw: RawStore

@@ -9,7 +9,7 @@ import numpy as np
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
-from estimation.values.dampers import GearDamper
+from estimation.values.dampers import GEAR_DAMPERS, GearDamper, part_of_gear
 from estimation.values.geometry import BinStatus, BinValues, Centre, CentreOrigin, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.rails import (
@@ -29,11 +29,12 @@ from estimation.values.registry import FleetRecord, Mounting, Reprofiling, Vehic
 from estimation.values.results import Result
 from estimation.values.runs import JobOutcome, JobTrigger, Quarantined, QuarantineState, SubjectKind
 from estimation.values.signatures import (
+    ANSWERS,
     Basis,
     ConicitySource,
     Disagreement,
     SignatureAnswer,
-    SignatureRecord,
+    SignatureFinding,
     StateProbability,
     UsedEntry,
 )
@@ -179,7 +180,7 @@ def geometry_record(recorded_ns: int, conicity: float) -> GeometryRecord:
     )
 
 
-def signature_record() -> SignatureRecord:
+def signature_record() -> Result[SignatureFinding]:
     """Return what the signatures of the first wheelset show: another conicity than its geometry."""
     used = (
         UsedEntry(WHEELSETS[2], "S-1", 0.28125, 0.5, ConicitySource.MEASURED_PROFILES),
@@ -188,7 +189,7 @@ def signature_record() -> SignatureRecord:
     states = (StateProbability(0.0, 0.25, 0.125), StateProbability(0.25, float("inf"), 0.875))
     answer = SignatureAnswer(WHEELSETS[0], estimate(0.3125), Basis.OTHER_PLACES, states, used, 12, 3, 0.5)
     apart = Reason(ReasonCode.METHODS_DISAGREE, "their intervals are apart")
-    return SignatureRecord(
+    found = SignatureFinding(
         answer=answer,
         baseline=2,
         signatures=9,
@@ -197,10 +198,8 @@ def signature_record() -> SignatureRecord:
         left_out={"same_wheelset": 4},
         geometry=estimate(0.25),
         disagreement=Disagreement(0.0625, 0.0125, disagrees=True, reason=apart),
-        input_digest="5" * 64,
-        code_version="0.1.0+test",
-        recorded_ns=RECORDED,
     )
+    return Result(WHEELSETS[0], "5" * 64, "0.1.0+test", RECORDED, found)
 
 
 def trend_record(recorded_ns: int, last: float) -> TrendRecord:
@@ -351,7 +350,8 @@ def gear_dampers() -> list[GearDamper]:
 
 def _put_dampers(unit: UnitOfWork) -> None:
     for damper in gear_dampers():
-        unit.dampers.put_gear(damper, WHEELSETS[0], "1")
+        result = Result(damper.vehicle, "d" * 64, "1", RECORDED, damper, part_of_gear(damper.first_axle))
+        unit.results.put_all(GEAR_DAMPERS, [result])
 
 
 def suspension_findings() -> list[SuspensionFinding]:
@@ -407,7 +407,7 @@ def populate(storage: Storage) -> None:
         unit.geometries.put(geometry_record(RECORDED + DAY, 0.25))
         unit.trends.put(trend_record(RECORDED, 0.1875))
         unit.trends.put(trend_record(RECORDED + DAY, 0.25))
-        unit.signatures.put_answer(signature_record())
+        unit.results.put_all(ANSWERS, [signature_record()])
         _put_dampers(unit)
         for finding in suspension_findings():
             unit.suspensions.put(finding)

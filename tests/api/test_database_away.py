@@ -83,10 +83,13 @@ def scheduler_process(server: PostgresServer, folder: Path) -> Iterator[tuple[su
         "TREADWATCH_DATA_DIR": str(folder),
         "TREADWATCH_DATABASE_URL": with_password(server),
         "TREADWATCH_JOBS_EVERY_S": "0.2",
+        "TREADWATCH_LEASE_S": "2",
     }
     log = folder / "scheduler.log"
     with log.open("wb") as written:
-        process = subprocess.Popen([sys.executable, "-c", COMMAND, "schedule"], env=environment, stderr=written)
+        process = subprocess.Popen(
+            [sys.executable, "-c", COMMAND, "schedule", "--wait"], env=environment, stderr=written
+        )
     try:
         yield process, log
     finally:

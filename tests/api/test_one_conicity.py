@@ -11,9 +11,9 @@ import pytest
 from api.terminal.contact import Contact, table_text
 from estimation.accuracy.wheel_contact import AMPLITUDES, RailShare, WheelContact, WheelPair, wheel_contact
 from estimation.contact.conicity import MeasuredShapes, equivalent_conicity
+from estimation.contact.geometry import ContactMethod
 from estimation.contact.profiles import rail_profile
 from estimation.contact.smoothed_profile import exact
-from estimation.contact.table import ContactMethod
 from estimation.rails.parameters import conicity_on_rails
 from estimation.track.panel.measured_curves import measured_curve
 from ingest.simulator.scenario_file import load_scenario

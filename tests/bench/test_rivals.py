@@ -10,7 +10,7 @@ import pytest
 
 from bench.rivals_fleets import JUMPS, SMOOTH, fleet
 from bench.rivals_table import bench_rows, floor, near_rows, page_body, summary_lines, table_rows
-from estimation.contact.radius_difference import refined_curve
+from estimation.contact.geometry import refined_curve
 from ingest.simulator.axle_motion import contact_of
 from ingest.simulator.campaign import scenario_track
 

@@ -21,8 +21,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.tables import TrackEpochRow
-from ingest.registry_file import load_registry
-from ingest.registry_schema import FORMAT
+from ingest.registry_file import FORMAT, load_registry
 
 
 @pytest.mark.parametrize(

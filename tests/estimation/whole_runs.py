@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 
-from estimation.motion.joined_windows import following, joined
+from estimation.track.examination import following, joined
 from estimation.values.windows import Window
 
 

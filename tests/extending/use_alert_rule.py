@@ -36,4 +36,5 @@ with closing(SqlStorage(database_engine(url), folder)) as storage:
         kinds = [alert.kind for alert in unit.alerts.all_open("W1")]
 assert kinds == ["uncertain_conicity"], kinds
 assert '"uncertain_conicity"' in document_text()
+assert "UncertainConicityEvidence" in document_text()
 print(estimation.__file__)  # noqa: T201 - for the test: which copy ran

@@ -183,7 +183,6 @@ def test_one_time_has_work_on_one_axle(known: SqlStorage) -> None:
     with known.write() as unit:
         assert unit.sensor_changes.add(WORK, 2, Decision())
         assert not unit.sensor_changes.add(WORK, 2, Decision())
-        assert unit.sensor_changes.at_axle("V1", 2) == [AT]
-        assert unit.sensor_changes.at_axle("V1", 1) == []
+        assert unit.sensor_changes.newest(["V1"]) == {("V1", 2): AT}
     with pytest.raises(ConflictError, match="axle 2 of vehicle 'V1' has one of"), known.write() as unit:
         unit.sensor_changes.add(replace(WORK, axle=1), 2, Decision())

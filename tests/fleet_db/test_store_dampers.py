@@ -10,11 +10,14 @@ import stored_values as make
 from same_values import same_values
 
 from estimation.errors import StorageError
-from estimation.values.dampers import SHARES, DamperSums, GearDamper, WindowDamper
+from estimation.jobs.made_from import made_from
+from estimation.values.dampers import GEAR_DAMPERS, SHARES, DamperSums, GearDamper, WindowDamper, part_of_gear
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.packed_dampers import pack_gear_damper, unpack_window_damper
-from fleet_db.storage import SqlStorage
+from estimation.values.results import Result
+from fleet_db.packed_dampers import unpack_window_damper
+from fleet_db.packed_values import pack_value
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 
 def stored_window(storage: SqlStorage, index: int = 0, seed: int = 0) -> tuple[int, str]:
@@ -37,8 +40,8 @@ def test_what_windows_say_comes_back_bit_for_bit_newest_first(fleet: SqlStorage)
     found = [made(*stored_window(fleet, 0)), made(*stored_window(fleet, 1), refused)]
     with fleet.write() as unit:
         for one in found:
-            unit.dampers.put(one)
-            unit.dampers.put(one)
+            unit.dampers.put_all([one])
+            unit.dampers.put_all([one])
     with fleet.read() as unit:
         newest = unit.dampers.newest("V-1", 1, 10)
         assert [one.start_ns for one in unit.dampers.newest("V-1", 1, 1)] == [found[1].start_ns]
@@ -53,9 +56,9 @@ def test_what_windows_say_comes_back_bit_for_bit_newest_first(fleet: SqlStorage)
 def test_windows_with_other_samples_say_nothing(fleet: SqlStorage) -> None:
     start_ns, digest = stored_window(fleet)
     with fleet.write() as unit:
-        unit.dampers.put(made(start_ns, digest))
+        unit.dampers.put_all([made(start_ns, digest)])
         assert len(unit.dampers.newest("V-1", 1, 10)) == 1
-        unit.dampers.put(made(start_ns, "0" * 64))
+        unit.dampers.put_all([made(start_ns, "0" * 64)])
         assert unit.dampers.newest("V-1", 1, 10) == []
 
 
@@ -63,7 +66,7 @@ def test_old_windows_are_forgotten(fleet: SqlStorage) -> None:
     keys = [stored_window(fleet, index) for index in range(3)]
     with fleet.write() as unit:
         for key in keys:
-            unit.dampers.put(made(*key))
+            unit.dampers.put_all([made(*key)])
         assert unit.dampers.forget("V-1", 1, keys[2][0]) == 2
         assert [one.start_ns for one in unit.dampers.newest("V-1", 1, 10)] == [keys[2][0]]
 
@@ -73,35 +76,21 @@ def gear(share: Estimate) -> GearDamper:
     return GearDamper("V-1", 1, share, 0.97 if known else None, True if known else None, 7, 1, 2, 5, 9, 1.5, 2.5)
 
 
+def put(unit: SqlUnitOfWork, found: GearDamper) -> None:
+    unit.results.put_all(GEAR_DAMPERS, [Result("V-1", made_from(found), "1", 1, found, part_of_gear(1))])
+
+
 def test_the_damper_of_a_running_gear_is_replaced_and_comes_back(fleet: SqlStorage) -> None:
     unknown = gear(Estimate.unknown(Reason(ReasonCode.TOO_FEW_WINDOWS, "few"), 2.0))
     known = gear(with_interval(0.3, 0.02, 0.01, 7, 7.0))
     with fleet.write() as unit:
-        assert unit.dampers.put_gear(unknown, "WS-1", "1")
-        assert not unit.dampers.put_gear(unknown, "WS-1", "1")
-        assert unit.dampers.of_vehicle("V-1") == [unknown]
-        assert unit.dampers.put_gear(known, "WS-1", "1")
-        assert unit.dampers.of_vehicle("V-1") == [known]
+        for one in (unknown, known):
+            put(unit, one)
+            assert unit.dampers.of_vehicle("V-1") == [one]
         assert unit.dampers.of_vehicle("V-2") == []
-        assert unit.dampers.gear("V-1", 1) == known
-        assert unit.dampers.gear("V-1", 2) is unit.dampers.gear("V-2", 1) is None
-
-
-def test_a_damper_that_is_another_is_news_of_its_wheelset(fleet: SqlStorage) -> None:
-    known, touched = gear(with_interval(0.3, 0.02, 0.01, 7, 7.0)), []
-    for _ in range(2):
-        with fleet.write() as unit:
-            unit.dampers.put_gear(known, "WS-1", "1")
-        with fleet.read() as unit:
-            touched.append(unit.looks.touched()["WS-1"])
-    assert touched[0] == touched[1]
-    with fleet.write() as unit:
-        unit.dampers.put_gear(replace(known, windows=8), "WS-1", "1")
-    with fleet.read() as unit:
-        assert unit.looks.touched()["WS-1"] == touched[1] + 1
 
 
 def test_a_blob_of_another_kind_is_damage() -> None:
-    blob = pack_gear_damper(gear(Estimate.unknown(Reason(ReasonCode.TOO_FEW_WINDOWS, "few"))))
+    blob = pack_value(gear(Estimate.unknown(Reason(ReasonCode.TOO_FEW_WINDOWS, "few"))))
     with pytest.raises(StorageError):
         unpack_window_damper(blob, where="here")

@@ -12,7 +12,11 @@ from sqlalchemy import update
 
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import Result
+from estimation.values.runs import SubjectKind
 from estimation.values.signatures import (
+    ANSWERS,
+    SIGNATURES,
     AxlePosition,
     Basis,
     ConicitySource,
@@ -20,16 +24,19 @@ from estimation.values.signatures import (
     Place,
     Signature,
     SignatureAnswer,
-    SignatureRecord,
+    SignatureFinding,
     StateProbability,
     UsedEntry,
     WindowSignatures,
 )
-from estimation.values.windows import WindowState
+from estimation.values.subjects import Mark, StageInputs
+from estimation.values.windows import WindowKey, WindowState, key_of_text
 from fleet_db.rows import table_of
-from fleet_db.storage import SqlStorage
+from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores import signatures as signature_store
 from fleet_db.tables import WearSignatureRow
+
+OF_WINDOWS = StageInputs(SIGNATURES, SubjectKind.WINDOW, (), "")
 
 
 def signature(start_ns: int, order: int, place: Place | None) -> Signature:
@@ -65,15 +72,25 @@ def test_signatures_come_back_bit_for_bit_with_the_mileage_of_their_window(fleet
         assert known.mileage_km == 100.0
 
 
-def test_a_window_is_missing_until_it_has_signatures_and_again_with_other_samples(fleet: SqlStorage) -> None:
+def due(unit: SqlUnitOfWork) -> list[WindowKey]:
+    """Return the windows whose signatures are to be made."""
+    return [key_of_text(key) for key in unit.due.due(OF_WINDOWS)]
+
+
+def settle(unit: SqlUnitOfWork) -> None:
+    unit.due.note(OF_WINDOWS, {key: Mark(one.seen, "") for key, one in unit.due.due(OF_WINDOWS).items()})
+
+
+def test_a_window_is_due_with_its_samples_and_again_with_others(fleet: SqlStorage) -> None:
     start_ns, digest = stored_window(fleet)
     with fleet.write() as unit:
-        assert unit.signatures.missing(["WS-1"], 10) == [("WS-1", start_ns)]
+        assert due(unit) == [("WS-1", start_ns)]
         unit.signatures.put_all([made(start_ns, digest)])
-        assert unit.signatures.missing(["WS-1"], 10) == []
+        settle(unit)
+        assert due(unit) == []
     stored_window(fleet, seed=5)
     with fleet.read() as unit:
-        assert unit.signatures.missing(["WS-1"], 10) == [("WS-1", start_ns)]
+        assert due(unit) == [("WS-1", start_ns)]
         assert unit.signatures.known().known == [], "those of other samples are not known"
 
 
@@ -89,37 +106,38 @@ def test_a_damaged_row_is_named_beside_what_is_known_and_made_again_once_it_is_d
         ((wheelset, start_ns, text),) = stored.damaged
         assert (wheelset, start_ns) == ("WS-1", keys[0][0])
         assert "signatures of WS-1@" in text
+        settle(unit)
         unit.signatures.drop([(wheelset, start_ns)])
-        assert unit.signatures.missing(["WS-1"], 10) == [(wheelset, start_ns)]
+        assert due(unit) == [(wheelset, start_ns)]
 
 
 def test_a_refusal_is_kept_and_one_for_want_of_the_other_axle_is_tried_again(fleet: SqlStorage) -> None:
     start_ns, digest = stored_window(fleet)
     short = Reason(ReasonCode.PASS_TOO_SHORT, "too short")
     frame = Reason(ReasonCode.FRAME_UNKNOWN, "no other axle")
-    with fleet.write() as unit:
-        unit.signatures.put_all([made(start_ns, digest, short)])
-        assert unit.signatures.missing(["WS-1"], 10) == []
-        assert unit.signatures.counts() == {"pass_too_short": 1}
-        unit.signatures.put_all([made(start_ns, digest, frame)])
-        assert unit.signatures.missing(["WS-1"], 10) == []
-        unit.windows.mark("WS-1", start_ns, WindowState.ESTIMATED)
-        assert unit.signatures.missing(["WS-1"], 10) == [("WS-1", start_ns)]
+    for reason, again in ((short, []), (frame, [("WS-1", start_ns)])):
+        with fleet.write() as unit:
+            unit.signatures.put_all([made(start_ns, digest, reason)])
+            settle(unit)
+            unit.windows.mark("WS-1", start_ns, WindowState.PENDING)
+            assert due(unit) == []
+            unit.windows.mark("WS-1", start_ns, WindowState.ESTIMATED)
+            assert due(unit) == again
 
 
-def test_signatures_of_other_assumptions_are_forgotten(fleet: SqlStorage) -> None:
-    with fleet.write() as unit:
-        pass
+def test_signatures_of_other_assumptions_are_due(fleet: SqlStorage) -> None:
     start_ns, digest = stored_window(fleet)
     with fleet.write() as unit:
         unit.signatures.put_all([made(start_ns, digest)])
-        assert unit.signatures.assumptions(["WS-1"]) == [("V-1", "WS-1", "a" * 64)]
-        assert unit.signatures.forget("V-1", "WS-1", "b" * 64) == 0
-        assert unit.signatures.forget("V-1", "WS-1", "a" * 64) == 1
-        assert unit.signatures.missing(["WS-1"], 10) == [("WS-1", start_ns)]
+        settle(unit)
+        assert unit.signatures.vehicles(["WS-1", "WS-2"]) == [("WS-1", "V-1")]
+        unit.signatures.list_other("WS-1", "V-1", "a" * 64)
+        assert due(unit) == []
+        unit.signatures.list_other("WS-1", "V-1", "b" * 64)
+        assert due(unit) == [("WS-1", start_ns)]
 
 
-RECORD = SignatureRecord(
+FINDING = SignatureFinding(
     answer=SignatureAnswer(
         "WS-1",
         Estimate(0.21, 0.01, 0.19, 0.23, 12.0, Status.ESTIMATED),
@@ -137,27 +155,24 @@ RECORD = SignatureRecord(
     left_out={"same_wheelset": 3},
     geometry=Estimate(0.25, 0.005, 0.24, 0.26, 4.0, Status.ESTIMATED),
     disagreement=Disagreement(-0.04, 0.011, disagrees=True, reason=Reason(ReasonCode.METHODS_DISAGREE, "apart")),
-    input_digest="d" * 64,
-    code_version="9",
-    recorded_ns=77,
 )
 
 
 def test_the_newest_answer_takes_the_place_of_the_one_before(fleet: SqlStorage) -> None:
     silent = replace(
-        RECORD,
+        FINDING,
         answer=SignatureAnswer("WS-1", Estimate.unknown(Reason(ReasonCode.LIBRARY_TOO_SMALL, "too few"))),
         geometry=None,
         disagreement=None,
-        input_digest="e" * 64,
     )
-    for one in (RECORD, silent):
+    for digest, one in (("d" * 64, FINDING), ("e" * 64, silent)):
         with fleet.write() as unit:
-            unit.signatures.put_answer(one)
+            unit.results.put_all(ANSWERS, [Result("WS-1", digest, "9", 77, one)])
         with fleet.read() as unit:
-            assert unit.signatures.answer("WS-1") == one
-            assert unit.signatures.answer("WS-2") is None
-            assert unit.signatures.answered() == {"WS-1": (one.input_digest, "9")}
+            result = unit.results.latest(ANSWERS, "WS-1")
+            assert result is not None
+            assert result.value == one
+            assert unit.results.made_from(ANSWERS) == {"WS-1": (digest, "9")}
 
 
 def test_of_a_wheelset_section_and_band_of_speed_the_newest_windows_are_known(
@@ -169,11 +184,3 @@ def test_of_a_wheelset_section_and_band_of_speed_the_newest_windows_are_known(
     with fleet.write() as unit:
         unit.signatures.put_all([made(*keys[0], placed=False), *(made(*key) for key in keys[1:])])
         assert [one.found.start_ns for one in unit.signatures.known().known] == [key[0] for key in (keys[0], *keys[2:])]
-
-
-def test_windows_of_other_wheelsets_are_not_asked_for(fleet: SqlStorage) -> None:
-    start_ns, digest = stored_window(fleet)
-    with fleet.write() as unit:
-        assert unit.signatures.missing(["WS-2"], 10) == []
-        unit.signatures.put_all([made(start_ns, digest)])
-        assert unit.signatures.assumptions(["WS-2"]) == []

@@ -50,7 +50,7 @@ for number in range(25):
         unit.registry.add_fleet(FleetRecord(f"{sys.argv[3]}-{number}", "x"))
 """
 LOCK_AND_HANG = """
-with storage.owned(JobTrigger.SCHEDULE, "the first, process 1", 1):
+with storage.owned(JobTrigger.SCHEDULE, "the first, process 1", 2.0):
     print("locked", flush=True)
     sys.stdin.read()
 """
@@ -172,12 +172,12 @@ def test_a_writer_who_waits_too_long_gets_an_error(tmp_path: Path) -> None:
 
 def test_a_second_scheduler_is_refused(fleet: SqlStorage) -> None:
     with (
-        fleet.owned(JobTrigger.SCHEDULE, "scheduler, process 4711", 1),
+        fleet.owned(JobTrigger.SCHEDULE, "scheduler, process 4711", 2.0),
         pytest.raises(AlreadyRunningError, match="scheduler, process 4711"),
-        fleet.owned(JobTrigger.SCHEDULE, "another", 1),
+        fleet.owned(JobTrigger.SCHEDULE, "another", 2.0),
     ):
         pass
-    with fleet.owned(JobTrigger.SCHEDULE, "the next", 1):
+    with fleet.owned(JobTrigger.SCHEDULE, "the next", 2.0):
         pass
 
 
@@ -187,25 +187,25 @@ def test_a_killed_scheduler_lets_the_next_one_in(fleet: SqlStorage) -> None:
         assert line_of(running) == "locked"
         with (
             pytest.raises(AlreadyRunningError, match="the first, process 1"),
-            fleet.owned(JobTrigger.SCHEDULE, "second", 1),
+            fleet.owned(JobTrigger.SCHEDULE, "second", 2.0),
         ):
             pass
         running.kill()
         running.wait(30)
-        for _ in range(200):  # the server notices the end of a session a moment later
+        for _ in range(200):  # its lease ends by its time
             try:
-                with fleet.owned(JobTrigger.SCHEDULE, "second", 1):
+                with fleet.owned(JobTrigger.SCHEDULE, "second", 2.0):
                     return
             except AlreadyRunningError:
                 threading.Event().wait(0.05)
-    pytest.fail("the lock was never let go")
+    pytest.fail("the place was never free")
 
 
 def test_schedulers_of_two_databases_do_not_meet(sqlite_storage: SqlStorage, tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'other.sqlite3'}"
     upgrade(url)
     other = SqlStorage(database_engine(url), tmp_path)
-    with sqlite_storage.owned(JobTrigger.SCHEDULE, "one", 1), other.owned(JobTrigger.SCHEDULE, "two", 1):
+    with sqlite_storage.owned(JobTrigger.SCHEDULE, "one", 2.0), other.owned(JobTrigger.SCHEDULE, "two", 2.0):
         pass
     other.close()
 

@@ -92,9 +92,9 @@ def test_that_workers_have_ended_at_a_thing_is_not_forgotten_in_an_outage(
 ) -> None:
     with opened(server, tmp_path) as storage:
         with storage.write() as unit:
-            gone = unit.work_claims.lease("gone", 10**15)
+            gone = unit.work_claims.lease("gone", 10**15, unit="7")
             unit.work_claims.take(gone, "a", ["1"])
-            unit.work_claims.end_of("gone", forgiven=False)
+            unit.work_claims.end(unit.work_claims.lease("whoever begins it again", 10**15, unit="7"))
         assert away_while_it_works(server, storage, LONG_S, alone=True).keys == ("1", "2")
         reached(storage)
         with storage.leased("a", ["1", "2"], "worker", LONG_S) as (_, claimed):

@@ -12,7 +12,6 @@ from sqlalchemy import select, text, update
 from estimation.errors import LeaseLostError
 from estimation.values.registry import FleetRecord
 from estimation.values.runs import JobTrigger
-from fleet_db import locks
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.work_claims import KEPT_NS
@@ -71,7 +70,7 @@ def test_a_worker_without_its_lease_stores_nothing(storage: SqlStorage) -> None:
     with storage.leased("a", ["1"], "one", LONG_S) as (leased, _):
         end_all(storage)
         assert leased.lease_lost()
-        with pytest.raises(LeaseLostError, match="one stood still"), leased.write() as unit:
+        with pytest.raises(LeaseLostError, match="one has lost its lease"), leased.write() as unit:
             unit.registry.add_fleet(FleetRecord("F", "Fleet"))
         with storage.leased("a", ["1"], "two", LONG_S, alone=True) as (other, claimed):
             assert claimed.keys == ("1",)
@@ -88,13 +87,17 @@ def test_a_lease_from_before_the_clock_was_set_back_has_ended(storage: SqlStorag
         assert claimed.ended == (("1", 1),)
 
 
-def test_the_leases_of_a_process_end_with_it(storage: SqlStorage) -> None:
-    with storage.owned(JobTrigger.CLI, "alive", 1) as alive, alive.leased("a", ["1"], "alive", LONG_S):
+def test_the_leases_of_a_process_end_with_its_own(storage: SqlStorage) -> None:
+    with storage.owned(JobTrigger.CLI, "alive", LONG_S) as alive, alive.leased("a", ["1"], "alive", LONG_S):
         with storage.write() as unit:
-            dead = locks.add(unit.connection, JobTrigger.CLI, "dead", 1)  # it holds no lock
-            unit.work_claims.take(unit.work_claims.lease("dead", 10**15, dead), "a", ["2"])
+            dead = unit.work_claims.lease("dead", 10**15)
+            unit.work_claims.take(unit.work_claims.lease("its worker", 10**15, dead), "a", ["2"])
+            unit.connection.execute(update(LEASES).where(LEASES.c.lease_id == dead).values(until_ns=0))
         with storage.leased("a", ["1", "2"], "other", LONG_S) as (_, claimed):
             assert (claimed.elsewhere, claimed.ended) == (1, (("2", 1),))
+        with pytest.raises(LeaseLostError), storage.write() as unit:
+            unit.work_claims.lease("its next worker", 1, dead)
+    assert rows(storage) == (1, 0)
 
 
 def test_of_many_workers_each_thing_is_one_workers(storage: SqlStorage) -> None:

@@ -12,7 +12,12 @@ import pytest
 import sqlalchemy
 import stored_values as make
 
+from api.factory import SystemClock
 from estimation.errors import NotFoundError
+from estimation.jobs.job import JobContext
+from estimation.jobs.runner import run
+from estimation.jobs.settings import JobSettings
+from estimation.jobs.worklist_rows import WORKLIST
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Severity
 from estimation.values.quantities import Forecast, Status
@@ -351,21 +356,18 @@ def test_what_cannot_be_read_says_so_and_keeps_nobody_from_storing(storage: SqlS
     assert {reason.code for reason in state.reasons} == {ReasonCode.ALERT_OPEN, ReasonCode.FILE_DAMAGED}
 
 
-def test_rows_of_an_earlier_release_are_answered_as_now_and_made_again(storage: SqlStorage) -> None:
+def test_rows_of_another_form_are_made_again_by_the_next_run(storage: SqlStorage) -> None:
     drawn_fleet(storage)
+    context = JobContext(storage, SystemClock(), "test", JobSettings())
+    other = replace(WORKLIST, settings=lambda _: "another form")
     with storage.read() as unit:
         before = listed(unit, WorklistOrder.SERIAL)
-    with storage.write() as unit:
-        unit.connection.execute(sqlalchemy.text("UPDATE worklist_entries SET form = 0, document = ''"))
-        unit.connection.execute(sqlalchemy.text("DELETE FROM worklist_entries WHERE wheelset = 'D-07'"))
-    with storage.read() as unit:
-        assert listed(unit, WorklistOrder.SERIAL) == before[:7] + before[8:]
-        assert list(unit.worklist.outdated()) == SERIALS
-    with storage.write() as unit:
-        unit.worklist.renew(unit.worklist.outdated())
-    with storage.read() as unit:
-        assert unit.worklist.outdated() == []
-        assert listed(unit, WorklistOrder.SERIAL) == before
+    for stage, made in ((WORKLIST, False), (other, True)):
+        with storage.write() as unit:
+            unit.connection.execute(sqlalchemy.text("UPDATE worklist_entries SET document = ''"))
+        run(stage, context)
+        with storage.read() as unit:
+            assert (listed(unit, WorklistOrder.SERIAL) == before) is made
 
 
 def test_filters_choose_by_where_it_runs_how_it_is_and_what_is_open(storage: SqlStorage) -> None:

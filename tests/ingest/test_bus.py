@@ -23,8 +23,7 @@ from ingest.bus import open_bus, send
 from ingest.canopen import SYNC_ID
 from ingest.live import listening
 from ingest.live.backoff import Backoff
-from ingest.live.buffer import FrameBuffer
-from ingest.live.records import FRAME_BYTES, pack_frame
+from ingest.live.records import FRAME_BYTES, FrameBuffer, pack_frame
 from ingest.live.status import LiveStatus, Reports
 
 PORT = 43_117

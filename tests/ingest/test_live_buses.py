@@ -26,11 +26,9 @@ from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue
-from ingest.dropped_frames import OVERFLOW_ID
-from ingest.frames import FrameBatch, concatenate
-from ingest.live.buses import ReceivedBus, receive_buses
+from ingest.frames import OVERFLOW_ID, FrameBatch, concatenate
 from ingest.live.listening import BusSource
-from ingest.live.receiver import LiveSettings
+from ingest.live.receiver import LiveSettings, ReceivedBus, receive_buses
 from ingest.live.spool import Spool, spool_folder
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import Stores

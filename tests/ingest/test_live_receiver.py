@@ -37,8 +37,7 @@ from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue
-from ingest.dropped_frames import OVERFLOW_ID, count_dropped
-from ingest.frames import FrameBatch, concatenate, merge
+from ingest.frames import OVERFLOW_ID, FrameBatch, concatenate, count_dropped, merge
 from ingest.live import storing
 from ingest.live.listening import BusSource
 from ingest.live.receiver import LiveSettings, receive_live

@@ -16,13 +16,10 @@ from live_listening import frames_in
 from vehicle_bus import Run
 
 from estimation.errors import ConflictError, StorageError
-from ingest.dropped_frames import OVERFLOW_ID, count_dropped, dropped_marker
-from ingest.frames import FrameBatch, batch_of
-from ingest.live.buffer import FrameBuffer
-from ingest.live.drop_count import DropCount, DropCountFile
+from ingest.frames import OVERFLOW_ID, FrameBatch, batch_of, count_dropped, dropped_marker
 from ingest.live.receiver import Spooling
-from ingest.live.records import FRAME_BYTES, Record, decode, encode, pack_frame
-from ingest.live.spool import Spool, TakenOver, spool_folder
+from ingest.live.records import FRAME_BYTES, FrameBuffer, Record, decode, encode, pack_frame
+from ingest.live.spool import DropCount, DropCountFile, Spool, TakenOver, spool_folder
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import read_piece
 from ingest.logs import read_log

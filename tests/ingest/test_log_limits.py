@@ -19,8 +19,8 @@ from log_files import write_recording
 from estimation.errors import LogFileError, PassingFaultError
 from ingest.frames import FrameBatch
 from ingest.logs.formats import read_content, read_log
+from ingest.logs.log_format import DAY_NS, ReadLimits, limits_of
 from ingest.logs.processes import ReadCost, stop_server
-from ingest.logs.read_limits import DAY_NS, ReadLimits, limits_of
 
 GENEROUS = ReadLimits(cpu_s=60.0, wall_s=60.0, frames=10**7, inflated_bytes=1 << 30)
 
@@ -199,7 +199,7 @@ def reading(tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     path = toilsome(tmp_path / "a.blf", containers=2000)
     code = (
         "import sys; from pathlib import Path; from ingest.logs.formats import read_log; "
-        "from ingest.logs.read_limits import ReadLimits; "
+        "from ingest.logs.log_format import ReadLimits; "
         "read_log(Path(sys.argv[1]), ReadLimits(cpu_s=60.0, wall_s=60.0, inflated_bytes=1 << 40))"
     )
     with subprocess.Popen([sys.executable, "-c", code, str(path)], stderr=subprocess.PIPE) as process:

@@ -21,9 +21,8 @@ from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, em
 from ingest.logs import SUFFIXES, read_log, write_blf
 from ingest.logs.blf_reader import read_blf
 from ingest.logs.formats import read_content
-from ingest.logs.frame_sink import COLUMNS, FrameSink
+from ingest.logs.log_format import COLUMNS, FrameSink, limits_of
 from ingest.logs.processes import stop_server
-from ingest.logs.read_limits import limits_of
 
 TEXT_FORMATS = [".asc", ".log"]
 FORMATS = [".blf", *TEXT_FORMATS, ".mf4"]

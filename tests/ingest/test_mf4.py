@@ -12,7 +12,7 @@ import pytest
 from estimation.errors import LogFileError
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from ingest.logs import read_log
-from ingest.logs.mf4_groups import MF4Frames, merged
+from ingest.logs.mf4 import MF4Frames, merged
 
 START_S = 1_750_000_000.0
 
@@ -50,7 +50,7 @@ def write(path: Path, written: list[can.Message]) -> None:
 def test_frames_of_every_kind_are_those_of_python_can(
     tmp_path: Path, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ingest.logs.mf4_groups.RECORDS", 7)
+    monkeypatch.setattr("ingest.logs.mf4.RECORDS", 7)
     path = tmp_path / "recording.mf4"
     write(path, messages(400, seed))
     batch = read_log(path)

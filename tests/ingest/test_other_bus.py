@@ -18,7 +18,7 @@ from fleet_db.storage import SqlStorage
 from ingest import recordings
 from ingest.catalogue import default_catalogue
 from ingest.held import HeldRecordings
-from ingest.own_bus.choice import BusChoice
+from ingest.own_bus.bus import BusChoice
 from ingest.receiver import Receiver
 from ingest.stored_settings import claim
 

@@ -27,8 +27,7 @@ from ingest.bus import open_bus, send
 from ingest.catalogue import default_catalogue
 from ingest.frames import EXTENDED_FLAG, FrameBatch, between, concatenate, from_owned_arrays, sort_by_time, take
 from ingest.logs import write_blf
-from ingest.own_bus.bus import OwnBus
-from ingest.own_bus.choice import bus_choice
+from ingest.own_bus.bus import OwnBus, bus_choice
 from ingest.own_bus.loading import load_own_bus
 from ingest.receiver import Receiver
 

@@ -15,8 +15,7 @@ from estimation.errors import LogFileError
 from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from ingest.logs.asc import read_asc
 from ingest.logs.candump import read_candump
-from ingest.logs.frame_sink import ALONE_NS, COLUMNS, STEP_BACK_NS, FramePart, FrameSink
-from ingest.logs.read_limits import ReadLimits
+from ingest.logs.log_format import ALONE_NS, COLUMNS, STEP_BACK_NS, FramePart, FrameSink, ReadLimits
 
 START_NS = 1_750_000_000_000_000_000
 DATE = "Sun Jun 15 15:06:40.000 2025"  # START_NS

@@ -8,12 +8,13 @@ from dataclasses import replace
 import pytest
 
 from fleet_db.receipts import ChunkRecord
-from ingest.intake.chunk import Chunk
-from ingest.topic.outcomes import Outcome, Refused
+from ingest.receipts import Chunk
 from ingest.topic.reference import (
     MOST_BYTES,
     VERSION,
+    Outcome,
     Reference,
+    Refused,
     as_text,
     from_text,
     message_of,

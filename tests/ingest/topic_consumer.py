@@ -22,12 +22,10 @@ from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import BacklogLimits, BacklogWatch
 from ingest.receiver import Receiver
 from ingest.topic.consuming import Consuming, Decoding
-from ingest.topic.held_references import STAGE
-from ingest.topic.outcomes import Outcome
 from ingest.topic.reading import TopicReader
-from ingest.topic.reference import Reference, message_of
+from ingest.topic.reference import Outcome, Reference, message_of
 from ingest.topic.status import ConsumerStatus
-from ingest.topic.taking import ReferenceTaking
+from ingest.topic.taking import STAGE, ReferenceTaking
 
 ROOM = BacklogLimits(chunks=1000, size_bytes=1 << 30, free_bytes=0)
 LENGTH_S = 5.0

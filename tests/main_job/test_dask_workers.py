@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,8 +20,8 @@ from api.workers.on_dask import DaskExecutor
 from bench.dask_cluster import DaskCluster, dask_cluster
 from estimation.jobs.catalogue import job_named, run_all
 from estimation.jobs.job import run_job
-from estimation.jobs.settings import EstimationSettings
 from estimation.values.runs import JobRun, JobTrigger
+from fleet_db.migrate import upgrade
 from ingest.simulator.fleet import FleetReport
 
 pytestmark = pytest.mark.slow
@@ -36,8 +36,8 @@ def cluster(fleet: Deployment, tmp_path: Path) -> Iterator[DaskCluster]:
 
 
 @pytest.fixture
-def executor(cluster: DaskCluster) -> Iterator[DaskExecutor]:
-    with closing(DaskExecutor(cluster.address)) as found:
+def executor(fleet: Deployment, cluster: DaskCluster) -> Iterator[DaskExecutor]:
+    with DaskExecutor(fleet.settings.model_copy(update={"dask_scheduler": cluster.address})) as found:
         until = time.monotonic() + 90.0
         while found.threads() < 2:
             assert time.monotonic() < until, cluster.log("workers")
@@ -65,11 +65,58 @@ def test_dask_workers_give_what_one_process_gives(
     assert "worked_on_elsewhere" not in counts
     second_fleet.run_jobs()
     assert results(fleet.storage) == results(second_fleet.storage)
-    other = replace(context.settings, estimation=EstimationSettings(half_life_km=1.0))
-    fleet.receive(report.recordings[2:3])
-    refused = run_job(job_named("estimate_windows"), replace(context, settings=other), JobTrigger.CLI)
-    assert refused.error is not None
-    assert "another version or other settings" in refused.error
+
+
+def unfit(fleet: Deployment, folder: Path) -> dict[str, tuple[dict[str, str], str]]:
+    """Return environments of workers that are not of a deployment, and what is said of each."""
+    other_version, other_folder, other_database = (folder / name for name in ("version", "folder", "database"))
+    other_version.mkdir(parents=True)
+    code = "import estimation.numerics_version\nestimation.numerics_version.NUMERICS_VERSION = 'another'\n"
+    (other_version / "sitecustomize.py").write_text(code)
+    for data in (other_folder, folder / "gone"):
+        (data / "windows").mkdir(parents=True)
+    url = f"sqlite:///{other_database}.sqlite3"
+    upgrade(url)
+    here = {"TREADWATCH_DATABASE_URL": fleet.settings.url}  # where it would be in the data folder
+    path = os.pathsep.join([str(other_version), os.environ.get("PYTHONPATH", "")])
+    return {
+        "version": ({"PYTHONPATH": path}, "has another version or other settings"),
+        "folder": ({"TREADWATCH_DATA_DIR": str(folder / "gone"), **here}, "the directory of the windows is not there"),
+        "windows": ({"TREADWATCH_DATA_DIR": str(other_folder), **here}, "does not see the files"),
+        "database": ({"TREADWATCH_DATABASE_URL": url}, "works with another database"),
+    }
+
+
+def test_workers_that_are_not_of_the_deployment_are_named_and_the_others_do_the_work(
+    fleet: Deployment,
+    second_fleet: Deployment,
+    cluster: DaskCluster,
+    executor: DaskExecutor,
+    report: FleetReport,
+    tmp_path: Path,
+) -> None:
+    for deployed in (fleet, second_fleet):
+        deployed.receive(report.recordings[:1])
+    others = unfit(fleet, tmp_path / "others")
+    for name, (environment, _) in others.items():
+        cluster.start_workers(1, name, **environment)
+    until = time.monotonic() + 240.0
+    while "Start Nanny" not in cluster.log("folder"):  # its folder goes after its start, before it is greeted
+        assert time.monotonic() < until, cluster.log("folder")
+        time.sleep(0.05)
+    shutil.rmtree(tmp_path / "others" / "gone")
+    while len(executor.unfit) < len(others):
+        executor.look()
+        assert time.monotonic() < until, [cluster.log(name) for name in others]
+        time.sleep(0.1)
+    said = "; ".join(executor.unfit)
+    for _, why in others.values():
+        assert why in said
+    done = run(fleet, "estimate_windows", executor)
+    assert (done.outcome, done.counts["unfit_workers"]) == ("succeeded", 4)
+    assert done.counts["estimated"] > 0
+    assert "leases_lost" not in done.counts
+    compared(fleet, second_fleet)
 
 
 @pytest.mark.parametrize("storage_url", ["postgresql"], indirect=True)
@@ -84,6 +131,7 @@ def test_losing_a_worker_or_the_scheduler_of_dask_loses_and_doubles_nothing(
     first = run(fleet, "estimate_windows", executor)
     harmed.join()
     assert first.outcome == "succeeded", first
+    assert "worked_on_elsewhere" not in first.counts  # what the lost worker had claimed was free at once
     fleet.receive(report.recordings[3:4])
     second_fleet.receive(report.recordings[3:4])
     losing = threading.Thread(target=lose_scheduler, args=(fleet, cluster))

@@ -7,8 +7,7 @@ from one_database import url_on_sqlite
 from sqlalchemy import select
 from tiny_fleet import DEAD, WORN, Deployment, results, rows, whole_history
 
-from estimation.values.geometry import GeometryRecord
-from estimation.values.geometry_results import GEOMETRY
+from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.stores.results import RESULTS

@@ -9,8 +9,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,13 +35,9 @@ LEASE_S = 2.0
 ESTIMATED = ("refresh_alignment", "estimate_windows", "refresh_geometry")
 
 
-@contextmanager
-def pool(fleet: Deployment, count: int = 2, lease_s: float = 20.0) -> Iterator[ProcessPool]:
-    found = ProcessPool(fleet.settings.model_copy(update={"lease_s": lease_s, "shutdown_timeout_s": 60}), count)
-    try:
-        yield found
-    finally:
-        found.close()
+def pool(fleet: Deployment, lease_s: float = 20.0, limit_s: float = 600.0) -> ProcessPool:
+    chosen = {"lease_s": lease_s, "unit_limit_s": limit_s, "shutdown_timeout_s": 60}
+    return ProcessPool(fleet.settings.model_copy(update=chosen), 2)
 
 
 def run(fleet: Deployment, job: str, executor: WorkExecutor | None = None) -> JobRun:
@@ -87,7 +81,7 @@ def test_a_worker_that_is_killed_or_stands_still_is_replaced_and_its_work_done_a
 ) -> None:
     for deployed in (fleet, second_fleet):
         deployed.receive(report.recordings[:3])
-    with pool(fleet, lease_s=4.0) as workers:
+    with pool(fleet, limit_s=15.0) as workers:
         harmed = threading.Thread(target=harm, args=(fleet.storage, (signal.SIGKILL, signal.SIGSTOP)))
         harmed.start()
         runs = [run(fleet, job, workers) for job in ESTIMATED]

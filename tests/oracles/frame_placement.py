@@ -7,8 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from ingest.align.cycles import CLEAR, CONCENTRATED, FEWEST, REACH_NS, RHYTHM, Placement, SyncClock
-from ingest.align.stamp_order import BESIDE, IN_TIME, SYNC_REACH, UNPLACED
+from ingest.align.cycles import (
+    BESIDE,
+    CLEAR,
+    CONCENTRATED,
+    FEWEST,
+    IN_TIME,
+    REACH_NS,
+    RHYTHM,
+    SYNC_REACH,
+    UNPLACED,
+    Placement,
+    SyncClock,
+)
 
 COUNTS = 1 << 20
 

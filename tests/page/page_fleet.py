@@ -46,7 +46,7 @@ def populate(storage: Storage) -> None:
             if index < 4:
                 key = (REFUSED, api_fleet.window(index).start_ns)
                 unit.windows.mark(*key, WindowState.REFUSED, Reason(why, f"a sentence on {REFUSED_NAME}"))
-        unit.adhesion.put_section(adhesion(), "test")
+        unit.adhesion.put_section(adhesion(), "test", "d" * 64)
 
 
 def adhesion() -> SectionAdhesion:

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.file_value import table_of
-from ingest.registry_schema import RegistryObject
+from ingest.registry_file import RegistryObject
 from ingest.simulator.scenario_file import ScenarioTable
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -16,8 +16,7 @@ from estimation.alerts.rules.evidence import (
 from estimation.alerts.rules.intervals import with_standing
 from estimation.alerts.rules.limit_state import Against, LimitState, limit_state
 from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount, too_few_windows
-from estimation.trend.extrapolation import LIMIT_AMPLITUDE, conicity_at_limit_amplitude
-from estimation.trend.points import QUANTITY
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, QUANTITY, conicity_at_limit_amplitude
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason

@@ -11,7 +11,7 @@ import numpy as np
 
 from estimation.alerts.rules.rule import AlertDelays, WheelsetFacts
 from estimation.alerts.rules.standing import began, latest_run, reach_km, within_reach
-from estimation.trend.points import conicity_points
+from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import TrendParameters, TrendPoint, refresh
 from estimation.values.alerts import Finding
 from estimation.values.geometry import GeometryRecord

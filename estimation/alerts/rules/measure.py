@@ -18,7 +18,7 @@ from estimation.alerts.rules.evidence import (
 from estimation.alerts.rules.intervals import with_standing
 from estimation.alerts.rules.limit_state import LimitState, limit_state
 from estimation.alerts.rules.rule import AlertRule, Kilometres, WheelsetFacts
-from estimation.trend.points import QUANTITY
+from estimation.trend.extrapolation import QUANTITY
 from estimation.values.alerts import Finding, Severity
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import code_of

@@ -6,8 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from estimation.accuracy.estimate_of_date import baseline_at, estimate_of_date
-from estimation.accuracy.fleet_accuracy import Comparison, compared
+from estimation.accuracy.fleet_accuracy import Comparison, baseline_at, compared, estimate_of_date
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.jobs.steps.measured_wheelsets import measurement_name

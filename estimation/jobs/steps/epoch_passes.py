@@ -13,10 +13,9 @@ from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import load_window
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.checks import gate
-from estimation.motion.joined_windows import following, joined
 from estimation.motion.usable_samples import straight_part
 from estimation.storage import UnitOfWork
-from estimation.track.examination import examine
+from estimation.track.examination import examine, following, joined
 from estimation.track.gridded_pass import resampled
 from estimation.track.partition import Entry
 from estimation.track.passes import Pass

@@ -34,6 +34,8 @@ class PassedOverWindows:
         """Return how many windows of the time of some roll-ups stay as they are, by what would have changed them."""
         if self._windows is None:
             self._windows = self.unit.windows.passed_over(self.rules.wheelset)
+        if not self._windows:
+            return {}
         spans = [(one.first_ns, one.last_ns) for one in roll_ups]
         found = Counter(
             what.value for start_ns, what in self._windows if any(first <= start_ns <= last for first, last in spans)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.accuracy.estimate_of_date import baseline_at
+from estimation.accuracy.fleet_accuracy import baseline_at
 from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError

@@ -18,7 +18,7 @@ from estimation.jobs.steps.membership import Membership
 from estimation.jobs.steps.running_mileage import first_reading, known_mileage, read
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import TableSum
-from estimation.values.geometry import BinTable, FilledCells
+from estimation.values.geometry import BinTable
 from estimation.values.roll_up import (
     APART,
     Member,
@@ -62,8 +62,7 @@ class Rolled:
         mileages: By start, of the windows that have another one than is stored of them.
         looked_at: Start and version of the due windows.
         dropped: Numbers of roll-ups without windows.
-        late: Whether a window is not behind all that were there before.
-        again: Whether all were made again.
+        again: Whether some were made again, for there is more than windows behind all that were there before.
     """
 
     state: RollUpState
@@ -71,13 +70,12 @@ class Rolled:
     mileages: Mapping[int, float]
     looked_at: Mapping[int, int]
     dropped: tuple[int, ...] = ()
-    late: bool = False
     again: bool = False
 
     @property
     def due(self) -> bool:
         """Whether it is time to store it: else the windows wait, and are added again the next time."""
-        return self.again or self.late or len(self.looked_at) >= KEPT_WAITING
+        return self.again or len(self.looked_at) >= KEPT_WAITING
 
 
 def rolled(unit: UnitOfWork, rules: Membership) -> Rolled:
@@ -110,7 +108,7 @@ def _continued(
     for one in stored:
         before_last = one.key in new and new[one.key][0].start_ns <= one.last_ns
         if not one.sealed and (before_last or _is_touched(one, touched)):
-            again[one.key] = _standing(unit, rules, one, touched)
+            again[one.key] = _standing(unit, rules, one, due.keys() | mileages.keys())
     parts = _summed({one.key: Part(one, before=one.content) for one in stored}, new, again)
     added_to_sealed = any(part.roll_up.sealed and part.added for part in parts)
     return Rolled(
@@ -119,7 +117,7 @@ def _continued(
         mileages,
         due,
         dropped=tuple(p.roll_up.number for p in parts if p.roll_up.number is not None and not p.roll_up.windows),
-        late=bool(again) or added_to_sealed or not due.keys() <= mileages.keys(),
+        again=bool(again) or added_to_sealed or not due.keys() <= mileages.keys(),
     )
 
 
@@ -306,7 +304,7 @@ def _summed(
         again: The windows that those keep which are to be summed again.
     """
     parts = []
-    for key in sorted({*held, *new}):
+    for key in sorted([*held, *(key for key in new if key not in held)]):
         part, added = held.get(key) or Part(RollUp(key), afresh=True), new.get(key, ())
         if key in again:
             parts.append(_of_members(part, sorted([*again[key], *added], key=lambda one: one.start_ns)))
@@ -346,15 +344,11 @@ def sums(unit: UnitOfWork, wheelset: str, part: Part) -> tuple[BinTable, BinTabl
     totals = None if stored is None else (TableSum(stored[0]), TableSum(stored[1]))
     weights = {one.start_ns: one.forgetting for one in part.added}
     for start_ns, cells in unit.tables.cells_of(wheelset, list(weights)):
-        plain, forgetting = totals = totals or (TableSum(_nothing(cells)), TableSum(_nothing(cells)))
+        if totals is None:
+            nothing = cells.table().without_samples
+            totals = TableSum(nothing), TableSum(nothing)
+        plain, forgetting = totals
         plain.add(cells)
         forgetting.add(cells, weights[start_ns])
     assert totals is not None  # a roll-up has windows
     return totals[0].table(), totals[1].table()
-
-
-def _nothing(cells: FilledCells) -> BinTable:
-    """Return the table of the same parameters without samples."""
-    none = slice(0)
-    rows = {name: getattr(cells, name)[none] for name in ("cells", "weight", "lateral", "yaw")}
-    return replace(cells, samples=0, windows=0, **rows).table()

@@ -1,67 +1,226 @@
-"""Windows to their signatures, each once: again only where samples, class or layouts are others."""
+"""Stages: windows to their signatures, each once; again where samples, class, parameters or layouts are others."""
 
 from __future__ import annotations
 
 import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 
 from estimation.errors import DamagedError, PurgedError, TreadwatchError
 from estimation.failures import code_of_error, first_line
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
+from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
+from estimation.motion.parameters import WindowParameters
 from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.window_signatures import window_signatures
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.signatures import KnownSignatures, WindowSignatures
+from estimation.values.runs import SubjectKind
+from estimation.values.signatures import SIGNATURES, KnownSignatures, Signature, WindowSignatures
+from estimation.values.subjects import Facet
 from estimation.values.track import TrackLayout
-from estimation.values.windows import WindowKey, WindowRecord
+from estimation.values.windows import Window, WindowRecord, key_of_text, text_of_key
 
+JOB_NAME = "refresh_signatures"
 VERSION = 2
 """Of what signatures are; with another one all are made again."""
 OF_SIGNATURES = ("step", "cell", "block", "wavelengths")
-BATCH = 64  # windows
-TOGETHER = 200  # wheelsets asked for in one statement
+AT_ONCE = 32  # windows, of a megabyte each
 
 
-def refresh_windows(context: JobContext, wheelsets: Sequence[str]) -> Mapping[str, int]:
-    """Store the signatures of windows that have none, batch by batch; return what was counted.
+@dataclass(frozen=True, slots=True)
+class Assumptions:
+    """What the signatures of a wheelset rest on beside the samples, by vehicle: digests."""
 
-    Args:
-        wheelsets: Serials of those that may have such windows.
+    of_vehicles: tuple[tuple[str, str], ...]
+
+
+def load_assumptions(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, Assumptions]:
+    """Return what the signatures of some wheelsets rest on; a vehicle whose class is not on file is left out."""
+    expected = _Expected.of(unit, context)
+    expected.classes.look_up(serials)
+    found: dict[str, list[tuple[str, str]]] = {}
+    for wheelset, vehicle in unit.signatures.vehicles(serials):
+        assumed = expected.classes.assumed(vehicle, wheelset)
+        if not isinstance(assumed, Reason):
+            found.setdefault(wheelset, []).append((vehicle, expected.digest(assumed)))
+    return {wheelset: Assumptions(tuple(own)) for wheelset, own in found.items()}
+
+
+def nothing(_: Assumptions) -> Outcome[None]:
+    """Return no result: what follows is that windows are due."""
+    return Outcome()
+
+
+def list_other(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[Assumptions | None, Outcome[None]]]
+) -> Mapping[str, int]:
+    """List the windows whose signatures were made with other assumptions, or that waited for their class."""
+    for wheelset, (assumptions, _outcome) in made.items():
+        for vehicle, digest in () if assumptions is None else assumptions.of_vehicles:
+            unit.signatures.list_other(wheelset, vehicle, digest)
+    return {}
+
+
+@dataclass(frozen=True, slots=True)
+class _Expected:
+    """What signatures are made with now."""
+
+    classes: ClassLookup
+    layouts: Mapping[str, int | None]
+    parameters: SignatureParameters
+
+    @classmethod
+    def of(cls, unit: UnitOfWork, context: JobContext) -> _Expected:
+        classes = ClassLookup(unit, context.settings.estimation)
+        return cls(classes, _layout_versions(unit), context.settings.signatures)
+
+    def digest(self, assumed: Assumed) -> str:
+        return assumed_digest(assumed, self.parameters, self.layouts)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowInputs:
+    """What the signatures of a window are made from.
+
+    Attributes:
+        digest: Of the samples.
+        assumed: Digest of class, parameters and layouts.
+        again: Whether there are signatures that were made with other assumptions.
+        without: Name under which a window is counted of which none can be made now; empty for the others.
+        window: None where it cannot.
     """
-    counts: Counter[str] = Counter(signed=0, without_signature=0, made_again=0)
-    for first in range(0, len(wheelsets), TOGETHER):
-        together = wheelsets[first : first + TOGETHER]
-        counts["made_again"] += _forget_outdated(context, together)
-        after: WindowKey | None = None
-        while (keys := _stored(context, together, after, counts)) is not None:
-            after = keys[-1]
-            context.checkpoint(first, len(wheelsets))
-    return counts
+
+    wheelset: str
+    start_ns: int
+    vehicle: str
+    digest: str
+    assumed: str
+    again: bool
+    without: str
+    window: Window | Reason | None = field(metadata={"made_from": False})
+    made_with: WindowParameters | None = field(metadata={"made_from": False})
+    layout: TrackLayout | None = field(metadata={"made_from": False})
+    parameters: SignatureParameters = field(metadata={"made_from": False})
 
 
-def _stored(
-    context: JobContext, wheelsets: Sequence[str], after: WindowKey | None, counts: Counter[str]
-) -> Sequence[WindowKey] | None:
-    """Store the signatures of the next windows and return their keys; None where there are none."""
-    with context.storage.read() as unit:
-        keys = unit.signatures.missing(wheelsets, BATCH, after)
-        if not keys:
+def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, WindowInputs]:
+    """Return windows with their samples; those that are gone, or have signatures of what they are now, are left out."""
+    windows = [key_of_text(key) for key in keys]
+    made_of, expected = unit.signatures.made_of(windows), _Expected.of(unit, context)
+    records = sorted(unit.windows.several(windows), key=lambda one: (one.vehicle, one.start_ns, one.axle))
+    expected.classes.look_up([one.wheelset for one in records])
+    loader, layouts = WindowLoader(unit, VehicleLookup(unit)), _Layouts(unit)
+    inputs = {}
+    for record in (one for one in records if not one.samples_purged):
+        assumed, before = expected.classes.assumed(record.vehicle, record.wheelset), made_of.get(record.key)
+        digest = "" if isinstance(assumed, Reason) else expected.digest(assumed)
+        is_same = before is not None and (before.window_digest, before.assumed) == (record.content_digest, digest)
+        if before is not None and is_same and not before.lacked_others:
+            continue
+        without, window = "waiting_for_class", None
+        if not isinstance(assumed, Reason):
+            without, window = _samples(loader, record, assumed)
+        inputs[text_of_key(*record.key)] = WindowInputs(
+            *(record.wheelset, record.start_ns, record.vehicle, record.content_digest, digest),
+            again=before is not None and not is_same and before.window_digest == record.content_digest,
+            without=without,
+            window=window,
+            made_with=None if isinstance(assumed, Reason) else assumed.windows,
+            layout=layouts.of(record.track_section),
+            parameters=context.settings.signatures,
+        )
+    return inputs
+
+
+def _samples(loader: WindowLoader, record: WindowRecord, assumed: Assumed) -> tuple[str, Window | Reason | None]:
+    try:
+        return "", loader.load(record, assumed.windows.vehicle_class)
+    except (DamagedError, PurgedError):
+        return "damaged", None
+
+
+@dataclass(frozen=True, slots=True)
+class _Layouts:
+    unit: UnitOfWork
+    known: dict[str, TrackLayout | None] = field(default_factory=dict)
+
+    def of(self, section: str | None) -> TrackLayout | None:
+        if section is None:
             return None
-        found = _made(unit, context, keys, counts)
-    with context.storage.write() as unit:
-        now = {record.key: record.content_digest for record in unit.windows.several(keys, held=True)}
-        same = [one for one in found if now.get((one.wheelset, one.start_ns)) == one.window_digest]
-        unit.signatures.put_all(same)
-    counts["signed"] += sum(bool(one.signatures) for one in same)
-    counts["without_signature"] += sum(not one.signatures for one in same)
-    return keys
+        if section not in self.known:
+            self.known[section] = self.unit.tracks.layout(section)
+        return self.known[section]
+
+
+def sign(inputs: WindowInputs) -> Outcome[WindowSignatures]:
+    """Return the signatures of a window, or why it has none."""
+    if inputs.without or inputs.window is None or inputs.made_with is None:
+        return Outcome(counted=inputs.without)
+    made = inputs.window if isinstance(inputs.window, Reason) else _signatures(inputs, inputs.window, inputs.made_with)
+    signatures = WindowSignatures(
+        wheelset=inputs.wheelset,
+        start_ns=inputs.start_ns,
+        vehicle=inputs.vehicle,
+        window_digest=inputs.digest,
+        assumed=inputs.assumed,
+        signatures=() if isinstance(made, Reason) else made,
+        reason=made if isinstance(made, Reason) else None,
+    )
+    return Outcome([Part(signatures)], counted="signed" if signatures.signatures else "without_signature")
+
+
+def _signatures(inputs: WindowInputs, window: Window, made_with: WindowParameters) -> tuple[Signature, ...] | Reason:
+    try:
+        return window_signatures(window, made_with, inputs.parameters, inputs.layout)
+    except Exception as error:
+        if isinstance(error, TreadwatchError | OSError | MemoryError) or not fails_alone(error):
+            raise
+        return Reason(code_of_error(error), first_line(error))
+
+
+def store_windows(
+    unit: UnitOfWork, _: JobContext, made: Mapping[str, tuple[WindowInputs | None, Outcome[WindowSignatures]]]
+) -> Mapping[str, int]:
+    """Store signatures of windows that have the same samples still; return how many are made again."""
+    found = [part.value for _, outcome in made.values() for part in outcome.parts if part.value is not None]
+    if not found:
+        return {}
+    keys = [(one.wheelset, one.start_ns) for one in found]
+    now = {record.key: record.content_digest for record in unit.windows.several(keys, held=True)}
+    unit.signatures.put_all([one for one in found if now.get((one.wheelset, one.start_ns)) == one.window_digest])
+    return {"made_again": sum(inputs is not None and inputs.again for inputs, _ in made.values())}
+
+
+ASSUMED = Stage(
+    name="signature_assumptions",
+    job=JOB_NAME,
+    kind=SubjectKind.WHEELSET,
+    facets=(Facet.REGISTRY, Facet.LAYOUTS),
+    settings=lambda settings: (VERSION, settings.estimation, settings.signatures),
+    load=load_assumptions,
+    compute=nothing,
+    counted=Counted(looked="wheelsets", changed="results"),
+    store=list_other,
+    at_once=200,
+)
+OF_WINDOWS = Stage(
+    name=SIGNATURES,
+    job=JOB_NAME,
+    kind=SubjectKind.WINDOW,
+    facets=(),
+    settings=lambda _: VERSION,
+    load=load_windows,
+    compute=sign,
+    counted=Counted(looked="windows", changed="results", more=("signed", "without_signature", "made_again")),
+    store=store_windows,
+    at_once=AT_ONCE,
+)
 
 
 def assumed_digest(assumed: Assumed, parameters: SignatureParameters, layouts: Mapping[str, int | None]) -> str:
@@ -105,66 +264,3 @@ def _layout_versions(unit: UnitOfWork) -> dict[str, int | None]:
     standings = unit.tracks.standings()
     versions = {code: standing.layout for code, standing in standings.items()}
     return {one.code: versions.get(one.code) for one in unit.tracks.sections()}
-
-
-def _forget_outdated(context: JobContext, wheelsets: Sequence[str]) -> int:
-    """Remove signatures of another class, other parameters or layouts, whose samples are there; return how many."""
-    with context.storage.write() as unit:
-        classes, layouts, gone = ClassLookup(unit, context.settings.estimation), _layout_versions(unit), 0
-        for vehicle, wheelset, before in unit.signatures.assumptions(wheelsets):
-            assumed = classes.assumed(vehicle, wheelset)
-            if isinstance(assumed, Reason):
-                continue
-            if assumed_digest(assumed, context.settings.signatures, layouts) != before:
-                gone += unit.signatures.forget(vehicle, wheelset, before)
-    return gone
-
-
-def _made(
-    unit: UnitOfWork, context: JobContext, keys: Sequence[WindowKey], counts: Counter[str]
-) -> list[WindowSignatures]:
-    classes, versions = ClassLookup(unit, context.settings.estimation), _layout_versions(unit)
-    records = sorted(unit.windows.several(keys), key=lambda one: (one.vehicle, one.start_ns, one.axle))
-    loader = WindowLoader(unit, VehicleLookup(unit))
-    layouts: dict[str, TrackLayout | None] = {}
-    found = []
-    for record in records:
-        assumed = classes.assumed(record.vehicle, record.wheelset)
-        if isinstance(assumed, Reason):
-            counts["waiting_for_class"] += 1
-            continue
-        if record.track_section is not None and record.track_section not in layouts:
-            layouts[record.track_section] = unit.tracks.layout(record.track_section)
-        layout = None if record.track_section is None else layouts[record.track_section]
-        digest = assumed_digest(assumed, context.settings.signatures, versions)
-        try:
-            found.append(_of_window(loader, record, assumed, digest, layout, context.settings.signatures))
-        except (DamagedError, PurgedError):
-            counts["damaged"] += 1
-    return found
-
-
-def _of_window(
-    loader: WindowLoader,
-    record: WindowRecord,
-    assumed: Assumed,
-    digest: str,
-    layout: TrackLayout | None,
-    parameters: SignatureParameters,
-) -> WindowSignatures:
-    try:
-        window = loader.load(record, assumed.windows.vehicle_class)
-        made = window if isinstance(window, Reason) else window_signatures(window, assumed.windows, parameters, layout)
-    except Exception as error:
-        if isinstance(error, TreadwatchError | OSError | MemoryError) or not fails_alone(error):
-            raise
-        made = Reason(code_of_error(error), first_line(error))
-    return WindowSignatures(
-        wheelset=record.wheelset,
-        start_ns=record.start_ns,
-        vehicle=record.vehicle,
-        window_digest=record.content_digest,
-        assumed=digest,
-        signatures=() if isinstance(made, Reason) else made,
-        reason=made if isinstance(made, Reason) else None,
-    )

@@ -1,21 +1,15 @@
-"""What an epoch shows of the suspension of vehicles, into the store; and which of them have changed, out of it."""
+"""What an epoch shows of the suspension of vehicles, into the store."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
-from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.standing import latest_run, raised_at
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
 from estimation.jobs.job import JobContext
-from estimation.jobs.steps.roster import Roster
 from estimation.storage import UnitOfWork
 from estimation.track.panel.stiffness_ratio import PRIOR_STD
 from estimation.track.update import AlignmentUpdate
-from estimation.trend.suspension import suspension_histories
-from estimation.values.alerts import Finding
 from estimation.values.track import TrackEpoch
-from estimation.values.trend import SuspensionChange, SuspensionFinding, SuspensionShown
+from estimation.values.trend import SuspensionFinding
 from estimation.values.windows import WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile
 
@@ -56,36 +50,3 @@ def store_suspension(
         )
         known += 1
     return known
-
-
-def shown_by_wheelset(unit: UnitOfWork, on_file: Roster, book: RuleBook) -> Mapping[str, SuspensionShown]:
-    """Return what is shown of all vehicles, each at the wheelset of the vehicle's first axle that has one.
-
-    Args:
-        book: What counts as now and what friction may do, the same for all; what raises and clears, by fleet and class.
-    """
-    p = book.rule(SuspensionChangeRule).parameters
-    histories = suspension_histories(unit.suspensions.newest(p.recent + p.most_past), p)
-    mounted = {one.mounting.vehicle for one in on_file.wheelsets if one.mounting is not None}
-    known = {code: (code, histories.get(code, iter(()))) for code in mounted}
-    shown = {}
-    for serial, (code, history) in on_file.at_first_axles(known).items():
-        vehicle = on_file.vehicles[code]
-        rule = book.of(vehicle.fleet, vehicle.vehicle_class).rule(SuspensionChangeRule)
-        shown[serial] = _shown(rule, serial, history)
-    return shown
-
-
-def _shown(rule: SuspensionChangeRule, serial: str, history: Iterator[SuspensionChange]) -> SuspensionShown:
-    read: list[SuspensionChange] = []
-
-    def newest_first() -> Iterator[Finding]:
-        for change in history:
-            read.append(change)
-            yield suspension_change_finding(rule, serial, change)
-
-    if not latest_run(newest_first(), rule.delays):
-        return SuspensionShown(read[0] if read else None, stands=False)
-    read += history
-    found = (suspension_change_finding(rule, serial, change) for change in reversed(read))
-    return SuspensionShown(read[0], stands=True, since_ns=raised_at(found, rule.delays))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -14,6 +14,7 @@ from estimation.rails.parameters import conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import IntervalConicities
 from estimation.values.registry import WheelsetRecord
+from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import TREND, IdentityChange, TrendRecord, TrendStep, baseline_part
 
 AMPLITUDES = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)  # m, at which a profile behind a step is compared with its design
@@ -43,26 +44,31 @@ def step_of(record: TrendRecord | None, wheelset: WheelsetRecord) -> TrendStep |
 
 
 def surroundings(
-    unit: UnitOfWork, wheelset: WheelsetRecord, vehicle: str, behind: Sequence[IntervalConicities]
+    wheelset: WheelsetRecord,
+    behind: Sequence[IntervalConicities],
+    beside: Sequence[TrendStep | None],
+    rails: Collection[RailShare],
 ) -> StepSurroundings:
     """Return what else is known about the time of a step: the design of the wheel, and the other wheelsets.
 
     Args:
         behind: Its intervals behind the step.
+        beside: Steps of the other wheelsets of its vehicle that have a trend.
+        rails: Of all sections.
     """
-    mounted = [one for one in unit.registry.wheelsets(wheelset.fleet) if one.serial != wheelset.serial]
-    beside = [one for one in mounted if one.mounting is not None and one.mounting.vehicle == vehicle]
-    trends = [(one, unit.trends.latest(one.serial)) for one in beside]
-    others = [step_of(record, one) for one, record in trends if record is not None]
     newest = max(behind, key=lambda one: one.to_ns, default=None)
-    return StepSurroundings(() if newest is None else newest.known, _designed(unit, wheelset), tuple(others))
+    return StepSurroundings(() if newest is None else newest.known, _designed(wheelset, rails), tuple(beside))
 
 
-def _designed(unit: UnitOfWork, wheelset: WheelsetRecord) -> Mapping[float, float] | None:
-    rails = {RailShare(s.rail_profile, s.rail_inclination, s.nominal_gauge_m, 1.0) for s in unit.tracks.sections()}
+def rails_of(sections: Iterable[TrackSectionRecord]) -> frozenset[RailShare]:
+    """Return the kinds of rails that there are."""
+    return frozenset(RailShare(s.rail_profile, s.rail_inclination, s.nominal_gauge_m, 1.0) for s in sections)
+
+
+def _designed(wheelset: WheelsetRecord, rails: Collection[RailShare]) -> Mapping[float, float] | None:
     if len(rails) != 1:
         return None  # on several kinds of rails no one conicity is that of the design
-    found = _conicities(wheelset.wheel_profile, wheelset.nominal_radius_m, rails.pop())
+    found = _conicities(wheelset.wheel_profile, wheelset.nominal_radius_m, next(iter(rails)))
     return {at: value for at, value in zip(AMPLITUDES, found, strict=True) if np.isfinite(value)} or None
 
 

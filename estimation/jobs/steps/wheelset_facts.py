@@ -1,9 +1,13 @@
-"""Step: what the alert rules need of a wheelset is read: the newest geometries and windows, conicities of all."""
+"""Step: what the alert rules need of wheelsets is read: the newest geometries and windows, conicities of all."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
 
+from estimation.accuracy.wheel_contact import RailShare
+from estimation.alerts.identity import IDENTITY_EVENT, IdentityEvent
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.data_quality import DataQualityRule
 from estimation.alerts.rules.hunting import HuntingRule
@@ -14,64 +18,186 @@ from estimation.alerts.rules.standing import LOOK_BACK, reach_km, within_reach
 from estimation.alerts.rules.wheel_flat import WheelFlatRule
 from estimation.alerts.step_causes import StepSurroundings
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.identities import identity_change
-from estimation.jobs.steps.trend_steps import step_of, surroundings
+from estimation.jobs.steps.identities import identity_changes
+from estimation.jobs.steps.trend_steps import rails_of, step_of, surroundings
 from estimation.storage import UnitOfWork
 from estimation.trend.steps import behind_step
 from estimation.values.alerts import Alert
+from estimation.values.dampers import GearDamper
 from estimation.values.geometry import GeometryRecord, IntervalConicities
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.trend import since_change
+from estimation.values.trend import (
+    SUSPENSION,
+    IdentityChange,
+    SuspensionShown,
+    TrendRecord,
+    TrendStep,
+    since_change,
+)
 from estimation.values.windows import WindowRecord
 
-FIRST_LOOK_NS = 3_600_000_000_000
+T = TypeVar("T")
+MORE = 8  # times as many windows are read where those that were read do not reach back far enough
 
 
-def facts_of(
-    unit: UnitOfWork,
-    wheelset: WheelsetRecord,
-    vehicle: VehicleRecord | None,
-    book: RuleBook,
-    settings: JobSettings,
-) -> WheelsetFacts:
-    """Return what the rules need of a wheelset, but for what is found beside the others of its fleet.
+def facts_of(unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) -> Mapping[str, WheelsetFacts]:
+    """Return what the rules need of some wheelsets, by serial: few statements for all.
 
     Args:
-        unit: Geometries, trends, windows, dampers, alerts and exchanges of sensors are read.
-        wheelset, vehicle: The vehicle that it runs in; None where it is in none.
-        book: Of its fleet and class: it says how far back its rules look.
         settings: Of all jobs.
     """
+    read = _Read.of(unit, serials, settings)
+    return {wheelset.serial: _facts(unit, read, wheelset) for wheelset in read.wheelsets}
+
+
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """What was read of some wheelsets and their vehicles together.
+
+    Attributes:
+        books: Of the fleet and class of each wheelset: they say how far back their rules look.
+        mounted: Serials of the wheelsets of each vehicle, by axle.
+        steps: Steps of the trends beside each wheelset whose own trend has one.
+    """
+
+    settings: JobSettings
+    wheelsets: Sequence[WheelsetRecord]
+    vehicles: Mapping[str, VehicleRecord]
+    books: Mapping[str, RuleBook]
+    mounted: Mapping[str, Sequence[str]]
+    alerts: Mapping[str, Sequence[Alert]]
+    geometries: Mapping[str, GeometryRecord]
+    conicities: Mapping[str, Sequence[IntervalConicities]]
+    trends: Mapping[str, TrendRecord]
+    steps: Mapping[str, Sequence[TrendStep | None]]
+    rails: frozenset[RailShare]
+    changes: Mapping[str, IdentityChange]
+    identities: Mapping[str, IdentityEvent]
+    suspensions: Mapping[str, SuspensionShown]
+    windows: Mapping[str, Sequence[WindowRecord]]
+    dampers: Mapping[tuple[str, int], GearDamper]
+    measured: Mapping[str, tuple[int, float]]
+    sensors_changed: Mapping[tuple[str, int], int]
+    rejected: Mapping[str, Mapping[str, int]]
+
+    @classmethod
+    def of(cls, unit: UnitOfWork, serials: Sequence[str], settings: JobSettings) -> _Read:
+        """Read what is stored of some wheelsets."""
+        wheelsets = unit.registry.wheelsets_of(serials)
+        codes = sorted({one.mounting.vehicle for one in wheelsets if one.mounting is not None})
+        vehicles, mounted = unit.registry.vehicles_of(codes), _by(unit.registry.mounted_on(codes), lambda m: m.vehicle)
+        places = {code: [mounting.wheelset for mounting in own] for code, own in mounted.items()}
+        books = {one.serial: _book(settings.rules, one, vehicles) for one in wheelsets}
+        trends = unit.trends.of(serials)
+        steps = _steps_beside(unit, wheelsets, places, trends)
+        results = unit.results
+        return cls(
+            settings=settings,
+            wheelsets=wheelsets,
+            vehicles=vehicles,
+            books=books,
+            mounted=places,
+            alerts=_by(unit.alerts.open_of(serials), lambda alert: str(alert.wheelset)),
+            geometries=unit.geometries.current_of(serials),
+            conicities=unit.geometries.conicities_of({one.serial: len(one.reprofilings) for one in wheelsets}),
+            trends=trends,
+            steps=steps,
+            rails=rails_of(unit.tracks.sections()) if steps else frozenset(),
+            changes=identity_changes(unit, serials),
+            identities={one.subject: one.value for one in results.in_force(IDENTITY_EVENT, serials) if one.value},
+            suspensions={one.subject: one.value for one in results.in_force(SUSPENSION, codes) if one.value},
+            windows=_latest_windows(unit, books),
+            dampers={(one.vehicle, one.first_axle): one for one in unit.dampers.of_vehicles(codes)},
+            measured=unit.registry.newest_measurement_of(serials),
+            sensors_changed=unit.sensor_changes.newest(codes),
+            rejected=unit.plausibility.rejected(codes),
+        )
+
+
+def _by(records: Iterable[T], key: Callable[[T], str]) -> dict[str, list[T]]:
+    grouped: dict[str, list[T]] = {}
+    for record in records:
+        grouped.setdefault(key(record), []).append(record)
+    return grouped
+
+
+def _book(rules: RuleBook, wheelset: WheelsetRecord, vehicles: Mapping[str, VehicleRecord]) -> RuleBook:
     mounting = wheelset.mounting
-    alerts: Sequence[Alert] = unit.alerts.all_open(wheelset.serial)
+    return rules.of(wheelset.fleet, None if mounting is None else vehicles[mounting.vehicle].vehicle_class)
+
+
+def _steps_beside(
+    unit: UnitOfWork,
+    wheelsets: Sequence[WheelsetRecord],
+    mounted: Mapping[str, Sequence[str]],
+    trends: Mapping[str, TrendRecord],
+) -> Mapping[str, Sequence[TrendStep | None]]:
+    """Return the steps of the trends beside wheelsets whose own trend has a step, by serial."""
+    own = [one for one in wheelsets if step_of(trends.get(one.serial), one) is not None]
+    beside = {
+        one.serial: sorted(other for other in mounted[one.mounting.vehicle] if other != one.serial)
+        for one in own
+        if one.mounting is not None
+    }
+    others = sorted({serial for serials in beside.values() for serial in serials})
+    if not others:
+        return dict.fromkeys(beside, ())
+    stored, on_file = unit.trends.of(others), {one.serial: one for one in unit.registry.wheelsets_of(others)}
+    return {
+        one.serial: [
+            step_of(stored[serial], on_file[serial])
+            for serial in beside.get(one.serial, ())
+            if serial in stored and on_file[serial].fleet == one.fleet
+        ]
+        for one in own
+    }
+
+
+def _facts(unit: UnitOfWork, read: _Read, wheelset: WheelsetRecord) -> WheelsetFacts:
+    """Return what the rules need of a wheelset."""
+    serial, mounting, alerts = wheelset.serial, wheelset.mounting, tuple(read.alerts.get(wheelset.serial, ()))
     if mounting is None:
-        return WheelsetFacts(wheelset=wheelset, vehicle=None, geometry=None, trend=None, windows=(), open_alerts=alerts)
-    trend = unit.trends.latest(wheelset.serial)
+        return WheelsetFacts(
+            wheelset=wheelset,
+            vehicle=None,
+            geometry=None,
+            trend=None,
+            windows=(),
+            open_alerts=alerts,
+        )
+    trend, windows, book = read.trends.get(serial), tuple(read.windows.get(serial, ())), read.books[serial]
     step = step_of(trend, wheelset)
-    conicities = behind_step(_conicities(unit, wheelset, mounting.from_ns), step)
-    around = StepSurroundings() if step is None else surroundings(unit, wheelset, mounting.vehicle, conicities)
-    windows = _latest_windows(unit, wheelset.serial, mounting.from_ns, *windows_wanted(book))
+    known = since_change(read.conicities[serial], read.changes.get(serial))
+    held = sorted((one for one in known if one.windows and one.to_ns > mounting.from_ns), key=lambda one: one.to_ns)
+    conicities = behind_step(held, step)
+    around = StepSurroundings()
+    if step is not None:
+        around = surroundings(wheelset, conicities, read.steps[serial], read.rails)
+    first = read.mounted[mounting.vehicle][0] == serial  # alerts are of wheelsets: what is of the vehicle is said there
+    shown = read.suspensions.get(mounting.vehicle, SuspensionShown(None, stands=False))
     return WheelsetFacts(
         wheelset=wheelset,
-        vehicle=vehicle,
-        geometry=unit.geometries.current(wheelset.serial),
+        vehicle=read.vehicles[mounting.vehicle],
+        geometry=read.geometries.get(serial),
         trend=trend,
         step_surroundings=around,
         windows=windows,
         hunted=hunted_beside(unit, mounting.vehicle, windows),
-        intervals=_newest(unit, wheelset.serial, conicities, book),
-        conicities=conicities,
+        intervals=tuple(_newest(unit, serial, conicities, book)),
+        conicities=tuple(conicities),
         open_alerts=alerts,
-        trend_parameters=settings.trend,
-        damper=unit.dampers.gear(mounting.vehicle, mounting.axle),
-        profiles_measured_km=_profiles_measured_km(unit, wheelset),
-        sensors_changed_ns=max(unit.sensor_changes.at_axle(mounting.vehicle, mounting.axle), default=None),
+        identity=read.identities.get(serial),
+        suspension=shown if first else None,
+        trend_parameters=read.settings.trend,
+        damper=read.dampers.get((mounting.vehicle, mounting.axle)),
+        rejected_recordings=read.rejected.get(mounting.vehicle, {}) if first else {},
+        profiles_measured_km=_profiles_measured_km(wheelset, read.measured.get(serial)),
+        sensors_changed_ns=read.sensors_changed.get((mounting.vehicle, mounting.axle)),
     )
 
 
-def _profiles_measured_km(unit: UnitOfWork, wheelset: WheelsetRecord) -> float | None:
+def _profiles_measured_km(wheelset: WheelsetRecord, newest: tuple[int, float] | None) -> float | None:
     """Return the mileage at which the profiles were last measured; None if not since the last reprofiling."""
-    newest = unit.registry.newest_measurement(wheelset.serial)
     turned_ns = max((one.at_ns for one in wheelset.reprofilings), default=None)
     return None if newest is None or (turned_ns is not None and newest[0] < turned_ns) else newest[1]
 
@@ -80,13 +206,6 @@ def hunted_beside(unit: UnitOfWork, vehicle: str, windows: Sequence[WindowRecord
     """Return in which windows a wheelset of the vehicle hunts; empty where nothing clips that it could explain."""
     clipped = [window.start_ns for window in windows if window.quality.clipped > 0.0]
     return unit.windows.hunted(vehicle, min(clipped)) if clipped else frozenset()
-
-
-def _conicities(unit: UnitOfWork, wheelset: WheelsetRecord, since_ns: int) -> Sequence[IntervalConicities]:
-    stored = unit.geometries.conicities(wheelset.serial, len(wheelset.reprofilings))
-    known = since_change(stored, identity_change(unit, wheelset.serial))
-    held = [one for one in known if one.windows and one.to_ns > since_ns]
-    return sorted(held, key=lambda one: one.to_ns)
 
 
 def _newest(
@@ -111,18 +230,20 @@ def windows_wanted(book: RuleBook) -> tuple[int, float]:
     return LOOK_BACK * wanted, max(reach_km(rule.delays) for rule in (*rules, flats))
 
 
-def _latest_windows(unit: UnitOfWork, serial: str, since_ns: int, wanted: int, far_km: float) -> Sequence[WindowRecord]:
-    """Return the latest ``wanted`` windows since a time and all of the last kilometres; looks back as far as needed."""
-    newest = unit.windows.latest(serial)
-    if newest is None or newest.start_ns < since_ns:
-        return ()
-    look_back = FIRST_LOOK_NS
-    while True:
-        from_ns = max(since_ns, newest.start_ns - look_back)
-        found = unit.windows.list(serial, from_ns)
-        mileages = [None if window.implausible else window.mileage_km for window in found]
-        known = [at for at in mileages if at is not None]
-        as_far = far_km <= 0.0 or (bool(known) and known[0] < known[-1] - far_km)
-        if (len(found) >= wanted and as_far) or from_ns == since_ns:
-            return found[-within_reach(mileages, wanted, far_km) :] if found else ()
-        look_back *= 8
+def _latest_windows(unit: UnitOfWork, books: Mapping[str, RuleBook]) -> Mapping[str, Sequence[WindowRecord]]:
+    """Return the latest windows in the present mounting that any rule looks at, and all of the last kilometres."""
+    wanted = {serial: windows_wanted(book) for serial, book in books.items()}
+    latest: dict[str, Sequence[WindowRecord]] = {}
+    count = max((windows for windows, _ in wanted.values()), default=0)
+    while wanted:
+        read = unit.windows.in_service(list(wanted), count)
+        for serial, (least, far_km) in list(wanted.items()):
+            windows = read.get(serial, ())
+            mileages = [None if window.implausible else window.mileage_km for window in windows]
+            known = [at for at in mileages if at is not None]
+            as_far = far_km <= 0.0 or (bool(known) and known[0] < known[-1] - far_km)
+            if as_far or len(windows) < count:
+                latest[serial] = windows[-within_reach(mileages, least, far_km) :] if windows else ()
+                del wanted[serial]
+        count *= MORE
+    return latest

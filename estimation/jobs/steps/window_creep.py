@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from estimation.adhesion.creep_forces import ContactForces, ForceParameters, forces_on
 from estimation.adhesion.gear_segments import gear_segments
@@ -13,7 +13,7 @@ from estimation.errors import DamagedError, PurgedError
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
-from estimation.jobs.steps.window_inputs import BatchInputs, WindowInputs, inputs_of_batch
+from estimation.jobs.steps.window_inputs import BatchInputs, inputs_of_batch
 from estimation.jobs.steps.window_tracks import TrackLookup, tracks_of_batch
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
@@ -21,118 +21,163 @@ from estimation.values.adhesion import WindowAdhesion
 from estimation.values.dampers import WindowDamper
 from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import Correction, TrackSectionRecord
+from estimation.values.track import Correction, TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.values.windows import Window, WindowKey, WindowRecord
 
 
+@dataclass(slots=True)
+class Gear:
+    """A running gear at a time; its forces are found once for all of its wheelsets, where one is first asked for.
+
+    Attributes:
+        windows: The axle first that meets the track first.
+        content_digest: Of the samples of its first axle; None where it says nothing of the damper.
+    """
+
+    windows: tuple[Window, ...]
+    assumed: Assumed
+    content_digest: str | None
+    _forces: tuple[ContactForces, ...] | Reason | None = None
+    damper: WindowDamper | None = None
+
+    def forces(self, place: int) -> ContactForces | Reason:
+        """Return the forces on the wheelset at a place of ``windows``."""
+        if self._forces is None:
+            vehicle_class = self.assumed.windows.vehicle_class
+            segments = gear_segments(self.windows, vehicle_class, self.assumed.windows.signals)
+            if self.content_digest is not None:
+                first = min(self.windows, key=lambda window: window.axle)
+                self.damper = window_damper(first, self.content_digest, segments, self.assumed.on_file)
+            parameters = ForceParameters()
+            self._forces = segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, parameters)
+        return self._forces if isinstance(self._forces, Reason) else self._forces[place]
+
+
 @dataclass(frozen=True, slots=True)
-class CreepOfWindows:
-    """What windows say of their creep, and what they say of the dampers above, of which they were read once."""
+class Run:
+    """A window on the track that it ran on.
 
-    creep: Sequence[WindowAdhesion]
-    dampers: Sequence[WindowDamper]
+    Attributes:
+        place: Of the window in its gear.
+    """
+
+    window: Window
+    track: TrackAlignment | None
+    layout: TrackLayout | None
+    position: Correction | None
+    assumed: Assumed
+    own: AdhesionInputs
+    gear: Gear | Reason
+    place: int
 
 
-def creep_of_windows(unit: UnitOfWork, keys: Sequence[WindowKey], settings: EstimationSettings) -> CreepOfWindows:
-    """Return what is found of windows; one that is not there any more is left out."""
-    records = sorted(unit.windows.several(keys), key=lambda record: (record.vehicle, record.start_ns, record.axle))
+@dataclass(frozen=True, slots=True)
+class CreepInputs:
+    """What the creep of a window is found from.
+
+    Attributes:
+        refused: What is said of it where it is not used.
+    """
+
+    record: WindowRecord
+    refused: Reason | None
+    run: Run | None = field(default=None, metadata={"made_from": False})
+
+
+@dataclass(frozen=True, slots=True)
+class CreepOfWindow:
+    """What a window says of its creep, and of the damper above."""
+
+    creep: WindowAdhesion
+    damper: WindowDamper | None = None
+
+
+def creep_of_window(inputs: CreepInputs) -> CreepOfWindow:
+    """Return the creep of a window, or why it has none."""
+    record, run = inputs.record, inputs.run
+    if run is None:
+        assert inputs.refused is not None
+        key = (record.wheelset, record.start_ns, record.vehicle, record.track_section, record.content_digest)
+        return CreepOfWindow(refused(*key, inputs.refused))
+    motion = window_motion(
+        run.window,
+        run.track,
+        run.assumed.windows,
+        run.position,
+        mounted_reversed=run.own.mounted_reversed,
+        layout=run.layout,
+    )
+    gear = run.gear
+    forces = gear if isinstance(gear, Reason) else gear.forces(run.place)
+    creep = window_adhesion(run.window, record.content_digest, forces, motion, run.own)
+    return CreepOfWindow(creep, None if isinstance(gear, Reason) else gear.damper)
+
+
+def creep_inputs(
+    unit: UnitOfWork, records: Sequence[WindowRecord], settings: EstimationSettings
+) -> Mapping[WindowKey, CreepInputs]:
+    """Return what the creep of windows with samples is found from, as one transaction sees it."""
+    records = sorted(records, key=lambda record: (record.vehicle, record.start_ns, record.axle))
     classes = ClassLookup(unit, settings)
     batch = inputs_of_batch(unit, records, classes)
     found = _Batch(unit, batch, tracks_of_batch(unit, records), classes)
-    return CreepOfWindows(found.found(records), list(found.dampers.values()))
+    return {record.key: found.of(record) for record in records}
 
 
 class _Batch:
-    """Windows of one transaction; the forces of a bogie are found once for both of its wheelsets."""
+    """Windows of one transaction."""
 
     def __init__(self, unit: UnitOfWork, inputs: BatchInputs, tracks: TrackLookup, classes: ClassLookup) -> None:
         self.unit, self.inputs, self.tracks, self.classes = unit, inputs, tracks, classes
         self.loader = WindowLoader(unit, inputs.vehicles, inputs.records)
         self.sections: Mapping[str, TrackSectionRecord] = {one.code: one for one in unit.tracks.sections()}
         self.geometries: dict[str, GeometryRecord | None] = {}
-        self.gear: tuple[tuple[WindowKey, ...], tuple[ContactForces, ...] | Reason] | None = None
-        self.dampers: dict[tuple[str, int, int], WindowDamper] = {}
+        self.gears: dict[tuple[WindowKey, ...], Gear | Reason] = {}
 
-    def found(self, records: Sequence[WindowRecord]) -> Sequence[WindowAdhesion]:
-        """Return the creep of every window that has samples."""
-        found = []
-        for record in records:
-            try:
-                found.append(self._creep(record))
-            except DamagedError as error:
-                found.append(self._refused(record, Reason(ReasonCode.FILE_DAMAGED, str(error))))
-            except PurgedError as error:
-                found.append(self._refused(record, Reason(ReasonCode.SAMPLES_PURGED, str(error))))
-        return found
+    def of(self, record: WindowRecord) -> CreepInputs:
+        """Return what the creep of a window is found from."""
+        try:
+            found = self._run(record)
+        except DamagedError as error:
+            found = Reason(ReasonCode.FILE_DAMAGED, str(error))
+        except PurgedError as error:
+            found = Reason(ReasonCode.SAMPLES_PURGED, str(error))
+        return CreepInputs(record, found) if isinstance(found, Reason) else CreepInputs(record, None, found)
 
-    def _creep(self, record: WindowRecord) -> WindowAdhesion:
+    def _run(self, record: WindowRecord) -> Run | Reason:
         inputs = self.inputs.of(record.key)
-        section = self.sections.get(record.track_section or "")
-        if isinstance(inputs.assumed, Reason):
-            return self._refused(record, inputs.assumed)
+        section, assumed = self.sections.get(record.track_section or ""), inputs.assumed
+        if isinstance(assumed, Reason):
+            return assumed
         geometry = self._geometry(record.wheelset)
         if geometry is None or section is None:
-            unknown = Reason(ReasonCode.NO_CREEP_CURVE, f"wheelset {record.wheelset} has no geometry on a section yet")
-            return self._refused(record, unknown)
-        window = self.loader.load(record, inputs.assumed.windows.vehicle_class)
+            return Reason(ReasonCode.NO_CREEP_CURVE, f"wheelset {record.wheelset} has no geometry on a section yet")
+        window = self.loader.load(record, assumed.windows.vehicle_class)
         if isinstance(window, Reason):
-            return self._refused(record, window)
-        if inputs.position is not None and inputs.position.reason is not None:
-            return self._refused(record, inputs.position.reason)
-        return self._found(record, window, inputs, inputs.assumed, geometry, section)
-
-    def _found(
-        self,
-        record: WindowRecord,
-        window: Window,
-        inputs: WindowInputs,
-        assumed: Assumed,
-        geometry: GeometryRecord,
-        section: TrackSectionRecord,
-    ) -> WindowAdhesion:
+            return window
         position, correction = inputs.position, None
+        if position is not None and position.reason is not None:
+            return position.reason
         if position is not None and position.content_digest == record.content_digest:
             correction = Correction(position.offset_m, position.scale, position.middle_m)
         turned = inputs.mounting is not None and inputs.mounting.reversed
+        profile = self.classes.wheelset(record.wheelset).wheel_profile
+        at = correction or Correction()
+        own = AdhesionInputs(assumed.windows, geometry.geometry, profile, section, turned, at)
+        gear, place = self._gear(record, window, assumed)
         track, layout = self.tracks.alignment(record), self.tracks.layout(record)
-        motion = window_motion(window, track, assumed.windows, correction, mounted_reversed=turned, layout=layout)
-        own = AdhesionInputs(
-            assumed.windows,
-            geometry.geometry,
-            self.classes.wheelset(record.wheelset).wheel_profile,
-            section,
-            turned,
-            correction or Correction(),
-        )
-        forces = self._forces(record, window, assumed)
-        return window_adhesion(window, record.content_digest, forces, motion, own)
+        return Run(window, track, layout, correction, assumed, own, gear, place)
 
-    def _forces(self, record: WindowRecord, window: Window, assumed: Assumed) -> ContactForces | Reason:
-        """Return the forces on the wheelset of a window; those of its gear are kept for the other axle."""
-        key = self._gear(record, assumed, backwards=window.backwards)
-        if isinstance(key, Reason):
-            return key
-        if self.gear is None or self.gear[0] != key:
-            gear = self._loaded(key, window, assumed)
-            if isinstance(gear, Reason):
-                return gear
-            self.gear = key, self._gear_forces(gear, assumed)
-        forces = self.gear[1]
-        return forces if isinstance(forces, Reason) else forces[key.index(record.key)]
+    def _gear(self, record: WindowRecord, window: Window, assumed: Assumed) -> tuple[Gear | Reason, int]:
+        """Return the running gear of a window, and the place of the window there."""
+        keys = self._keys(record, assumed, backwards=window.backwards)
+        if isinstance(keys, Reason):
+            return keys, 0
+        if keys not in self.gears:
+            self.gears[keys] = self._loaded(keys, window, assumed)
+        return self.gears[keys], keys.index(record.key)
 
-    def _gear_forces(self, gear: tuple[Window, ...], assumed: Assumed) -> tuple[ContactForces, ...] | Reason:
-        """Return the forces on a running gear; what its damper shows is kept beside."""
-        segments = gear_segments(gear, assumed.windows.vehicle_class, assumed.windows.signals)
-        first = min(gear, key=lambda window: window.axle)
-        record = self.inputs.records.get((first.wheelset, first.start_ns))
-        if record is not None and record.implausible is None and looked_at(first):
-            found = window_damper(first, record.content_digest, segments, assumed.on_file)
-            self.dampers[found.vehicle, found.first_axle, found.start_ns] = found
-        if isinstance(segments, Reason):
-            return segments
-        return forces_on(segments, assumed.windows.vehicle_class, ForceParameters())
-
-    def _gear(self, record: WindowRecord, assumed: Assumed, *, backwards: bool) -> tuple[WindowKey, ...] | Reason:
+    def _keys(self, record: WindowRecord, assumed: Assumed, *, backwards: bool) -> tuple[WindowKey, ...] | Reason:
         """Return the windows of the running gear of a window, the axle first that meets the track first."""
         axle = assumed.windows.vehicle_class.partner(record.axle)
         if axle is None:
@@ -143,8 +188,8 @@ class _Batch:
         other = (mounting.wheelset, record.start_ns)
         return (record.key, other) if (record.axle < axle) != backwards else (other, record.key)
 
-    def _loaded(self, keys: tuple[WindowKey, ...], window: Window, assumed: Assumed) -> tuple[Window, ...] | Reason:
-        """Return the windows of a running gear; one of them is at hand."""
+    def _loaded(self, keys: tuple[WindowKey, ...], window: Window, assumed: Assumed) -> Gear | Reason:
+        """Return a running gear with its windows; one of them is at hand."""
         loaded = []
         for key in keys:
             one = window
@@ -154,14 +199,12 @@ class _Batch:
                     return found
                 one = found
             loaded.append(one)
-        return tuple(loaded)
+        first = min(loaded, key=lambda each: each.axle)
+        record = self.inputs.records.get((first.wheelset, first.start_ns))
+        says = record is not None and record.implausible is None and looked_at(first)
+        return Gear(tuple(loaded), assumed, record.content_digest if says and record is not None else None)
 
     def _geometry(self, wheelset: str) -> GeometryRecord | None:
         if wheelset not in self.geometries:
             self.geometries[wheelset] = self.unit.geometries.current(wheelset)
         return self.geometries[wheelset]
-
-    def _refused(self, record: WindowRecord, reason: Reason) -> WindowAdhesion:
-        return refused(
-            record.wheelset, record.start_ns, record.vehicle, record.track_section, record.content_digest, reason
-        )

@@ -80,11 +80,7 @@ def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: Panel)
 
 
 def gauge_step(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior) -> GaugeStep:
-    """Return the gauge deviation after one Gauss-Newton step from the gauge of ``panel``, with mean zero.
-
-    Args:
-        prior: Its standard deviation and smoothness.
-    """
+    """Return the gauge deviation after one Gauss-Newton step from the gauge of ``panel``, with mean zero."""
     assert panel.gauge is not None
     rows = [one for item in passes if (one := _linearised(item, solution, panel)) is not None]
     count, weight = np.zeros((2, panel.grid.points))

@@ -9,10 +9,9 @@ import numpy as np
 
 from estimation.errors import ParameterError
 from estimation.filters.local_cubic import high_pass
-from estimation.track.gridded_pass import GriddedPass
+from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.passes import ProfileLife
-from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.track import GaugeShift
 
@@ -118,7 +117,6 @@ def unfiltered_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> F
 
     Args:
         curve: (unknowns,) coefficients of its wheelset.
-        panel: Its basis functions, and what is known beforehand.
     """
     shift = known_shift(item, panel)
     return np.asarray(item.displacement - shift - item.side * curve_displacement(item, curve, panel))
@@ -129,17 +127,12 @@ def pass_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatAr
 
     Args:
         curve: (unknowns,) coefficients of its wheelset.
-        panel: Its basis functions, and what is known beforehand.
     """
     return high_pass(unfiltered_residual(item, curve, panel), panel.grid.kernel)
 
 
 def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
-    """Return what is known beforehand of what the gauge does to y (m,), m.
-
-    Args:
-        panel: With what is known beforehand.
-    """
+    """Return what is known beforehand of what the gauge does to y (m,), m."""
     shift = panel.known.gauge_shifts.get(item.life)
     if shift is None:
         return np.zeros(len(item.points))

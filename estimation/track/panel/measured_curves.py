@@ -7,10 +7,8 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.contact.geometry import WheelsetOnTrack
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, radius_difference_curve
 from estimation.contact.profiles import Profile, rail_profile
-from estimation.contact.radius_difference import radius_difference_curve
-from estimation.contact.table import ContactMethod
 from estimation.values.arrays import FloatArray, FrozenArrays
 
 REACH = 8e-3  # m of lateral displacement
@@ -55,7 +53,6 @@ def measured_curve(
     """Return the curve of the measured profiles of a wheelset on a track.
 
     Args:
-        left, right: Wheels, in the axes of ``estimation.contact.profiles``.
         std: Of the displacement that follows, m.
         rail, inclination, gauge: Name of the rail's profile; tangent; nominal gauge, m.
         at_rails: Whether passes have their displacement at rail level, as EN 15302, or that of the axle, which rolls.

@@ -50,9 +50,6 @@ def pass_rows(item: GriddedPass, panel: Panel) -> PassRows:
     """Return the high-passed design matrix, y and R of a pass that is not empty.
 
     Design matrix and R change their sign where the wheelset's left wheel runs on the section's right rail.
-
-    Args:
-        panel: Its basis functions, and what is known beforehand.
     """
     used = as_slice(np.flatnonzero(item.inside))
     displacement = item.displacement - known_shift(item, panel)
@@ -147,11 +144,7 @@ def init(panel: Panel) -> PanelState:
 
 
 def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
-    """Return the state with ``passes`` added; the cost is that of the passes, and one copy of the sums.
-
-    Args:
-        passes: On the grid of the state's panel.
-    """
+    """Return the state with ``passes`` added; the cost is that of the passes, and one copy of the sums."""
     lives = tuple(dict.fromkeys((*state.lives, *(item.life for item in passes))))
     new = len(lives) - len(state.lives)
     sums = replace(

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
+from estimation.track.gridded_pass import SectionGrid
 from estimation.track.panel.normal_equations import PanelState, groups_of
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.section_grid import SectionGrid
 from estimation.values.arrays import FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment
 
@@ -87,9 +87,6 @@ def fleet_step(state: PanelState, solution: PanelSolution, known: PriorAlignment
 
     Journeys move towards the alignment of all, most of which they have made themselves: as a whole they would come
     nearer by the share of the evidence in it, round by round, while stiffness ratios make up for what is left.
-
-    Args:
-        state: Sums over the passes without the evidence.
     """
     weight = solution.passes - state.passes
     observed = (weight > 0) & (state.passes > 0) & np.isfinite(solution.alignment)

@@ -61,11 +61,7 @@ class PanelSolution:
 
 
 def result(state: PanelState, *, std: bool = True) -> PanelSolution:
-    """Return alignment and curves as the passes so far determine them; quicker without std.
-
-    Args:
-        std: Whether to compute standard deviations.
-    """
+    """Return alignment and curves as the passes so far determine them; quicker without std."""
     p = state.panel.parameters
     n = state.panel.grid.points
     enough = state.passes >= p.least_passes
@@ -258,11 +254,7 @@ def _residual_rms(state: PanelState, curve: FloatArray, whole: _Equations) -> fl
 
 
 def residual_of_passes(state: PanelState, solution: PanelSolution) -> float:
-    """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off.
-
-    Args:
-        state: Sums over the passes, without a prior alignment.
-    """
+    """Return the rms of y - d - h(R) over the passes alone, m, what they have shaped d and h by taken off."""
     c = solution.curves[0].reshape(len(state.lives), -1)
     d = np.nan_to_num(solution.alignment)
     count = np.where(np.isfinite(solution.alignment), state.passes, 0)

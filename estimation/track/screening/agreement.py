@@ -114,11 +114,7 @@ NOTHING = Agreement(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def filter_pass(item: Pass, cutoff_wavelength: float, step: float) -> FilteredPass | None:
-    """Return the high-passed signals of a pass; None where it is shorter than the filter reaches.
-
-    Args:
-        cutoff_wavelength, step: Of the filter and of the grid, m.
-    """
+    """Return the high-passed signals of a pass; None where it is shorter than the filter reaches."""
     weights = local_cubic_kernel(cutoff_wavelength, step)
     reach = len(weights) // 2
     first, y, R = gridded(item, step)
@@ -131,11 +127,7 @@ def filter_pass(item: Pass, cutoff_wavelength: float, step: float) -> FilteredPa
 def alignment_segment(
     track: TrackAlignment, first: int, last: int, cutoff_wavelength: float, step: float
 ) -> FilteredPass | None:
-    """Return the longest known stretch of an alignment between two grid points, high-passed unless it is already.
-
-    Args:
-        cutoff_wavelength, step: Of the filter and of the grid, m.
-    """
+    """Return the longest known stretch of an alignment between two grid points, high-passed unless it is already."""
     grid = np.arange(first, last + 1) * step
     known = np.isfinite(track.alignment)
     if np.count_nonzero(known) < 2:  # noqa: PLR2004 - nothing to interpolate between

@@ -140,7 +140,6 @@ def compare_pairs(
     """Return the comparisons of every pass with up to ``p.peers`` that overlap it most, of as many other journeys.
 
     Args:
-        filtered: Passes by index.
         journey_of: (n,) number of each pass's journey; those of one journey share their errors and are not compared.
         p: Limits, and how many peers; the cost is linear in the number of passes.
     """
@@ -173,11 +172,7 @@ def _peers(i: int, filtered: Mapping[int, FilteredPass], journey_of: IntArray, w
         chosen.setdefault(int(journey_of[others[k]]), int(others[k]))
     chosen.pop(int(journey_of[i]), None)
     best = list(chosen.values())[:wanted]
-    beyond = np.where(
-        (journey_of[others] != journey_of[i]) & (shared >= MIN_CHAIN_OVERLAP),
-        last - filtered[i].last,
-        0,
-    )
+    beyond = np.where((journey_of[others] != journey_of[i]) & (shared >= MIN_CHAIN_OVERLAP), last - filtered[i].last, 0)
     following = [int(others[k]) for k in np.argsort(-beyond, kind="stable")[:CHAIN_NEIGHBOURS] if beyond[k] > 0]
     return list(dict.fromkeys([*best, *following]))
 
@@ -262,12 +257,7 @@ class Screened:
 def screen(
     passes: Sequence[Pass], known: TrackAlignment | None = None, parameters: ScreeningParameters | None = None
 ) -> Screened:
-    """Return which of the passes of a section may be used.
-
-    Args:
-        passes: Of one section, at the positions that were measured.
-        known: What is known of its alignment.
-    """
+    """Return which of the passes of a section may be used."""
     p = parameters or ScreeningParameters()
     signals = [filter_pass(item, p.cutoff_wavelength, p.step) for item in passes]
     refused = {

@@ -87,6 +87,7 @@ sa.Table(
     sa.Column("to_ns", BIG, primary_key=True),
     required("from_ns", BIG),
     required("code_version", TEXT),
+    required("made_with", CODE),
     required("packed", BLOB),
     sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
 )
@@ -296,15 +297,6 @@ sa.Table(
     required("packed", BLOB),
     sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
 )
-sa.Table(
-    "gear_dampers",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("first_axle", INTEGER, primary_key=True),
-    required("code_version", TEXT),
-    required("packed", BLOB),
-    sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
-)
 feed_branches = sa.Table(
     "feed_branches",
     TABLES,
@@ -330,17 +322,6 @@ sa.Table(
     required("recorded_ns", BIG),
 )
 sa.Table(
-    "job_owners",
-    TABLES,
-    sa.Column("token", SERIAL, primary_key=True),
-    required("kind", sa.String(16)),
-    required("holder", TEXT),
-    required("since_ns", BIG),
-    one_of("kind", ("schedule", "api", "cli")),
-    sa.Index("ix_job_owners_one_scheduler", "kind", unique=True, **where("kind = 'schedule'")),
-    sqlite_autoincrement=True,
-)
-sa.Table(
     "job_runs",
     TABLES,
     sa.Column("run_id", SERIAL, primary_key=True),
@@ -356,15 +337,6 @@ sa.Table(
     sa.CheckConstraint("(outcome = 'running') = (finished_ns IS NULL)", name="running_until_finished"),
     sa.Index(None, "job", "run_id"),
     sqlite_autoincrement=True,
-)
-sa.Table(
-    "looks",
-    TABLES,
-    sa.Column("stage", sa.String(32), primary_key=True),
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("inputs", CODE),
-    sa.Column("until_ns", BIG),
-    sa.Column("number", BIG),
 )
 sa.Table(
     "measured_profiles",
@@ -603,14 +575,6 @@ sa.Table(
     sa.Column("reason_code", CODE),
     required("packed", BLOB),
     sa.CheckConstraint("places >= 0", name="places_counted"),
-)
-sa.Table(
-    "signature_answers",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("packed", BLOB),
 )
 sa.Table(
     "stale_spans",
@@ -900,12 +864,6 @@ sa.Table(
     sa.Index(None, "fleet"),
 )
 sa.Table(
-    "wheelset_changes",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("touched", BIG),
-)
-sa.Table(
     "reprofilings",
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
@@ -971,7 +929,8 @@ sa.Table(
     TABLES,
     sa.Column("lease_id", SERIAL, primary_key=True),
     required("holder", TEXT),
-    sa.Column("owner", BIG),
+    sa.Column("owner", BIG, sa.ForeignKey("work_leases.lease_id", ondelete="CASCADE")),
+    sa.Column("unit", sa.String(32)),
     required("length_ns", BIG),
     required("until_ns", BIG),
     sa.CheckConstraint("length_ns > 0", name="length_positive"),
@@ -1005,7 +964,6 @@ sa.Table(
     sa.Column("trend_key", REAL),
     sa.Column("mileage_key", REAL),
     sa.Column("last_data_ns", BIG),
-    required("form", BIG),
     required("document", TEXT),
     one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
     one_of("urgency", ("over_limit", "critical_alert", "due", "warning_alert", "unknown", "not_due", "not_mounted")),

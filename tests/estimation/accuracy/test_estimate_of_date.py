@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.accuracy.estimate_of_date import EstimateOfDate, estimate_of_date
+from estimation.accuracy.fleet_accuracy import EstimateOfDate, estimate_of_date
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.values.geometry import BinStatus, BinValues, GeometryRecord, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status

@@ -13,9 +13,8 @@ from estimation.accuracy.wheel_contact import (
     conicity_of,
     wheel_contact,
 )
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import profile_from_points, rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
 from estimation.values.quantities import NORMAL_95, Status
 from estimation.values.reasons import Reason, ReasonCode
 

@@ -239,7 +239,7 @@ def others_go_on(storage: SqlStorage, section: str, others: Sequence[WindowRecor
         found = unit.adhesion.section(section)
         assert found is not None
         assert found.windows == len(others)
-        assert not list(unit.quarantine.held(refresh_adhesion.STAGE))
+        assert not list(unit.quarantine.held(refresh_adhesion.JOB_NAME))
 
 
 @pytest.mark.parametrize("broken", [dead_node, silent_node])

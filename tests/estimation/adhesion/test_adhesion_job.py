@@ -200,7 +200,7 @@ def test_every_time_stays_in_some_hours_and_few_are_kept(deployed: Deployed) -> 
     with deployed.storage.write() as unit:
         for minute in range(1, 40):
             later = replace(found, from_ns=found.to_ns + (minute - 10) * 60, to_ns=found.to_ns + minute * 60)
-            unit.adhesion.put_section(later, "test")
+            unit.adhesion.put_section(later, "test", "d" * 64)
         first, last = found.from_ns, found.to_ns + 39 * 60
         for at_ns in range(found.to_ns, last, 30):
             one = unit.adhesion.section(found.track_section, at_ns)
@@ -265,3 +265,13 @@ def test_the_stds_of_the_class_on_file_are_those_of_the_friction(deployed: Deplo
     assert on_file is not None
     assert found.file == FileErrors.of([on_file.vehicle_class])
     assert (found.low, found.likely) == (0.2, 0.7)
+
+
+def test_friction_follows_another_rule(deployed: Deployed) -> None:
+    """Also where no window is new: it is found with the limits of the rule."""
+    other = RuleBook().with_rules(LowAdhesionRule(raise_friction=0.05))
+    strict = replace(deployed.context, settings=replace(deployed.context.settings, rules=other))
+    before = section_of(deployed)
+    assert run_job(refresh_adhesion.JOB, strict, JobTrigger.CLI).counts["sections"] >= 1
+    assert section_of(deployed).low_stretches != before.low_stretches
+    assert run_job(refresh_adhesion.JOB, strict, JobTrigger.CLI).counts["sections"] == 0

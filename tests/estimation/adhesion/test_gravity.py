@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from estimation.adhesion.gravity import DISPLACEMENT, MOST_MISFIT, ContactAngles, contact_angles
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import TrackSectionRecord

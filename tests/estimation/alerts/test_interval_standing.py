@@ -19,7 +19,7 @@ from estimation.alerts.rules.limit_forecast import LimitForecastRule
 from estimation.alerts.rules.rule import AlertDelays, AlertRule, WheelsetFacts
 from estimation.alerts.rules.standing import latest_run
 from estimation.alerts.rules.wheel_asymmetry import WheelAsymmetryRule
-from estimation.trend.points import conicity_points
+from estimation.trend.extrapolation import conicity_points
 from estimation.trend.trend import refresh
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry, interval_conicities

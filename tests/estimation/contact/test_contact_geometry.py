@@ -10,14 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import (
+    ContactMethod,
+    WheelsetOnTrack,
+    contact_table,
+    radius_difference_curve,
+    refined_curve,
+)
 from estimation.contact.profiles import Profile, profile_from_points, rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve, refined_curve
-from estimation.contact.segments import evaluate
 from estimation.contact.surface import rail_surface
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, worn
-from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, evaluate
 from estimation.errors import ContactError
 
 PAPER = WheelsetOnTrack.symmetric(wheel_profile("P8"), rail_profile("56E1"), 1 / 20, 1.435)

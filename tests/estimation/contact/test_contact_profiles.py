@@ -10,17 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import (
     Profile,
     profile_from_points,
     rail_profile,
     wheel_profile,
 )
-from estimation.contact.segments import evaluate
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, wear_measures, worn
-from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS
+from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, evaluate
 from estimation.errors import ParameterError, ProfileError
 
 DEFINITIONS = [*WHEEL_DEFINITIONS.items(), *RAIL_DEFINITIONS.items()]

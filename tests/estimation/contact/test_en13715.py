@@ -9,7 +9,7 @@ import pytest
 
 from estimation.contact.en13715 import en13715_wheel
 from estimation.contact.profiles import is_design, wheel_profile
-from estimation.contact.segments import Arc
+from estimation.contact.wheel_definitions import Arc
 from estimation.errors import ProfileError
 
 

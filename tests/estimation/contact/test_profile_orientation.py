@@ -12,8 +12,8 @@ from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray
 from ingest.profiles.files import read_measured_profile, read_profile
-from ingest.profiles.gauge_side import lean
-from ingest.profiles.origin import Origin
+from ingest.profiles.orientation import lean
+from ingest.profiles.points import Origin
 
 S1002, RAIL = wheel_profile("S1002"), rail_profile("60E1")
 

@@ -7,9 +7,8 @@ import pytest
 
 from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack, contact_table, refined_curve
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.radius_difference import refined_curve
 from estimation.contact.wear import DEEPEST_BAND, RailWear, WearFamily, wear_course, worn, worn_rail
 from estimation.errors import ParameterError, ProfileError
 from estimation.rails.parameters import RailsParameters, conicity_on_rails, designed_wheel

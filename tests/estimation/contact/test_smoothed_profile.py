@@ -7,13 +7,11 @@ import pytest
 from scipy.signal import lfilter
 
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, radius_difference_curve
 from estimation.contact.penalised_spline import correlated_noise, rough_noise
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
 from estimation.contact.smoothed_profile import SmoothedProfile, exact, smoothed_profile
 from estimation.contact.surface import wheel_surface
-from estimation.contact.table import ContactMethod
 from estimation.errors import ContactError, ProfileError
 from estimation.values.arrays import FloatArray
 

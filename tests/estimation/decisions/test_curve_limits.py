@@ -146,7 +146,7 @@ def test_every_lost_sample_is_counted_once_by_its_first_cause() -> None:
     window = plain_window(valid=T >= 3.0, speed=np.where((T >= 9.0) & (T < 18.0), 7.99, 8.0))
     known = T >= 6.0
     bent = layout((0.0, 0.0, 0.0), (509.9, 0.0, 0.0), (510.0, 1e-3, 0.0), (1000.0, 1e-3, 0.0))  # from 480 m, 24 s
-    found = usable_samples(window, known, bent, 8.0, LIMITS)
+    found = usable_samples(window, known, bent, SIGNALS)
     assert list(found.lost) == [
         "missing, clipped or invalid",
         "off the known part of the section",
@@ -163,7 +163,7 @@ def test_every_lost_sample_is_counted_once_by_its_first_cause() -> None:
 
 
 def test_without_a_layout_nothing_is_lost_in_curves_and_causes_without_loss_are_not_named() -> None:
-    found = usable_samples(plain_window(), EVERY, None, 8.0, LIMITS)
+    found = usable_samples(plain_window(), EVERY, None, SIGNALS)
     assert "in curves" not in found.lost
     assert found.samples.all()
     assert found.causes == ""

@@ -127,7 +127,7 @@ def test_residuals_are_those_of_passes_with_a_curve_where_the_alignment_is_known
 
 def test_the_std_of_an_alignment_is_that_of_curves_passes_and_what_blocks_cannot_show() -> None:
     passes, of_curves = np.array([4.0, 4.0, 1.0, 0.0]), np.array([0.1e-3, np.nan, 0.2e-3, 0.1e-3])
-    found = LongWaveAlignment(120.0, np.zeros(4), 0.3e-3, passes, np.zeros(4))
+    found = LongWaveAlignment(np.zeros(4), 0.3e-3, passes, np.zeros(4))
     prior = np.array([0.0, 0.0, 3.0, 2.0])  # in passes
     systematic = 0.02e-3**2 + 0.05e-3**2 + 0.07e-3**2
     std = _std(found, passes + prior, of_curves, np.full(4, systematic))

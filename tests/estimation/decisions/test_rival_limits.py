@@ -12,8 +12,7 @@ from smooth_wheelset import ideal, run
 from estimation.estimators import block_filters, known_irregularity
 from estimation.estimators.block_filters import Inputs, Posterior, Prior, filtered, start
 from estimation.estimators.contact_jumps import stepped
-from estimation.estimators.coverage import CELLS, WIDTH, beside, covered_range
-from estimation.estimators.interface import EstimatorParameters
+from estimation.estimators.interface import CELLS, WIDTH, EstimatorParameters, beside, covered_range
 from estimation.estimators.known_irregularity import KnownIrregularity, RecursionState
 from estimation.estimators.paper_algorithm import GROUPS as OF_CELLS
 from estimation.estimators.paper_algorithm import CellMeans, PaperAlgorithm, PaperState

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.trend.points import conicity_points
+from estimation.trend.extrapolation import conicity_points
 from estimation.values.geometry import (
     BinStatus,
     BinValues,

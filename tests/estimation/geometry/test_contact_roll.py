@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve, refined_curve
 from estimation.contact.wear import TreadWear, worn
 from estimation.geometry.rolling_line import ContactRoll, standard_curve
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty

@@ -45,7 +45,12 @@ def main(url: str, directory: str) -> int:
     stop_on_signals(stop)
     job = Job("add_pairs", "adds pairs of fleets", 3600.0, add_pairs)
     try:
-        serve_jobs(JobContext(storage, SystemClock(), "test", JobSettings()), [job], stop, holder="first of the test")
+        serve_jobs(
+            JobContext(storage, SystemClock(), "test", JobSettings(), lease_s=2.0),
+            [job],
+            stop,
+            holder="first of the test",
+        )
     except AlreadyRunningError as error:
         print(error, flush=True)  # noqa: T201 - what the test waits for
         return 3

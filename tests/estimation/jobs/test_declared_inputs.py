@@ -4,27 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import product
 from typing import Any
 
 import pytest
 from one_database import on_sqlite
-from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, wear
+from wheelset_life import DAY_NS, START_NS, SetClock, geometry_record, register, run_windows, sample_window, wear
 
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule, SpeedBand
 from estimation.jobs.job import JobContext
 from estimation.jobs.made_from import made_from
-from estimation.jobs.refresh_trends import TREND
+from estimation.jobs.refresh_trends import TREND, trend_of
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import AnyStage
 from estimation.jobs.stages import ALL_STAGES
 from estimation.storage import Storage, UnitOfWork
+from estimation.trend.trend import TrendParameters
+from estimation.values.adhesion import CREEP, FRICTION
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
-from estimation.values.geometry_results import GEOMETRY
+from estimation.values.geometry import GEOMETRY
+from estimation.values.quantities import with_interval
 from estimation.values.rails import CELLS
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
+from estimation.values.results import Result
+from estimation.values.runs import SubjectKind
+from estimation.values.signatures import ANSWERS, SIGNATURES
 from estimation.values.subjects import EVERYTHING, Facet, Mark
-from estimation.values.trend import AFTER, BEFORE, IDENTITY
+from estimation.values.track import TrackSectionRecord
+from estimation.values.trend import (
+    AFTER,
+    BEFORE,
+    IDENTITY,
+    SUSPENSION,
+    SuspensionFinding,
+    SuspensionShown,
+    TrendRecord,
+    TrendStep,
+)
 
 READS: Mapping[str, str] = {
     "registry.wheelsets_of": Facet.REGISTRY,
@@ -32,7 +50,10 @@ READS: Mapping[str, str] = {
     "registry.vehicles_of": Facet.REGISTRY,
     "alerts.of_kind": Facet.RESTARTS,
     "geometries.conicities_of": GEOMETRY.stage,
+    "geometries.conicities": GEOMETRY.stage,
     "registry.mountings": Facet.REGISTRY,
+    "registry.vehicle": Facet.REGISTRY,
+    "registry.vehicle_class": Facet.REGISTRY,
     "registry.wheelsets": Facet.REGISTRY,
     "registry.measured_wheelsets": Facet.REGISTRY,
     "tracks.sections": Facet.REGISTRY,
@@ -41,20 +62,48 @@ READS: Mapping[str, str] = {
     "geometries.interval_digests": GEOMETRY.stage,
     "roll_ups.state": GEOMETRY.stage,
     "roll_ups.of": GEOMETRY.stage,
-    "tables.tabled": GEOMETRY.stage,
     "due.of_wheelset": GEOMETRY.stage,
-    "results.latest_head": "trend.head",
+    "results.trend.head": "trend.head",
     "geometries.baselines": GEOMETRY.stage,
-    "geometries.intervals": GEOMETRY.stage,
-    "geometries.estimable": Facet.WINDOWS,
-    "windows.passed_over": Facet.WINDOWS,
+    "geometries.estimable": Facet.TABLES,
+    "windows.passed_over": Facet.TABLES,
     "registry.wheelset": Facet.REGISTRY,
+    "tables.tabled": GEOMETRY.stage,
+    "tables.last_reading": GEOMETRY.stage,
     "rails.cells": CELLS,
+    "tracks.standings": Facet.LAYOUTS,
+    "signatures.vehicles": Facet.LAYOUTS,
+    "signatures.known": SIGNATURES,
+    "results.made_from": ANSWERS.stage,
+    "geometries.having": GEOMETRY.stage,
+    "dampers.gears": CREEP,
+    "adhesion.made_with": FRICTION,
+    "due.of_section": CREEP,
+    "geometries.newest_numbers": GEOMETRY.stage,
+    "geometries.interval_numbers": GEOMETRY.stage,
+    "geometries.intervals": GEOMETRY.stage,
+    "geometries.current_of": GEOMETRY.stage,
+    "registry.vehicles": Facet.REGISTRY,
+    "registry.mounted_on": Facet.REGISTRY,
+    "registry.newest_measurement_of": Facet.REGISTRY,
+    "sensor_changes.newest": Facet.REGISTRY,
+    "suspensions.newest": Facet.STIFFNESS,
+    "trends.of": TREND.name,
+    "alerts.open_of": Facet.ALERTS,
+    "windows.in_service": Facet.WINDOWS,
+    "windows.hunted": Facet.BESIDE,
+    "dampers.of_vehicles": Facet.BESIDE,
+    "plausibility.rejected": Facet.BESIDE,
+    "results.identity_jump": "identity_jump",
+    "results.identity": "identity",
+    "results.answers": "answers",
+    "results.suspension": Facet.BESIDE,
 }
 """The facet that is raised with what a method reads; a stage calls no other."""
 
 WHEELSETS = ("W1", "W2", "W3")
-BY_NAME = {stage.name: stage for stage in ALL_STAGES}
+STAGES = [stage for stage in ALL_STAGES if stage.kind is not SubjectKind.WINDOW]  # those go by the windows that are due
+BY_NAME = {stage.name: stage for stage in STAGES}
 
 
 @dataclass
@@ -67,10 +116,16 @@ class Recorded:
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever the store has
         found = getattr(self.recorded, name)
+        if self.name == "results":
+            return partial(self._of_kind, found, ".head" if name in {"heads", "latest_head"} else "")
         if self.name:
             self.called.add(f"{self.name}.{name}")
             return found
         return Recorded(found, name, self.called)
+
+    def _of_kind(self, found: Any, part: str, kind: Any, *rest: Any) -> Any:  # noqa: ANN401 - the same
+        self.called.add(f"results.{kind.stage}{part}")
+        return found(kind, *rest)
 
 
 def context_of(storage: Storage, settings: JobSettings | None = None, code: str = "test") -> JobContext:
@@ -82,6 +137,15 @@ def lived(storage: Storage) -> None:
     for serial in WHEELSETS:
         wear(storage, serial, 40)
         run_windows(storage, serial, 39.5, 3)
+    with storage.write() as unit:
+        unit.trends.put(trend_with_step("W1", 20))
+
+
+def trend_with_step(wheelset: str, day: int) -> TrendRecord:
+    """Return a trend with a step at the end of a day: what is beside the wheelset may have caused it."""
+    times = (START_NS + day * DAY_NS, START_NS + (day + 1) * DAY_NS)
+    step = TrendStep(day, day + 1.0, *times, times[1], with_interval(0.1, 0.01), 0.2, 3e-3, 0.99, 5, 5)
+    return TrendRecord(wheelset, 0, replace(trend_of((), 0.4, TrendParameters()), step=step), f"{day}", "test", 1)
 
 
 def identity_alert(wheelset: str) -> Alert:
@@ -91,7 +155,7 @@ def identity_alert(wheelset: str) -> Alert:
 
 
 @on_sqlite
-@pytest.mark.parametrize("stage", ALL_STAGES, ids=lambda stage: stage.name)
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
 def test_every_read_is_declared(storage: Storage, stage: AnyStage) -> None:
     lived(storage)
     with storage.write() as unit:
@@ -135,6 +199,35 @@ CHANGES: tuple[Callable[[Any], None], ...] = (
 OF_TREND = {change.__name__ for change in CHANGES}
 
 
+def a_window(unit: Any) -> None:  # noqa: ANN401 - the same
+    unit.windows.put(sample_window("W2", START_NS + 41 * DAY_NS), 41_000.0, 1)
+
+
+def a_step_beside(unit: UnitOfWork) -> None:
+    unit.trends.put(trend_with_step("W3", 21))
+
+
+def a_section(unit: Any) -> None:  # noqa: ANN401 - the same
+    unit.tracks.add_section(TrackSectionRecord("S9", 9, "", "60E1", 0.05, 1.435, 5000.0))
+
+
+def a_stiffness(unit: Any) -> None:  # noqa: ANN401 - the same
+    a_section(unit)
+    unit.suspensions.put(SuspensionFinding("V1", "S9", START_NS, START_NS + DAY_NS, 1.0, 0.03, 0.34, "v", 1))
+
+
+def a_suspension(unit: UnitOfWork) -> None:
+    shown = SuspensionShown(None, stands=True)
+    unit.results.put_all(SUSPENSION, [Result("V1", "another", "test", 1, shown)])
+
+
+OF_ALERTS = {
+    change.__name__: wheelset
+    for change, wheelset in ((a_window, "W2"), (a_step_beside, "W1"), (a_section, "W1"), (a_suspension, "W1"))
+}
+CHANGES += (a_window, a_step_beside, a_section, a_stiffness, a_suspension)
+
+
 def digests(storage: Storage, stage: AnyStage, context: JobContext) -> dict[str, str]:
     with storage.read() as unit:
         loaded = stage.load(unit, WHEELSETS, context)
@@ -148,7 +241,7 @@ def test_what_has_other_inputs_is_due(storage: Storage, change: Callable[[Any], 
     lived(storage)
     context = context_of(storage)
     before = {}
-    for stage in ALL_STAGES:
+    for stage in STAGES:
         before[stage.name] = digests(storage, stage, context)
         seen_all(storage, stage, context)
     with storage.write() as unit:
@@ -160,14 +253,19 @@ def test_what_has_other_inputs_is_due(storage: Storage, change: Callable[[Any], 
             assert changed <= due(storage, BY_NAME[name], context), name
         if name == "trend":
             assert bool(changed) == (change.__name__ in OF_TREND)
+        if name == "alerts" and change.__name__ in OF_ALERTS:
+            assert OF_ALERTS[change.__name__] in changed
 
 
 @on_sqlite
-@pytest.mark.parametrize("stage", ALL_STAGES, ids=lambda stage: stage.name)
+@pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
 def test_settings_that_are_read_make_all_due(storage: Storage, stage: AnyStage) -> None:
     lived(storage)
     context, shipped = context_of(storage), JobSettings()
     before, everybody = digests(storage, stage, context), {EVERYTHING} if stage.together else set(WHEELSETS)
+    with storage.write() as unit:
+        for subject, facet in product(WHEELSETS, stage.facets):
+            unit.subjects.raised(stage.kind, subject, facet)  # type: ignore[attr-defined] - of fleet_db
     seen_all(storage, stage, context)
     others = (
         replace(shipped, trend=replace(shipped.trend, horizon_km=99_000.0)),
@@ -177,7 +275,7 @@ def test_settings_that_are_read_make_all_due(storage: Storage, stage: AnyStage) 
         other = context_of(storage, settings)
         if digests(storage, stage, other) != before:
             assert due(storage, stage, other) == everybody
-    assert due(storage, stage, context_of(storage, code="another")) == everybody
+    assert due(storage, stage, context_of(storage, code="another")) == (set() if stage.inline else everybody)
 
 
 def seen_all(storage: Storage, stage: AnyStage, context: JobContext) -> None:

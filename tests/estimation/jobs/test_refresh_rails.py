@@ -281,6 +281,19 @@ def test_what_contradicts_the_class_gives_no_cell(received: Storage, monkeypatch
 
 
 @on_sqlite
+def test_cells_of_an_interval_whose_geometry_is_refused_by_now_are_not_used(received: Storage) -> None:
+    refresh(received)
+    why = rail_cells.Reason(ReasonCode.YAW_SPRING_DIFFERS, "another spring")
+    with received.write() as unit:
+        (record,) = unit.geometries.intervals("W1")
+        unit.geometries.put(replace(record, geometry=record.geometry.mismatched(why), input_digest="f" * 64))
+    assert refresh(received)["cells"] == 2
+    with received.read() as unit:
+        assert {one.reason for one in unit.rails.cells(["W1"])} == {why}
+        assert {one.reason for one in unit.rails.cells(["W2"])} == {None}
+
+
+@on_sqlite
 def test_the_limit_of_the_settings_makes_the_finding(received: Storage) -> None:
     found = {}
     for limit in (0.01, 0.3):

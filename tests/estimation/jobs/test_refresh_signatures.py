@@ -17,12 +17,13 @@ from api.comparison.study import TrueWheelset, read_truth
 from api.settings import Settings
 from estimation.errors import DamagedError
 from estimation.jobs import refresh_signatures
-from estimation.jobs.isolation import Isolation
 from estimation.jobs.job import JobContext
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
-from estimation.values.signatures import Basis, Signature, SignatureRecord, WindowSignatures
+from estimation.values.runs import SubjectKind
+from estimation.values.signatures import ANSWERS, SIGNATURES, Basis, Signature, SignatureFinding, WindowSignatures
+from estimation.values.subjects import Facet
 from estimation.values.trend import IdentityChange
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of
@@ -106,8 +107,10 @@ def test_wheelsets_are_judged_by_the_others_and_near_the_truth(ran: Ran) -> None
     errors = []
     with storage.read() as unit:
         for serial, true in truth.items():
-            record = unit.signatures.answer(serial)
-            assert record is not None
+            result = unit.results.latest(ANSWERS, serial)
+            assert result is not None
+            assert result.value is not None
+            record = result.value
             assert record.left_out["same_wheelset"] > 0
             assert serial not in {one.wheelset for one in record.answer.used}
             if record.answer.conicity.value is not None:
@@ -134,7 +137,7 @@ def test_intervals_hold_the_truth_though_geometries_share_their_errors(ran: Ran)
 
 def test_a_second_run_reads_counters_alone(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
     _, context, _, _ = ran
-    for method in ("known", "missing", "assumptions", "answered"):
+    for method in ("known", "made_of", "vehicles"):
         monkeypatch.setattr(SignatureStore, method, None)
     counts = refresh_signatures.run(context)
     assert counts["unchanged"] == 12
@@ -144,17 +147,18 @@ def test_a_second_run_reads_counters_alone(ran: Ran, monkeypatch: pytest.MonkeyP
 def test_a_wheelset_to_which_something_happened_is_looked_at_and_found_unchanged(ran: Ran) -> None:
     storage, context, _, _ = ran
     with storage.write() as unit:
-        unit.changes.touch("W03")
+        unit.subjects.raised(SubjectKind.WHEELSET, "W03", SIGNATURES)
     counts = refresh_signatures.run(context)
     assert counts["answered"] == 0
     assert counts["unchanged"] == 12
 
 
-def answer(storage: SqlStorage, serial: str) -> SignatureRecord:
+def answer(storage: SqlStorage, serial: str) -> SignatureFinding:
     with storage.read() as unit:
-        found = unit.signatures.answer(serial)
+        found = unit.results.latest(ANSWERS, serial)
     assert found is not None
-    return found
+    assert found.value is not None
+    return found.value
 
 
 @contextmanager
@@ -170,8 +174,6 @@ def stored_otherwise(
     def put(found: Sequence[WindowSignatures]) -> Mapping[str, int]:
         with storage.write() as unit:
             unit.signatures.put_all(found)
-            for serial in wheelsets:
-                unit.changes.touch(serial)
         return refresh_signatures.run(context)
 
     try:
@@ -250,7 +252,7 @@ def test_signatures_whose_samples_are_purged_stay_and_are_left_out_where_they_wo
     of_one = windows.c.wheelset == "W09"
     with storage.write() as unit:
         unit.connection.execute(update(windows).where(of_one).values(samples_purged_ns=1))
-        unit.changes.touch("W09")
+        unit.subjects.raised(SubjectKind.WHEELSET, "W09", SIGNATURES)
     refresh_signatures.run(context)
     assert answer(storage, "W09").signatures > 0
     wider = replace(context.settings, signatures=replace(context.settings.signatures, cell=250.0))
@@ -260,13 +262,13 @@ def test_signatures_whose_samples_are_purged_stay_and_are_left_out_where_they_wo
     assert "W09" not in {one.wheelset for one in answer(storage, "W08").answer.used}
     with storage.write() as unit:
         unit.connection.execute(update(windows).where(of_one).values(samples_purged_ns=None))
-        unit.changes.touch("W09")
+        unit.subjects.raised(SubjectKind.WHEELSET, "W09", SIGNATURES)
     refresh_signatures.run(context)
 
 
 def held(storage: SqlStorage) -> dict[tuple[str, str], ReasonCode]:
     with storage.read() as unit:
-        return {(str(item.kind), item.key): item.code for item in unit.quarantine.held(refresh_signatures.STAGE)}
+        return {(str(item.kind), item.key): item.code for item in unit.quarantine.held(refresh_signatures.JOB.name)}
 
 
 def test_a_damaged_signature_is_kept_in_quarantine_made_again_and_stops_nobody(ran: Ran) -> None:
@@ -276,7 +278,7 @@ def test_a_damaged_signature_is_kept_in_quarantine_made_again_and_stops_nobody(r
         one = next(one.found for one in unit.signatures.known().known if one.found.wheelset == "W03")
         own = (table.c.wheelset == "W03", table.c.start_ns == one.start_ns)
         unit.connection.execute(update(table).where(*own).values(packed=b"torn"))
-        unit.changes.touch("W03")
+        unit.subjects.raised(SubjectKind.WHEELSET, "W03", SIGNATURES)
     counts = refresh_signatures.run(context)
     assert counts["quarantined"] == 1
     assert held(storage) == {("window", f"W03@{one.start_ns}"): ReasonCode.FILE_DAMAGED}
@@ -301,7 +303,7 @@ def test_what_is_damaged_of_a_wheelset_stops_no_other(ran: Ran, monkeypatch: pyt
     with monkeypatch.context() as patched:
         patched.setattr(store, damaged, torn)
         with storage.write() as unit:
-            unit.changes.touch("W06")
+            unit.subjects.raised(SubjectKind.WHEELSET, "W06", SIGNATURES)
         assert refresh_signatures.run(context)["quarantined"] == 1
         assert held(storage) == {("wheelset", "W06"): ReasonCode.FILE_DAMAGED}
         if damaged == "measured_profiles":
@@ -326,11 +328,15 @@ def test_signatures_of_before_an_identity_change_say_nothing_of_the_wheelset_tha
     with monkeypatch.context() as exchanged:
         exchanged.setattr(refresh_signatures, "suspected", lambda *_: frozenset({serial}))
         exchanged.setattr(refresh_signatures, "identity_change", lambda *_: later)
-        refresh_signatures._judge(context, Isolation(context, refresh_signatures.STAGE))
+        with storage.write() as unit:
+            unit.subjects.raised(SubjectKind.WHEELSET, serial, Facet.RESTARTS)
+        refresh_signatures.run(context)
         found = answer(storage, serial).answer.conicity
     assert found.reason is not None
     assert found.reason.code is ReasonCode.NO_SIGNATURE
-    refresh_signatures._judge(context, Isolation(context, refresh_signatures.STAGE))
+    with storage.write() as unit:
+        unit.subjects.raised(SubjectKind.WHEELSET, serial, Facet.RESTARTS)
+    refresh_signatures.run(context)
     assert answer(storage, serial).answer.conicity.reason != found.reason
 
 
@@ -345,9 +351,7 @@ def test_a_wheelset_that_was_turned_has_no_answer_and_teaches_nothing_about_its_
         unit.registry.add_reprofiling(Reprofiling("W05", newest.start_ns + 10**12, newest.mileage_km + 5.0))
     counts = refresh_signatures.run(context)
     assert counts["answered"] >= 1
-    with storage.read() as unit:
-        record = unit.signatures.answer("W05")
-    assert record is not None
+    record = answer(storage, "W05")
     assert record.baseline == 1
     assert record.answer.conicity.status is Status.UNESTIMATED
     assert record.answer.conicity.reason is not None

@@ -6,6 +6,7 @@ import logging
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from estimation.errors import AlreadyRunningError, StorageError
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.scheduler import build_scheduler, clock_was_set, serve_jobs
 from estimation.jobs.settings import JobSettings
-from estimation.storage import OwnedStorage, Storage, UnitOfWork
+from estimation.storage import LeasedStorage, Storage, UnitOfWork
 from estimation.values.runs import JobRun, JobTrigger
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
@@ -110,10 +111,13 @@ def test_a_killed_job_leaves_nothing_half_written_and_is_abandoned_at_the_next_s
     storage = SqlStorage(database_engine(storage_url), tmp_path)
     whole = [name for batch in range(3) for name in (f"{batch:06}a", f"{batch:06}b")]
     assert fleets(storage) in (whole, [*whole, "000003a", "000003b"])  # it may have been quicker than the signal
+    until = time.monotonic() + PATIENCE_S
+    while [run.outcome for run in runs_of(storage, "add_pairs")] == ["running"] and time.monotonic() < until:
+        Event().wait(0.05)  # for as long as its lease lasts
     shown = [(run.outcome, run.finished_ns, run.error) for run in runs_of(storage, "add_pairs")]
     assert shown == [("abandoned", None, "the process ended during the run")]
     done = Event()
-    with serving(storage, [job("other", done.set)]):  # and the dead process's lock is free
+    with serving(storage, [job("other", done.set)]):  # and the dead process's place is free
         assert done.wait(PATIENCE_S)
     (run,) = runs_of(storage, "add_pairs")
     assert (run.outcome, run.finished_ns) == ("abandoned", 7)
@@ -240,12 +244,12 @@ class FailsOnce:
         return self.real.read()
 
     @contextmanager
-    def owned(self, kind: JobTrigger, holder: str, now_ns: int) -> Iterator[OwnedStorage]:
-        with self.real.owned(kind, holder, now_ns) as owned:
+    def owned(self, kind: JobTrigger, holder: str, length_s: float) -> Iterator[LeasedStorage]:
+        with self.real.owned(kind, holder, length_s) as owned:
             yield FailsOnce(owned, self.fails_at)
 
-    def holds(self) -> bool:
-        return self.real.holds()
+    def lease_lost(self) -> bool:
+        return False
 
 
 def test_a_run_that_cannot_be_recorded_is_logged_and_the_next_one_runs(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Event
 
@@ -13,20 +13,20 @@ import sqlalchemy
 from postgres_server import SAFE, PostgresServer, stoppable_server
 from wheelset_life import SetClock
 
-from estimation.errors import AlreadyRunningError, ClaimLostError
+from estimation.errors import AlreadyRunningError, LeaseLostError, StorageError
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.scheduler import serve_jobs
+from estimation.jobs.scheduler import CHECK_S, serve_jobs
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage
 from estimation.values.registry import FleetRecord
 from estimation.values.runs import JobRun, JobTrigger
-from fleet_db.locks import check_claim
 from fleet_db.migrate import upgrade
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
 
 PATIENCE_S = 60.0
-END_SESSION = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = :holder"
+LONG_S, SHORT_S = 600.0, 0.4
+END_LEASE = "UPDATE work_leases SET until_ns = 0 WHERE holder = :holder"
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def server() -> Iterator[PostgresServer]:
 def storage(server: PostgresServer, tmp_path: Path) -> Iterator[SqlStorage]:
     opened = SqlStorage(database_engine(server.url), tmp_path)
     with opened.engine.begin() as connection:
-        for table in ("job_runs", "job_owners", "fleets"):
+        for table in ("job_runs", "work_claims", "work_leases", "fleets"):
             connection.execute(sqlalchemy.delete(sqlalchemy.table(table)))
     yield opened
     opened.close()
@@ -67,28 +67,23 @@ class Rounds:
 
 
 @contextmanager
-def scheduling(storage: Storage, jobs: Sequence[Job], holder: str) -> Iterator[Future[None]]:
+def scheduling(
+    storage: Storage, jobs: Sequence[Job], holder: str, lease_s: float = LONG_S, *, wait: bool = False
+) -> Iterator[Future[None]]:
     stop = Event()
     with ThreadPoolExecutor(1) as pool:
-        context = JobContext(storage, SetClock(7), "test", JobSettings())
-        service = pool.submit(serve_jobs, context, jobs, stop, holder=holder)
+        context = JobContext(storage, SetClock(7), "test", JobSettings(), lease_s=lease_s)
+        service = pool.submit(serve_jobs, context, jobs, stop, holder=holder, wait=wait)
         try:
             yield service
         finally:
             stop.set()
 
 
-@contextmanager
-def taken_over(storage: SqlStorage, before: str, after: str) -> Iterator[None]:
-    """End the session of one scheduler and take its place, before it is back."""
-    with ExitStack() as stack:
-        for _ in range(100):
-            with storage.engine.begin() as connection:
-                connection.execute(sqlalchemy.text(END_SESSION), {"holder": before})
-            with suppress(AlreadyRunningError):  # its session is still ending, or it was faster
-                stack.enter_context(storage.owned(JobTrigger.SCHEDULE, after, 2))
-                break
-        yield
+def end_lease(storage: SqlStorage, holder: str) -> None:
+    """Let the time of the leases of a process be over."""
+    with storage.engine.begin() as connection:
+        connection.execute(sqlalchemy.text(END_LEASE), {"holder": holder})
 
 
 def runs_of(storage: Storage, job: str) -> Sequence[JobRun]:
@@ -108,71 +103,93 @@ def test_a_scheduler_goes_on_by_itself_when_its_database_has_crashed_and_is_back
     with scheduling(storage, [rounds.job], "crashed") as service:
         wait_for(rounds.wrote)
         server.stop()
-        rounds.next.set()  # into a transaction without a database, or a checkpoint of a scheduler without a lock
+        rounds.next.set()  # into a transaction without a database
+        while storage_is_reached(storage):
+            Event().wait(0.02)
+        Event().wait(2.0 * CHECK_S)  # until the scheduler has seen it
         server.start()
-        wait_for(rounds.wrote)  # the run after the next start of the scheduler
+        wait_for(rounds.wrote)  # the run after the outage
         after, before = runs_of(storage, "rounds")
         assert (before.outcome, after.outcome) == ("abandoned", "running")
-        with pytest.raises(AlreadyRunningError, match="crashed"), storage.owned(JobTrigger.SCHEDULE, "second", 1):
+        with pytest.raises(AlreadyRunningError, match="crashed"), storage.owned(JobTrigger.SCHEDULE, "second", LONG_S):
             pass
         assert not service.done()
         rounds.next.set()
 
 
-def test_a_scheduler_whose_lock_another_one_has_taken_commits_nothing_more(storage: SqlStorage) -> None:
-    with storage.owned(JobTrigger.SCHEDULE, "first", 1) as first:
+def storage_is_reached(storage: SqlStorage) -> bool:
+    try:
+        with storage.read():
+            return True
+    except StorageError:
+        return False
+
+
+def test_a_scheduler_whose_place_another_one_has_taken_commits_nothing_more(storage: SqlStorage) -> None:
+    with storage.owned(JobTrigger.SCHEDULE, "first", LONG_S) as first:
         with first.write() as unit:
             unit.registry.add_fleet(FleetRecord("F-1", "before"))
             run = unit.jobs.start("rounds", JobTrigger.SCHEDULE, 1)
-        assert first.holds()
-        with storage.engine.begin() as connection:
-            connection.execute(sqlalchemy.text(END_SESSION), {"holder": "first"})
-        assert not first.holds()
-        assert [found.outcome for found in runs_of(storage, "rounds")] == ["abandoned"]
-        with storage.owned(JobTrigger.SCHEDULE, "second", 2) as second:
-            with pytest.raises(ClaimLostError, match="first has lost its claim"), first.write() as unit:
-                unit.registry.add_fleet(FleetRecord("F-2", "too late"))
-            with second.write() as unit:
-                unit.jobs.abandon_running(3)
-            assert second.holds()
+        assert not first.lease_lost()
+        with first.leased("a", ["1"], "its worker", LONG_S) as (working, _):
+            end_lease(storage, "first")
+            assert [found.outcome for found in runs_of(storage, "rounds")] == ["abandoned"]
+            with storage.owned(JobTrigger.SCHEDULE, "second", LONG_S) as second:
+                assert first.lease_lost()
+                assert working.lease_lost()
+                for storing in (first, working):
+                    with pytest.raises(LeaseLostError, match="has lost its lease"), storing.write() as unit:
+                        unit.registry.add_fleet(FleetRecord("F-2", "too late"))
+                with second.write() as unit:
+                    unit.jobs.abandon_running(3)
+                assert not second.lease_lost()
     with storage.read() as unit:
         assert [fleet.code for fleet in unit.registry.fleets()] == ["F-1"]
         assert unit.jobs.get(run.run_id).finished_ns == 3
 
 
-def test_a_take_over_waits_for_what_the_one_before_is_committing(storage: SqlStorage) -> None:
-    with storage.owned(JobTrigger.SCHEDULE, "first", 1) as first, ThreadPoolExecutor(1) as pool:
+def test_nobody_takes_over_while_the_one_before_is_committing(storage: SqlStorage) -> None:
+    with storage.owned(JobTrigger.SCHEDULE, "first", LONG_S) as first:
+        assert first.lease is not None
         with first.write() as unit:
             unit.registry.add_fleet(FleetRecord("F-1", "in time"))
-            check_claim(unit.connection, first.token, "first")
+            unit.work_claims.check(first.lease.number, "first")
+            end_lease_of = "SET LOCAL lock_timeout = '0'; UPDATE work_leases SET until_ns = 0"
             with storage.engine.begin() as connection:
-                connection.execute(sqlalchemy.text(END_SESSION), {"holder": "first"})
-
-            def take_over() -> list[str]:
-                with storage.owned(JobTrigger.SCHEDULE, "second", 2), storage.read() as seen:
-                    return [fleet.code for fleet in seen.registry.fleets()]
-
-            second = pool.submit(take_over)
-            waiting = "SELECT count(*) FROM pg_locks WHERE NOT granted"
-            with storage.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
-                while not second.done() and not connection.scalar(sqlalchemy.text(waiting)):
-                    Event().wait(0.02)
-        assert second.result(PATIENCE_S) == ["F-1"]
+                connection.execute(sqlalchemy.text(end_lease_of))
+            with (
+                pytest.raises(AlreadyRunningError, match="first"),
+                storage.owned(JobTrigger.SCHEDULE, "second", LONG_S),
+            ):
+                pass
+        with storage.owned(JobTrigger.SCHEDULE, "second", LONG_S), storage.read() as seen:
+            assert [fleet.code for fleet in seen.registry.fleets()] == ["F-1"]
 
 
-def test_a_scheduler_that_finds_another_one_after_an_outage_ends_and_names_it(storage: SqlStorage) -> None:
+def test_a_scheduler_that_finds_another_one_in_its_place_ends_and_names_it(storage: SqlStorage) -> None:
     rounds = Rounds()
     with scheduling(storage, [rounds.job], "first") as service:
         wait_for(rounds.wrote)
-        with taken_over(storage, "first", "second"):
+        end_lease(storage, "first")
+        with storage.owned(JobTrigger.SCHEDULE, "second", LONG_S):
             rounds.next.set()
             with pytest.raises(AlreadyRunningError, match="second"):
                 service.result(PATIENCE_S)
     assert [run.outcome for run in runs_of(storage, "rounds")] == ["abandoned"]
 
 
+def test_a_scheduler_that_stands_by_takes_the_place_of_one_that_is_lost_without_a_word(storage: SqlStorage) -> None:
+    rounds = Rounds()
+    with storage.write() as unit:  # nobody prolongs it, as when its machine has lost power
+        unit.work_claims.take_place(unit.work_claims.lease("lost", round(3e9)))
+    with scheduling(storage, [rounds.job], "standby", wait=True) as service:
+        assert not rounds.wrote.wait(1.0)
+        wait_for(rounds.wrote)
+        assert not service.done()
+
+
 def test_a_run_that_could_not_be_closed_is_closed_by_the_next_of_the_same_process(storage: SqlStorage) -> None:
-    with storage.owned(JobTrigger.SCHEDULE, "one", 1) as owned:
+    with storage.owned(JobTrigger.SCHEDULE, "one", LONG_S) as owned:
         with owned.write() as unit:
             lost = unit.jobs.start("rounds", JobTrigger.SCHEDULE, 1)  # and its end could not be recorded
         context = JobContext(owned, SetClock(7), "test", JobSettings())

@@ -146,6 +146,25 @@ def test_late_windows_are_added_to_sums_without_tables(
     assert not passed_over(sqlite_storage)
 
 
+def test_a_window_that_is_late_for_sums_without_tables_is_in_them_once(
+    sqlite_storage: SqlStorage, tables: list[BinTable]
+) -> None:
+    life = begin(sqlite_storage, tables, [step for step in range(130) if step != 40])
+    purged(sqlite_storage)
+    for table in tables[:2]:  # the second time it is estimated again, as long as it has samples
+        with sqlite_storage.write() as unit:
+            if table is tables[0]:
+                life.put(unit, 40)
+            record = unit.windows.get("W1", 40 * MINUTE)
+            assert record is not None
+            unit.tables.put("W1", 40 * MINUTE, table, 2, record.content_digest)
+        refresh(sqlite_storage)
+        with sqlite_storage.read() as unit:
+            assert sum(one.windows for one in unit.roll_ups.of("W1")) == 130
+            assert 40 * MINUTE not in {one.start_ns for one in unit.tables.tabled("W1")}
+    assert purged(sqlite_storage) == {"window_samples": 1, "window_bin_tables": 0}
+
+
 def test_a_fuller_recording_replaces_a_window_until_its_table_is_purged(life: Life) -> None:
     sqlite_storage = life.storage
     purged(sqlite_storage, retention=SAMPLES)

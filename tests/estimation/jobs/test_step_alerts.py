@@ -13,7 +13,6 @@ from test_wear_jobs import feed, open_alert, run_jobs
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
 
 from api.schemas.trend import trend as served_trend
-from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.limit_forecast import LimitForecastRule, limit_forecast_finding
 from estimation.alerts.rules.unregistered_change import UnregisteredChangeRule
 from estimation.jobs.settings import JobSettings
@@ -144,7 +143,7 @@ def test_sensors_that_were_exchanged_then_explain_it_and_no_other_time_does(stor
     stored(storage, life(0.12, 5))
     run_jobs(storage, 25.2)
     with storage.read() as unit:
-        facts = facts_of(unit, unit.registry.wheelset("W1"), unit.registry.vehicle("V1"), RuleBook(), JobSettings())
+        facts = facts_of(unit, ["W1"], JobSettings())["W1"]
     rule, step = UnregisteredChangeRule(), trend(storage).step
     assert step is not None
     for at_ns, raised in (

@@ -12,17 +12,20 @@ from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.weak_damper import WeakDamperRule, weak_damper_finding
-from estimation.jobs import evaluate_alerts
+from estimation.jobs import evaluate_alerts, refresh_adhesion
 from estimation.jobs.job import JobContext, run_job
+from estimation.jobs.made_from import made_from
+from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.store_dampers import store_dampers
-from estimation.storage import Storage
+from estimation.storage import Storage, UnitOfWork
+from estimation.values.adhesion import CREEP
 from estimation.values.alerts import Alert, Condition
-from estimation.values.dampers import GearDamper, WindowDamper
+from estimation.values.dampers import GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
-from estimation.values.runs import JobTrigger
+from estimation.values.results import Result
+from estimation.values.runs import JobTrigger, SubjectKind
 
 RULE = WeakDamperRule()
 
@@ -36,11 +39,16 @@ def damper(share: float | None, day: float, windows: int = 9, std: float = 0.03)
     return GearDamper("V1", 1, found, None, None, windows, 0, 0, START_NS, to_ns, 0.0, 100.0 * day)
 
 
+def put_damper(unit: UnitOfWork, found: GearDamper) -> None:
+    digest = made_from(found)
+    unit.results.put_all(GEAR_DAMPERS, [Result("V1", digest, "test", 1, found, part_of_gear(found.first_axle))])
+
+
 def evaluated(storage: Storage, found: GearDamper | None, day: float, rule: WeakDamperRule = RULE) -> list[str]:
     """Store a damper and evaluate the rules a minute later; return the events of its alerts so far."""
     if found is not None:
         with storage.write() as unit:
-            unit.dampers.put_gear(found, "W1", "test")
+            put_damper(unit, found)
     settings = JobSettings(rules=RuleBook().with_rules(NoDataRule(enabled=False), rule))
     context = JobContext(storage, SetClock(START_NS + round(day * DAY_NS) + 60 * 10**9), "test", settings)
     assert run_job(evaluate_alerts.JOB, context, JobTrigger.CLI).error is None
@@ -77,13 +85,14 @@ def test_what_windows_say_is_news_of_the_wheelset_that_the_alert_stands_at(
     register(storage, "W1")
     run_windows(storage, "W1", 2, 2)
     assert evaluated(storage, None, 2) == []
-    monkeypatch.setattr("estimation.jobs.steps.store_dampers.gear_damper", lambda *_: damper(0.2, 2))
+    monkeypatch.setattr(refresh_adhesion, "gear_damper", lambda *_: damper(0.2, 2))
     with storage.write() as unit:
         (*_, record) = unit.windows.list("W1")
         why = Reason(ReasonCode.DAMPER_NOT_EXCITED, "too little")
         said = WindowDamper("V1", 1, "W1", record.start_ns, 1.0, record.content_digest, "c" * 64, 0.02, reason=why)
-        context = JobContext(storage, SetClock(START_NS + 2 * DAY_NS), "test", JobSettings())
-        store_dampers(unit, [said], context)
+        unit.dampers.put_all([said])
+        unit.subjects.raised(SubjectKind.VEHICLE, "V1", CREEP)
+    run(refresh_adhesion.OF_VEHICLES, JobContext(storage, SetClock(START_NS + 2 * DAY_NS), "test", JobSettings()))
     assert evaluated(storage, None, 2) == ["raised"]
 
 

@@ -9,9 +9,8 @@ import pytest
 from smooth_wheelset import GOOD
 
 from estimation.contact.conicity import equivalent_conicity
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve, refined_curve
 from estimation.contact.wear import TreadWear, worn
 from estimation.motion.cross_level import observed_displacement, standard_displacement
 from estimation.motion.integration import integrate, mirrored

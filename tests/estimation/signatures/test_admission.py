@@ -13,8 +13,8 @@ from signature_draws import PARAMETERS, Draw
 
 from estimation.signatures import retirement
 from estimation.signatures.answer import judged
-from estimation.signatures.families import ALONE, FOLDS, families, folds, sharers
 from estimation.signatures.library import Library
+from estimation.signatures.parameters import ALONE, FOLDS, families, folds, sharers
 from estimation.signatures.retirement import Libraries, Subject
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.signatures import AxlePosition, DesignPair, LibraryEntry

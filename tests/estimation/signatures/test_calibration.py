@@ -12,9 +12,9 @@ from signature_draws import PARAMETERS, Draw
 from estimation.signatures import calibration
 from estimation.signatures.answer import judged
 from estimation.signatures.calibration import NORMAL, SHARES, Calibration, differences, judged_by, unjudged
-from estimation.signatures.families import sharers
 from estimation.signatures.library import Library, library, rows_of
 from estimation.signatures.mixed_model import CONICITY, LARGEST_SHARE, Likelihood, _less, fitted
+from estimation.signatures.parameters import sharers
 from estimation.values.arrays import FloatArray
 from estimation.values.signatures import Basis, ConicitySource, LibraryEntry
 
@@ -33,7 +33,7 @@ REACH = calibration.Reach(0.0, 0.5, 14)
 
 
 def of_weights(weights: FloatArray) -> Calibration:
-    return Calibration(weights, REACH, replace(REACH, mean=1.0), 14, 30)
+    return Calibration(weights, REACH, replace(REACH, mean=1.0))
 
 
 def factor(found: list[calibration._Judged]) -> float:

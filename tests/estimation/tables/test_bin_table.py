@@ -92,21 +92,16 @@ def test_the_same_order_gives_the_same_bits() -> None:
     assert same_values(bin_table.merge_all(parts, PARAMETERS), bin_table.merge_all(parts, PARAMETERS))
 
 
-def test_forgetting_halves_what_is_a_half_life_old() -> None:
-    table = bin_table.tabulate(ideal(run(20)), PARAMETERS)
-    merged = bin_table.merge_with_mileage([(0.0, table), (5_000.0, table), (10_000.0, table)], 5_000.0, PARAMETERS)
-    np.testing.assert_allclose(merged.weight, 1.75 * table.weight)
-    assert bin_table.merge_with_mileage([], 5_000.0, PARAMETERS).samples == 0
-
-
-def test_a_sum_has_the_bits_of_merging_table_by_table() -> None:
+def test_a_sum_goes_on_from_any_sum_and_takes_weights() -> None:
     motion = ideal(run(60))
     parts = [bin_table.tabulate(_slice(motion, slice(k, k + 20_000)), PARAMETERS) for k in (0, 20_000, 40_000)]
-    merged = bin_table.merge_with_mileage([(1_000.0 * k, t) for k, t in enumerate(parts)], 5_000.0, PARAMETERS)
-    weight = 0.5 ** (1_000.0 / 5_000.0)
-    assert same_values(merged, bin_table.merge(bin_table.merge(parts[0], parts[1], weight), parts[2], weight))
-    alone = bin_table.merge(bin_table.merge(bin_table.init(PARAMETERS), parts[0]), parts[1])
-    assert same_values(bin_table.merge_all(iter(parts[:2]), PARAMETERS), alone)
+    whole = bin_table.weighted_sum([(1.0, parts[0]), (0.5, parts[1]), (0.25, parts[2])])
+    np.testing.assert_allclose(whole.weight, parts[0].weight + 0.5 * parts[1].weight + 0.25 * parts[2].weight)
+    further = bin_table.TableSum(bin_table.weighted_sum([(1.0, parts[0]), (0.5, parts[1])]))
+    further.add(filled_cells(parts[2]), 0.25)
+    assert same_values(further.table(), whole)
+    with pytest.raises(ValueError, match="no table"):
+        bin_table.weighted_sum([])
 
 
 def test_filled_cells_are_the_table() -> None:
@@ -152,12 +147,6 @@ def test_samples_outside_the_bins_or_not_valid_are_left_out() -> None:
     valid[300:400] = False
     table = bin_table.tabulate(Motion(**{**values, "displacement": x, "valid": valid}), PARAMETERS)
     assert table.samples == len(motion) - 301
-
-
-def test_tables_of_other_parameters_do_not_merge() -> None:
-    first = bin_table.init(PARAMETERS)
-    with pytest.raises(ValueError, match="do not merge"):
-        bin_table.merge(first, bin_table.init(replace(PARAMETERS, width=0.5e-3)))
 
 
 @pytest.mark.parametrize("change", [{"width": 0.0}, {"width": 1.0}, {"groups": 3}])

@@ -10,10 +10,8 @@ import pytest
 from smooth_wheelset import SmoothTable, track
 from test_panel import PARAMETERS, fleet_passes
 
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.radius_difference import radius_difference_curve
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel

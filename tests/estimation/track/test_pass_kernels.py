@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel
-from estimation.motion.smooth_sampling import sample_smoothed
+from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.track.gridded_pass import GriddedPass
 from estimation.track.panel.basis import Panel, PanelParameters, basis_functions, gauge_at
 from estimation.track.panel.normal_equations import pass_rows

@@ -9,8 +9,7 @@ import pytest
 from wheelset_life import geometry_of
 
 from estimation.contact.worn_family import PAIRS, WHEELS, WornFamily, conicities_of, worn_family
-from estimation.trend.extrapolation import conicity_at_limit_amplitude, extrapolated
-from estimation.trend.points import conicity_points
+from estimation.trend.extrapolation import conicity_at_limit_amplitude, conicity_points, extrapolated
 from estimation.trend.trend import refresh
 from estimation.values.geometry import GeometryRecord, KnownConicity, WheelsetGeometry, interval_conicities
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from estimation.trend.points import conicity_points
+from estimation.trend.extrapolation import conicity_points
 from estimation.values.geometry import (
     BinStatus,
     BinValues,

@@ -10,8 +10,15 @@ from paper_class import PAPER_CLASS
 
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.values.arrays import FloatArray
-from estimation.vehicle.sensor_noise import difference_noise, displacement_noise, usable_cutoff
-from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorChannel, VehicleClass
+from estimation.vehicle.vehicle_class import (
+    Arrangement,
+    BogieParameters,
+    SensorChannel,
+    VehicleClass,
+    difference_noise,
+    displacement_noise,
+    usable_cutoff,
+)
 
 DT, CUTOFF, SAMPLES = 4e-3, 40.0, 2**18
 BOGIE = BogieParameters(wheelbase=2.5, frame_mass=2600.0, frame_yaw_inertia=3000.0, body_mass=16e3)

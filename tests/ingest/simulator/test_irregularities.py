@@ -10,10 +10,8 @@ import pytest
 from scipy.signal import welch
 
 from estimation.errors import ParameterError
-from ingest.simulator.irregularity import Waves, superpose
+from ingest.simulator.irregularity import Waves, density, kurtosis_of, periodic, superpose, with_kurtosis
 from ingest.simulator.isolated import Isolated, IsolatedKind, isolated
-from ingest.simulator.kurtosis import kurtosis_of, with_kurtosis
-from ingest.simulator.spectra import density, periodic
 from ingest.simulator.track import TrackRecipe, make_track
 
 SHORT = Waves("gauge", 1e-3, (3.0, 70.0))

@@ -9,9 +9,15 @@ import pytest
 from scenario_text import SMALL
 
 from estimation.values.arrays import FloatArray
-from ingest.simulator.campaign import scenario_track, vehicle_run
+from ingest.simulator.campaign import (
+    as_measured,
+    length_ahead,
+    runs_rear_first,
+    scenario_track,
+    seen_from_ahead,
+    vehicle_run,
+)
 from ingest.simulator.fleet import simulate_campaign
-from ingest.simulator.rear_first import as_measured, length_ahead, runs_rear_first, seen_from_ahead
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
 

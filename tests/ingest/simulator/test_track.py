@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import welch
 
 from estimation.errors import ParameterError, ScenarioError
-from ingest.simulator.spectra import (
+from ingest.simulator.irregularity import (
     CRITICAL_WAVENUMBER,
     LOW_WAVENUMBER,
     Irregularity,

@@ -10,9 +10,8 @@ import pytest
 from scenario_text import SMALL
 
 from estimation.contact.conicity import equivalent_conicity, nonlinearity_parameter, zero_crossing
-from estimation.contact.geometry import WheelsetOnTrack, contact_table
+from estimation.contact.geometry import ContactMethod, WheelsetOnTrack, contact_table
 from estimation.contact.profiles import rail_profile, wheel_profile
-from estimation.contact.table import ContactMethod
 from estimation.contact.wear import TreadWear, worn
 from estimation.values.arrays import FloatArray
 from ingest.simulator.axle_motion import contact_of, true_geometry

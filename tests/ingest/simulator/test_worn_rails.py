@@ -14,8 +14,7 @@ from estimation.errors import ScenarioError
 from ingest.simulator.axle_motion import contact_of
 from ingest.simulator.campaign import scenario_track
 from ingest.simulator.fleet import prepare
-from ingest.simulator.profile_files import rails_of
-from ingest.simulator.rail_course import section_at
+from ingest.simulator.profile_files import rails_of, section_at
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import read_scenario
 from ingest.simulator.wear import truth_of, wear_at, worn_contact

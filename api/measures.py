@@ -1,0 +1,50 @@
+"""Measures for Prometheus, as values: a family from its numbers, and what is read when it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+Numbers = Mapping[str, float] | Mapping[tuple[str, str], float] | Mapping[tuple[str, str, str], float]
+
+
+class Measured(Collector):
+    """Measures that a function reads when they are asked for.
+
+    Args:
+        read: Returns the measures of now; not called when it is registered.
+    """
+
+    def __init__(self, read: Callable[[], Iterable[Metric]]) -> None:
+        self._read = read
+
+    def describe(self) -> Iterable[Metric]:
+        """Return nothing: nothing is to be read before it is asked for."""
+        return ()
+
+    def collect(self) -> Iterable[Metric]:
+        """Return the measures of now."""
+        return self._read()
+
+
+def gauge(name: str, text: str, labels: str, numbers: Numbers) -> Metric:
+    """Return a gauge.
+
+    Args:
+        labels: Names of the labels, with spaces between them.
+        numbers: By the value of the label, or by those of several.
+    """
+    return _filled(GaugeMetricFamily(name, text, labels=labels.split()), numbers)
+
+
+def counter(name: str, text: str, labels: str, numbers: Numbers) -> Metric:
+    """Return a counter, as :func:`gauge` does."""
+    return _filled(CounterMetricFamily(name, text, labels=labels.split()), numbers)
+
+
+def _filled(family: GaugeMetricFamily | CounterMetricFamily, numbers: Numbers) -> Metric:
+    for key, number in numbers.items():
+        family.add_metric([key] if isinstance(key, str) else list(key), number)
+    return family

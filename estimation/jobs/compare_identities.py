@@ -1,0 +1,177 @@
+"""Stages: does the geometry of a wheelset jump; and has the registry one of them turned, or two exchanged?
+
+Whether it jumps is seen in the intervals that have changed, with some before them. Those that jump are compared with
+each other, by all of their geometries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from estimation.alerts.identity import (
+    IDENTITY_EVENT,
+    JUMP,
+    IdentityEvent,
+    IdentityJump,
+    IdentityParameters,
+    Observation,
+    identity_events,
+    jumps,
+)
+from estimation.alerts.rules.identity import IdentityRule
+from estimation.jobs.job import JobContext
+from estimation.jobs.made_from import made_from
+from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.steps.identities import identity_changes
+from estimation.storage import UnitOfWork
+from estimation.values.geometry import GEOMETRY, GeometryRecord
+from estimation.values.registry import WheelsetRecord
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import EVERYTHING, Facet
+from estimation.values.trend import IdentityChange, since_change
+
+PAIR = 8  # intervals before the first that has changed: with these it is compared
+COMPARED = (16, 64)  # intervals read before it, at first and where too few of them are usable
+CALM, SINCE = "calm", "since"
+
+
+@dataclass(frozen=True, slots=True)
+class JumpInputs:
+    """The geometries of a wheelset in which a jump is looked for.
+
+    Attributes:
+        observations: From the first that has changed since it was calm; all of them where they jump.
+        calm: Number of the newest geometry when it did not jump last; None before that.
+        newest: Number of the newest geometry.
+        since: Digest of what the comparison begins with: profile, identity, parameters.
+    """
+
+    observations: tuple[Observation, ...]
+    calm: int | None
+    newest: int | None
+    since: str
+    parameters: IdentityParameters
+
+
+def load_jumps(unit: UnitOfWork, serials: Sequence[str], context: JobContext) -> Mapping[str, JumpInputs]:
+    """Return in what jumps of some wheelsets are looked for; of those not in service in nothing."""
+    parameters = context.settings.rules.rule(IdentityRule).parameters
+    newest, changes = unit.geometries.newest_numbers(serials), identity_changes(unit, serials)
+    before = {result.subject: result.parameters for result in unit.results.in_force(JUMP, serials)}
+    inputs = {}
+    for wheelset in unit.registry.wheelsets_of(serials):
+        serial, change = wheelset.serial, changes.get(wheelset.serial)
+        since = made_from(len(wheelset.reprofilings), change, parameters, context.code_version)
+        stored = before.get(serial, {})
+        calm = stored[CALM] if stored.get(SINCE) == since else None
+        assert calm is None or isinstance(calm, int)
+        in_service = wheelset.mounting is not None and serial in newest
+        if in_service or stored:
+            known = _changed_since(unit, wheelset, change, calm, parameters) if in_service else []
+            inputs[serial] = JumpInputs(tuple(known), calm, newest.get(serial), since, parameters)
+    return inputs
+
+
+def _changed_since(
+    unit: UnitOfWork,
+    wheelset: WheelsetRecord,
+    change: IdentityChange | None,
+    calm: int | None,
+    parameters: IdentityParameters,
+) -> list[Observation]:
+    """Return the observations from the first that has changed on, with those before it that it is compared with."""
+    serial, baseline = wheelset.serial, len(wheelset.reprofilings)
+    if calm is not None:
+        numbers = unit.geometries.interval_numbers(serial, baseline)
+        changed = min((interval for interval, number in numbers.items() if number > calm), default=None)
+        if changed is None:
+            return []
+        earlier = sorted(interval for interval in numbers if interval < changed)
+        for back in COMPARED:
+            first = earlier[-back] if len(earlier) > back else None
+            read = unit.geometries.intervals(serial, baseline, first=first)
+            usable = [
+                one for one in read if one.interval in earlier and one.geometry.windows >= parameters.least_windows
+            ]
+            if first is None or len(usable) >= PAIR:
+                known = _observations(read, change)
+                if first is None or not jumps(known, parameters):
+                    return known
+                break
+    return _observations(unit.geometries.intervals(serial, baseline), change)
+
+
+def _observations(records: Sequence[GeometryRecord], change: IdentityChange | None) -> list[Observation]:
+    known = [_observation(record) for record in since_change(records, change) if record.geometry.windows]
+    return sorted(known, key=lambda item: item.from_ns)
+
+
+def _observation(record: GeometryRecord) -> Observation:
+    return Observation(record.wheelset, record.from_ns, record.to_ns, record.mileage_km, record.geometry)
+
+
+def look_for_jump(inputs: JumpInputs) -> Outcome[IdentityJump]:
+    """Return whether a wheelset must be compared with the others; one that is calm is looked at from here on next."""
+    jump = None
+    if jumps(inputs.observations, inputs.parameters):
+        jump = IdentityJump(made_from(inputs.observations, inputs.since))
+    calm = inputs.newest if jump is None else inputs.calm
+    return Outcome([Part(jump, parameters={CALM: calm, SINCE: inputs.since})])
+
+
+@dataclass(frozen=True, slots=True)
+class IdentityInputs:
+    """The geometries of all wheelsets that jump, by serial, and those of which something was found before."""
+
+    histories: Mapping[str, Sequence[Observation]]
+    found_before: frozenset[str]
+    parameters: IdentityParameters
+
+
+def load_identities(unit: UnitOfWork, _: Sequence[str], context: JobContext) -> Mapping[str, IdentityInputs]:
+    """Return what wheelsets that jump are compared by."""
+    serials = [result.subject for result in unit.results.in_force(JUMP) if result.value is not None]
+    changes = identity_changes(unit, serials) if serials else {}
+    histories = {
+        wheelset.serial: _observations(
+            unit.geometries.intervals(wheelset.serial, len(wheelset.reprofilings)), changes.get(wheelset.serial)
+        )
+        for wheelset in (unit.registry.wheelsets_of(serials) if serials else ())
+    }
+    before = frozenset(result.subject for result in unit.results.in_force(IDENTITY_EVENT) if result.value is not None)
+    return {EVERYTHING: IdentityInputs(histories, before, context.settings.rules.rule(IdentityRule).parameters)}
+
+
+def compare(inputs: IdentityInputs) -> Outcome[IdentityEvent]:
+    """Return the identity change that each wheelset shows, and of whom none is shown any more."""
+    events = identity_events(inputs.histories, inputs.parameters)
+    shown: dict[str, IdentityEvent | None] = {**dict.fromkeys(inputs.found_before), **events}
+    return Outcome([Part(event, subject=serial) for serial, event in sorted(shown.items())])
+
+
+JUMPS = Stage(
+    name=JUMP.stage,
+    job="evaluate_alerts",
+    kind=SubjectKind.WHEELSET,
+    facets=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
+    settings=lambda settings: settings.rules.rule(IdentityRule).parameters,
+    load=load_jumps,
+    compute=look_for_jump,
+    counted=Counted(looked="looked_at", changed="changed"),
+    results=JUMP,
+)
+IDENTITIES = Stage(
+    name=IDENTITY_EVENT.stage,
+    job="evaluate_alerts",
+    kind=SubjectKind.WHEELSET,
+    facets=(JUMP.stage,),
+    settings=lambda settings: settings.rules.rule(IdentityRule).parameters,
+    load=load_identities,
+    compute=compare,
+    counted=Counted(looked="looked_at", changed="changed"),
+    results=IDENTITY_EVENT,
+    together=True,
+    # a jump names the geometries that it is in; those of the calm say nothing
+    frozen=(Facet.REGISTRY, Facet.RESTARTS, GEOMETRY.stage),
+)
