@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from sqlalchemy import Connection, Insert, Table, case, func, insert, literal, select, update
+from sqlalchemy import Connection, Insert, Table, case, func, insert, literal, select
 
 from api.settings import Settings
 from bench.idle_opinions import DAY_NS, KEPT_BYTES, opinions_copied, put_friction
@@ -20,12 +20,13 @@ from bench.wheelset_year import SERIAL, At, WheelsetYear, recorded
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings
+from estimation.jobs.stages import ALL_STAGES
 from estimation.jobs.steps.epoch_inputs import FileLookup, given
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord
 from estimation.values.runs import JobTrigger
+from estimation.values.subjects import Mark
 from estimation.values.track import AlignmentSource, FoldState, TrackEpoch
-from fleet_db.changes import CHANGES
 from fleet_db.due import DUE
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
@@ -101,7 +102,7 @@ def fill(context: JobContext, storage: SqlStorage, settings: Settings, size: Fle
         put_friction(unit.connection, [size.section(number) for number in range(size.sections)])
         _epochs(unit, context.settings)
         _members(unit, context.settings)
-        unit.connection.execute(update(CHANGES).values(geometry_change=CHANGES.c.change))
+        _see(unit, context)
         unit.stale_spans.remove(unit.stale_spans.all())
     with storage.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
         connection.exec_driver_sql("ANALYZE")
@@ -180,6 +181,14 @@ def _chunks(connection: Connection, vehicle: str) -> Iterator[dict[str, object]]
         shift_ns = day * DAY_NS
         ends = {name: model[name] + shift_ns for name in ("first_ns", "last_ns") if model[name] is not None}
         yield model | ends | {"vehicle": vehicle, "digest": f"{vehicle}-{day:03d}".ljust(64, "0")}
+
+
+def _see(unit: SqlUnitOfWork, context: JobContext) -> None:
+    """Let every stage have seen what there is."""
+    for stage in ALL_STAGES:
+        inputs = stage.inputs(context)
+        due = unit.marks.due(inputs, 0)
+        unit.marks.note(inputs, {subject: Mark(state.seen, "") for subject, state in due.items()})
 
 
 def _epochs(unit: SqlUnitOfWork, settings: JobSettings) -> None:

@@ -146,7 +146,7 @@ class SqlUnitOfWork:
         self.due = WindowDueStore(connection)
         self.marks = StageMarkStore(connection, self.subjects, self.due)
         self.results = ResultStore(connection, self.changes)
-        self.geometries = GeometryStore(connection, self.changes, self.results)
+        self.geometries = GeometryStore(connection, self.results)
         self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection, self.subjects)
         self.adhesion = AdhesionStore(connection, self.subjects)

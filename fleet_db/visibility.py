@@ -140,7 +140,6 @@ RULES: Mapping[str, Rule] = {
     "reprofilings": _of_wheelset,
     "measured_profiles": _of_wheelset,
     "results": _of_result,
-    "wheelset_changes": _of_wheelset,
     "wheelset_bins": _of_wheelset,
     "window_bin_tables": _of_wheelset,
     "window_positions": _of_wheelset,

@@ -13,12 +13,12 @@ from estimation.alerts.rules.evidence import estimate_evidence, unknown_evidence
 from estimation.trend.trend import TrendPoint, refresh
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
 from estimation.values.geometry import GEOMETRY, BinStatus, BinValues, GeometryRecord, WheelsetGeometry
+from estimation.values.geometry_results import result_of_geometry
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.trend import TrendRecord, WearTrend
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.geometries import result_of_geometry
 from fleet_db.stores.results import RESULTS
 
 DAY_NS = 86_400 * 10**9

@@ -111,13 +111,3 @@ def fails_alone(error: Exception) -> bool:
     """Whether an exception at one thing leaves work at others: the database, or all files, are there."""
     whole = isinstance(error, StorageError) and not isinstance(error, DamagedError)
     return not (whole or isinstance(error, StoppedError))
-
-
-def inputs_of(context: JobContext, wheelset: str) -> Inputs:
-    """Return what gives the inputs of a wheelset's results: a counter of their changes, and the numerics."""
-
-    def inputs() -> str:
-        with context.storage.read() as unit:
-            return f"{unit.geometries.change(wheelset)} {context.code_version}"
-
-    return inputs

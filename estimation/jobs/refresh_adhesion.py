@@ -355,7 +355,7 @@ def run(context: JobContext) -> Mapping[str, int]:
         counts.update(run_stage(stage, context))
     if counts["estimated_again"]:
         estimate_windows.run(context)
-        refresh_geometry.run(context)
+        refresh_geometry.JOB.run(context)
     return {name: count for name, count in counts.items() if name not in BESIDE}
 
 

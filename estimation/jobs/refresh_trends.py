@@ -19,7 +19,7 @@ from estimation.values.geometry import GEOMETRY, IntervalConicities
 from estimation.values.registry import VehicleRecord
 from estimation.values.subjects import Facet
 from estimation.values.trend import TREND as TRENDS
-from estimation.values.trend import WearTrend, since_change
+from estimation.values.trend import WearTrend, baseline_part, since_change
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def compute(inputs: TrendInputs) -> Outcome[WearTrend]:
     trend = trend_of(inputs.conicities, inputs.limit, inputs.parameters)
     part = Part(
         trend,
-        part=f"{inputs.baseline:04d}",
+        part=baseline_part(inputs.baseline),
         status=trend.status,
         reason=trend.reason,
         head=trend.head,

@@ -176,13 +176,17 @@ class _Working:
             changed = self._put(unit, results)
             if self.stage.store is not None and computed:
                 stored.update(self.stage.store(unit, self.context, computed))
-            unit.marks.note(self.inputs, {subject: one.mark(due[subject]) for subject, one in made.items()})
+            whole = {subject: one.mark(due[subject]) for subject, one in made.items() if not one.more}
+            unit.marks.note(self.inputs, whole)
         self.counts.update(stored)
-        self._count(made, {result.subject for result in changed}, len(changed))
+        looked = {subject: one for subject, one in made.items() if subject in loaded and not one.more}
+        self._count(looked, {result.subject for result in changed}, len(changed))
         for subject, one in made.items():
             self.isolation.release(self.stage.kind, subject)
             if self.stage.together and one.outcome is not None:
                 self._keep_failed(one.outcome.failed)
+        for subject in made.keys() - whole.keys():
+            self.do([subject])
 
     def _keep_failed(self, failed: Mapping[tuple[SubjectKind, str], Exception]) -> None:
         """Keep what failed alone of a look at all together; what does not any more is released."""
@@ -232,6 +236,10 @@ class _Made:
     @property
     def parts(self) -> Sequence[Part[object]]:
         return () if self.outcome is None else self.outcome.parts
+
+    @property
+    def more(self) -> bool:
+        return self.outcome is not None and self.outcome.more
 
     def mark(self, state: Due) -> Mark:
         """Return what is noted of the subject."""

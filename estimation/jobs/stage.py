@@ -17,7 +17,7 @@ from estimation.storage import UnitOfWork
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.results import ResultKind
+from estimation.values.results import Result, ResultKind
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import StageInputs
 
@@ -47,6 +47,19 @@ class Part(Generic[V]):
     parameters: Mapping[str, JsonValue] = field(default_factory=dict)
 
 
+def part_of_result(result: Result[V]) -> Part[V]:
+    """Return a result as a part of an outcome."""
+    return Part(
+        value=result.value,
+        part=result.part,
+        made_from=result.made_from,
+        status=result.status,
+        reason=result.reason,
+        head=result.head,
+        parameters=result.parameters,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome(Generic[V]):
     """What was computed of a subject.
@@ -56,6 +69,7 @@ class Outcome(Generic[V]):
         counted: Name under which the subject is counted; None is by whether a result changed.
         rests: Whether the stage has nothing more to say before another of its inputs changes. What it raises of its
             own inputs makes it look again otherwise.
+        more: Whether this was a part of what is to be stored: the subject is due still, and taken up again at once.
         failed: Of a stage that looks at all together: of what it could not be done, by kind and key.
     """
 
@@ -63,6 +77,7 @@ class Outcome(Generic[V]):
     again_ns: int | None = None
     counted: str | None = None
     rests: bool = True
+    more: bool = False
     failed: Mapping[tuple[SubjectKind, str], Exception] = field(default_factory=dict)
 
 

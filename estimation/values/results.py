@@ -39,6 +39,11 @@ class ResultKind(Generic[V]):
     history: History = History.APPENDED
     one_in_force: bool = False
 
+    @property
+    def head_facet(self) -> str:
+        """Facet of the heads of its results: raised only where one of them is another."""
+        return f"{self.stage}.head"
+
 
 @dataclass(frozen=True, slots=True)
 class Result(Generic[V]):

@@ -16,6 +16,7 @@ class Facet(StrEnum):
 
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
     WINDOWS = "windows"  # states, qualities and mileages
+    TABLES = "tables"  # bin tables, and the verdicts on windows that its geometry rests on
     ALERTS = "alerts"
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
     LAYOUTS = "layouts"  # sections and their layouts, on which all signatures rest

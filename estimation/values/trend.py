@@ -76,7 +76,12 @@ class WearTrend(FrozenArrays):
 
 
 TREND = ResultKind("trend", SubjectKind.WHEELSET, WearTrend, one_in_force=True)
-"""Trends of wheelsets; their parts are baselines."""
+"""Trends of wheelsets; their parts are baselines, their heads the times before and behind the newest step."""
+
+
+def baseline_part(baseline: int) -> str:
+    """Return the part of a baseline."""
+    return f"{baseline:04d}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -223,7 +223,7 @@ class AlertStore:
         if saved.wheelset is not None:
             self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.ALERTS)
         if events and saved.kind in RESTARTING and saved.wheelset is not None:
-            self.changes.note(saved.wheelset)  # its geometry starts again from the change
+            # its geometry and trend start again from the change
             self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.RESTARTS)
         return saved
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import starmap
 from typing import Any
 
-from sqlalchemy import Connection, delete, exists, func, insert, or_, select, update
+from sqlalchemy import Connection, delete, exists, func, insert, select
 
 from estimation.errors import DamagedError
 from estimation.values.geometry import (
@@ -19,13 +19,11 @@ from estimation.values.geometry import (
     IntervalDigest,
     KnownConicity,
     WheelsetGeometry,
-    known_conicities,
-    why_no_conicity,
 )
+from estimation.values.geometry_results import MOST_INTERVALS, key_of_part, part_of, result_of_geometry
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import Result
-from fleet_db.changes import CHANGES, Changes
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
 from fleet_db.tables import WheelsetBinRow, WheelsetRow, WindowBinTableRow
@@ -33,8 +31,6 @@ from fleet_db.tables import WheelsetBinRow, WheelsetRow, WindowBinTableRow
 BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
 TABLES, WHEELSETS = table_of(WindowBinTableRow), table_of(WheelsetRow)
-MOST = 999_999
-"""Intervals to each side of a baseline; the order of the parts as texts is that of the intervals."""
 CURRENT: Parts = ("current.", "current.9999")
 INTERVALS: Parts = ("0000", "9999.9999999")
 
@@ -44,19 +40,13 @@ class GeometryStore:
     """Implements ``estimation.storage.Geometries``."""
 
     connection: Connection
-    changes: Changes
     results: ResultStore
 
     def put(self, record: GeometryRecord) -> bool:
-        """Put an estimate in force; False if that of its key has the same inputs, parameters and numerics.
-
-        A current geometry also ends the staleness of its wheelset, whether it is another or not.
-        """
-        if record.interval is None:
-            self._not_stale(record.wheelset)
+        """Put an estimate in force; False if that of its key has the same inputs, parameters and numerics."""
         news = self.results.put_all(GEOMETRY, [result_of_geometry(record)])
         if news and record.interval is None:
-            self._show_bins(record.wheelset)
+            self.show_bins(record.wheelset)
         return bool(news)
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
@@ -102,7 +92,7 @@ class GeometryStore:
         """Return by baseline and interval what the newest geometry was made from, and why it holds no number."""
         digests = {}
         for result in self.results.heads(GEOMETRY, [wheelset], INTERVALS):
-            (baseline, interval), windows = _key(result.part), _head(result)["windows"]
+            (baseline, interval), windows = key_of_part(result.part), _head(result)["windows"]
             reason = None if result.status is Status.ESTIMATED else result.reason
             digests[baseline, interval or 0] = IntervalDigest(result.made_from, windows, reason)
         return digests
@@ -110,7 +100,7 @@ class GeometryStore:
     def interval_numbers(self, wheelset: str, baseline: int) -> Mapping[int, int]:
         """Return by interval the number of its newest geometry."""
         found = self.results.heads(GEOMETRY, [wheelset], _intervals(baseline))
-        return {_key(result.part)[1] or 0: result.number for result in found}
+        return {key_of_part(result.part)[1] or 0: result.number for result in found}
 
     def intervals(
         self,
@@ -143,44 +133,20 @@ class GeometryStore:
         """
         found: dict[str, list[IntervalConicities]] = {wheelset: [] for wheelset in baselines}
         for result in self.results.heads(GEOMETRY, list(baselines), _spanned(baselines.values())):
-            if _key(result.part)[0] == baselines[result.subject]:
+            if key_of_part(result.part)[0] == baselines[result.subject]:
                 found[result.subject].append(_conicities(result))
         return found
-
-    def stale(self, limit: int) -> Sequence[str]:
-        """Return serials whose windows, bin tables, mountings or reprofilings changed since their current geometry.
-
-        A changed class of a vehicle, or a changed radius of a wheelset, counts as a change of the windows.
-
-        Only those that have a bin table or a geometry: the others have nothing to estimate from.
-        """
-        self.changes.flush()
-        of_wheelset = (RESULTS.c.stage == GEOMETRY.stage, RESULTS.c.subject == CHANGES.c.wheelset)
-        statement = select(CHANGES.c.wheelset).where(
-            CHANGES.c.change > CHANGES.c.geometry_change,
-            or_(exists().where(TABLES.c.wheelset == CHANGES.c.wheelset), exists().where(*of_wheelset)),
-        )
-        return list(self.connection.scalars(statement.order_by(CHANGES.c.wheelset).limit(limit)))
-
-    def change(self, wheelset: str) -> int:
-        """Return how often the inputs of this wheelset's geometry have changed."""
-        self.changes.flush()
-        return self.connection.scalar(select(CHANGES.c.change).where(CHANGES.c.wheelset == wheelset)) or 0
-
-    def mark_current(self, wheelset: str, change: int) -> None:
-        """Record that the geometry of a wheelset covers its inputs up to ``change``; a later change makes it stale."""
-        self.changes.flush()
-        self.connection.execute(update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(geometry_change=change))
-
-    def _not_stale(self, wheelset: str) -> None:
-        self.changes.flush()
-        self.connection.execute(
-            update(CHANGES).where(CHANGES.c.wheelset == wheelset).values(geometry_change=CHANGES.c.change)
-        )
 
     def _current(self, wheelset: str, as_of_ns: int | None = None) -> Result[WheelsetGeometry] | None:
         found = self.results.in_force(GEOMETRY, [wheelset], as_of_ns, CURRENT)
         return _newest(found) if found else None
+
+    def estimable(self, wheelsets: Collection[str]) -> frozenset[str]:
+        """Return those of some wheelsets that have a bin table or a geometry."""
+        tabled = select(WHEELSETS.c.serial).where(
+            WHEELSETS.c.serial.in_(wheelsets), exists().where(TABLES.c.wheelset == WHEELSETS.c.serial)
+        )
+        return frozenset(self.connection.scalars(tabled)) | self.results.having(GEOMETRY, wheelsets, CURRENT)
 
     def bins_are_current(self, wheelset: str) -> bool:
         """Whether the plain rows of bins are those of the current geometry."""
@@ -190,7 +156,7 @@ class GeometryStore:
     def _shown(self, wheelset: str) -> int | None:
         return self.connection.scalar(select(BINS.c.geometry_id).where(BINS.c.wheelset == wheelset).limit(1))
 
-    def _show_bins(self, wheelset: str) -> None:
+    def show_bins(self, wheelset: str) -> None:
         """Let the plain rows of bins be those of the current geometry."""
         found = self._current(wheelset)
         if found is not None and found.value is not None and found.number != self._shown(wheelset):
@@ -202,48 +168,10 @@ def _newest(results: Sequence[Result[WheelsetGeometry]]) -> Result[WheelsetGeome
     return ([result for result in results if _head(result)["windows"]] or results)[-1]
 
 
-def part_of(baseline: int, interval: int | None) -> str:
-    """Return the part of a geometry.
-
-    Args:
-        interval: Its number; None is the current geometry of the baseline.
-    """
-    return f"current.{baseline:04d}" if interval is None else f"{baseline:04d}.{interval + MOST:07d}"
-
-
-def result_of_geometry(record: GeometryRecord) -> Result[WheelsetGeometry]:
-    """Return a geometry as a result."""
-    geometry = record.geometry
-    why = why_no_conicity(geometry)
-    return Result(
-        subject=record.wheelset,
-        part=part_of(record.baseline, record.interval),
-        made_from=record.input_digest,
-        numerics=record.code_version,
-        recorded_ns=record.recorded_ns,
-        value=geometry,
-        status=geometry.status,
-        reason=geometry.reason,
-        head={
-            "mileage_km": null_if_nan(record.mileage_km),
-            "from_ns": record.from_ns,
-            "to_ns": record.to_ns,
-            "windows": geometry.windows,
-            "track_versions": {section: list(versions) for section, versions in record.track_versions.items()},
-            "conicities": [list(one) for one in known_conicities(geometry)],
-            "no_conicity": None if why is None else [why.code.value, why.text],
-        },
-        parameters=record.parameters,
-    )
-
-
-def _key(part: str) -> tuple[int, int | None]:
-    first, _, second = part.partition(".")
-    return (int(second), None) if first == "current" else (int(first), int(second) - MOST)
-
-
 def _intervals(baseline: int, first: int | None = None, last: int | None = None) -> Parts:
-    return part_of(baseline, -MOST if first is None else first), part_of(baseline, MOST if last is None else last)
+    return part_of(baseline, -MOST_INTERVALS if first is None else first), part_of(
+        baseline, MOST_INTERVALS if last is None else last
+    )
 
 
 def _spanned(baselines: Collection[int]) -> Parts:
@@ -257,7 +185,7 @@ def _head(result: Result[Any]) -> dict[str, Any]:
 
 
 def _record(result: Result[WheelsetGeometry]) -> GeometryRecord:
-    head, (baseline, interval) = _head(result), _key(result.part)
+    head, (baseline, interval) = _head(result), key_of_part(result.part)
     assert result.value is not None
     return GeometryRecord(
         wheelset=result.subject,
@@ -281,7 +209,7 @@ def _conicities(result: Result[WheelsetGeometry]) -> IntervalConicities:
     Raises:
         DamagedError: It is not one of :func:`result_of_geometry`.
     """
-    head, (baseline, interval) = _head(result), _key(result.part)
+    head, (baseline, interval) = _head(result), key_of_part(result.part)
     try:
         why = head["no_conicity"]
         return IntervalConicities(

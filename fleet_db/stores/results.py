@@ -73,6 +73,12 @@ class ResultStore:
         row = self.connection.execute(statement).first()
         return None if row is None else _result(kind, row)
 
+    def latest_head(self, kind: ResultKind[V], subject: str) -> Result[V] | None:
+        """Return what :meth:`latest` does now, without the value."""
+        found = _in_force(kind, [subject]).with_only_columns(*WITHOUT_VALUE).order_by(RESULTS.c.result_id.desc())
+        row = self.connection.execute(found.limit(1)).first()
+        return None if row is None else _result(kind, row)
+
     def version(self, kind: ResultKind[Any], subject: str, parts: Parts | None = None) -> tuple[int | None, int | None]:
         """Return number and recorded time of the result that was put last: others whenever a result is another."""
         newest = _chosen(kind, [subject], None, parts).with_only_columns(RESULTS.c.result_id, RESULTS.c.recorded_ns)
@@ -115,6 +121,8 @@ class ResultStore:
         for result, values, was in news:
             if any(getattr(was, name, None) != values[name] for name in SHOWN if was is not None or name in SAID):
                 self.changes.subjects.raised(kind.subject, result.subject, kind.stage)
+            if (None if was is None else was.head) != values["head"]:
+                self.changes.subjects.raised(kind.subject, result.subject, kind.head_facet)
         return [result for result, _, _ in news]
 
     def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None:

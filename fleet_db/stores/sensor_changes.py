@@ -15,7 +15,6 @@ from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.rows import table_of, upsert
-from fleet_db.stores.mountings import mounting_at
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.tables import SensorChangeRow
 
@@ -60,27 +59,17 @@ class SensorChangeStore:
             return False
         key = RecordKey(RecordKind.SENSOR_CHANGE, record.vehicle, record.at_ns)
         RegistryHistoryStore(self.connection, self.changes).note_change(key, was, values, decision)
-        self._note(record)
         return True
 
     def remove(self, vehicle: str, at_ns: int) -> None:
         """Remove the record of a vehicle and time, if there is one."""
-        found = self.stored(vehicle, at_ns)
-        if found is not None:
-            self.connection.execute(delete(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns))
-            self._note(sensor_change_of(found))
+        self.connection.execute(delete(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns))
 
     def stored(self, vehicle: str, at_ns: int) -> dict[str, Any] | None:
         """Return the row of a vehicle and time; None where there is none."""
         statement = select(CHANGES).where(CHANGES.c.vehicle == vehicle, CHANGES.c.at_ns == at_ns)
         row = self.connection.execute(statement).mappings().first()
         return None if row is None else dict(row)
-
-    def _note(self, record: SensorChange) -> None:
-        """Let what is known of the wheelset at the axle follow."""
-        mounted = mounting_at(self.connection, record.vehicle, record.axle, record.at_ns)
-        if mounted is not None:
-            self.changes.note(mounted.wheelset)
 
 
 def sensor_change_of(values: Mapping[Any, Any]) -> SensorChange:

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from estimation.values.results import Result
-from estimation.values.trend import TREND, TrendRecord, WearTrend
+from estimation.values.trend import TREND, TrendRecord, WearTrend, baseline_part
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.results import ResultStore
 
@@ -41,7 +41,7 @@ def result_of_trend(record: TrendRecord) -> Result[WearTrend]:
     """Return a trend as a result."""
     return Result(
         subject=record.wheelset,
-        part=f"{record.baseline:04d}",
+        part=baseline_part(record.baseline),
         made_from=record.input_digest,
         numerics=record.code_version,
         recorded_ns=record.recorded_ns,

@@ -46,7 +46,6 @@ from fleet_db.tables.registry import (
     SensorChangeRow,
     VehicleClassRow,
     VehicleRow,
-    WheelsetChangeRow,
     WheelsetRow,
 )
 from fleet_db.tables.results import ResultRow, WorklistAlertRow, WorklistEntryRow
@@ -122,7 +121,6 @@ __all__ = [
     "WebhookRow",
     "WebhookSecretRow",
     "WheelsetBinRow",
-    "WheelsetChangeRow",
     "WheelsetRow",
     "WindowAdhesionRow",
     "WindowBinTableRow",

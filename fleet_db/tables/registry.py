@@ -9,7 +9,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.registry import SensorWork
 from fleet_db.registry_events import RecordAction, RecordKind
-from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
+from fleet_db.tables.base import Base, Code, Json, Name, Nanoseconds, Packed, Real, Serial, one_of
 
 
 class WheelsetRow(Base):
@@ -22,19 +22,6 @@ class WheelsetRow(Base):
     fleet: Mapped[str] = mapped_column(ForeignKey("fleets.code"), index=True)
     wheel_profile: Mapped[Name]
     nominal_radius_m: Mapped[Real]
-
-
-class WheelsetChangeRow(Base):
-    """How many times what a geometry is computed from has changed, and up to which change it was computed.
-
-    A wheelset is stale while ``geometry_change`` is behind ``change``.
-    """
-
-    __tablename__ = "wheelset_changes"
-
-    wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
-    change: Mapped[Count]
-    geometry_change: Mapped[Count] = mapped_column(default=0)
 
 
 class ReprofilingRow(Base):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import stored_values as make
+from due_geometries import due_geometries, see_geometries
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
@@ -26,11 +27,12 @@ def test_what_was_stored_comes_back(fleet: SqlStorage) -> None:
 
 def test_a_repeat_changes_nothing(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
-        for serial in unit.geometries.stale(10):
-            unit.geometries.put(make.geometry_record(wheelset=serial))
+        for wheelset in unit.registry.wheelsets():
+            unit.geometries.put(make.geometry_record(wheelset=wheelset.serial))
+        see_geometries(unit)
     make.populate(fleet)
     with fleet.read() as unit:
-        assert unit.geometries.stale(10) == []
+        assert due_geometries(unit) == []
         assert len(unit.registry.vehicles_page(None, None, 100)) == 2
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import stored_values as make
+from due_geometries import due_geometries, see_geometries
 from sqlalchemy import text
 
 from estimation.errors import DamagedError
@@ -117,7 +118,7 @@ def test_a_changed_class_lets_every_window_of_its_vehicles_wait_and_says_since_w
         again = unit.registry.add_vehicle_class(STIFFER, 200)
         assert (again.subjects, again.windows, again.from_ns, again.sections) == (("V-1", "V-2"), 3, make.START, ())
         assert unit.tracks.position("WS-1", make.START) is None
-        assert unit.geometries.stale(10) == ["WS-1", "WS-2"]
+        assert due_geometries(unit) == ["WS-1", "WS-2"]
     assert pending(fleet) == {"WS-1": [WindowState.PENDING] * 2, "WS-2": [WindowState.PENDING]}
 
 
@@ -126,12 +127,11 @@ def test_other_standard_deviations_make_geometries_stale_and_no_window_wait(flee
         unit.registry.add_vehicle_class(COACH, 100)
     estimated(fleet)
     with fleet.write() as unit:
-        for serial in ("WS-1", "WS-2"):
-            unit.geometries.mark_current(serial, unit.geometries.change(serial))
-        assert unit.geometries.stale(10) == []
+        see_geometries(unit)
+        assert due_geometries(unit) == []
         again = unit.registry.add_vehicle_class(LESS_CERTAIN, 200)
         assert (again.windows, again.from_ns) == (0, make.START)
-        assert unit.geometries.stale(10) == ["WS-1", "WS-2"]
+        assert due_geometries(unit) == ["WS-1", "WS-2"]
     assert pending(fleet) == {"WS-1": [WindowState.ESTIMATED] * 2, "WS-2": [WindowState.ESTIMATED]}
 
 

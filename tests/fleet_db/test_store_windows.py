@@ -8,6 +8,7 @@ from threading import Thread
 
 import pytest
 import stored_values as make
+from due_geometries import due_geometries, see_geometries
 from same_values import same_values
 
 from api.schemas import windows
@@ -53,13 +54,14 @@ def test_every_reason_code_is_stored_and_served_as_it_is(fleet: SqlStorage) -> N
 def mark_estimated(storage: SqlStorage) -> None:
     """Record a geometry of every stale wheelset."""
     with storage.write() as unit:
-        for serial in unit.geometries.stale(100):
+        for serial in due_geometries(unit):
             unit.geometries.put(make.geometry_record(wheelset=serial))
+        see_geometries(unit)
 
 
 def stale(storage: SqlStorage) -> list[str]:
     with storage.read() as unit:
-        return list(unit.geometries.stale(100))
+        return due_geometries(unit)
 
 
 def test_a_window_comes_back_with_its_record(fleet: SqlStorage) -> None:
@@ -268,30 +270,13 @@ def test_what_makes_a_wheelset_stale(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
         unit.registry.add_reprofiling(Reprofiling("WS-1", 5, 1.0))
         unit.registry.add_reprofiling(Reprofiling("WS-2", 5, 1.0))  # of which nothing is known
-        assert unit.geometries.stale(100) == ["WS-1"]  # inside the same transaction too
-        assert unit.geometries.stale(0) == []
+        assert due_geometries(unit) == ["WS-1"]  # inside the same transaction too
     assert stale(fleet) == ["WS-1"]
     for expected in (["WS-1"], []):  # the second time the same again
         mark_estimated(fleet)
         with fleet.write() as unit:
             unit.registry.add_measured_profiles(make.measured_profiles(make.START))
         assert stale(fleet) == expected
-
-
-def test_a_change_between_reading_and_storing_is_not_lost(fleet: SqlStorage) -> None:
-    put(fleet, 0, 1)
-    estimate(fleet, 0)
-    with fleet.read() as unit:
-        change = unit.geometries.change("WS-1")
-    estimate(fleet, 1)
-    with fleet.write() as unit:
-        unit.geometries.put(make.geometry_record())
-        unit.geometries.mark_current("WS-1", change)
-    assert stale(fleet) == ["WS-1"]
-    with fleet.write() as unit:
-        unit.geometries.mark_current("WS-1", unit.geometries.change("WS-1"))
-        assert unit.geometries.change("WS-9") == 0
-    assert stale(fleet) == []
 
 
 def test_the_unknown_is_named(fleet: SqlStorage) -> None:

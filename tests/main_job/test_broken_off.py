@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from due_geometries import due_geometries
 from job_process import LEASE_S
 from one_database import url_on_sqlite
 from sqlalchemy import update
@@ -19,6 +20,7 @@ from tiny_fleet import DEAD, WORN, Deployment, results
 
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
+from estimation.jobs.refresh_geometry import GEOMETRY
 from estimation.jobs.settings import EstimationSettings, JobSettings
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobRun, JobTrigger
@@ -32,9 +34,12 @@ SCRIPT = Path(__file__).with_name("job_process.py")
 ONE_BY_ONE = EstimationSettings(batch=1)
 
 
+def context_of(fleet: Deployment, storage: SqlStorage | None = None) -> JobContext:
+    return JobContext(storage or fleet.storage, fleet.clock, "test", JobSettings(estimation=ONE_BY_ONE))
+
+
 def run(fleet: Deployment, job: str, storage: SqlStorage | None = None) -> JobRun:
-    context = JobContext(storage or fleet.storage, fleet.clock, "test", JobSettings(estimation=ONE_BY_ONE))
-    return run_job(job_named(job), context, JobTrigger.CLI)
+    return run_job(job_named(job), context_of(fleet, storage), JobTrigger.CLI)
 
 
 def succeeded(fleet: Deployment, *jobs: str) -> None:
@@ -79,7 +84,7 @@ def test_a_killed_job_leaves_nothing_half_written_and_the_next_run_completes(
     succeeded(fleet, "estimate_windows")
     killed(fleet, storage_url, "refresh_geometry", 3)  # its begin, claim, and what was made of both wheelsets
     with fleet.storage.read() as unit:
-        assert unit.geometries.stale(10) == [DEAD, WORN]
+        assert due_geometries(unit, GEOMETRY.inputs(context_of(fleet))) == [DEAD, WORN]
         for serial in (DEAD, WORN):
             assert unit.geometries.intervals(serial) == []
             assert unit.geometries.current(serial) is None
@@ -169,7 +174,7 @@ def test_a_damaged_bin_table_is_named_and_the_other_wheelsets_go_on(received: De
         assert f"{DEAD}@{victim.start_ns}" in held.error
         assert unit.geometries.current(WORN) is not None
         assert unit.geometries.current(DEAD) is None
-        assert unit.geometries.stale(10) == [DEAD]
+        assert due_geometries(unit, GEOMETRY.inputs(context_of(fleet))) == [DEAD]
 
 
 def test_the_shape_of_a_batch_changes_no_result(

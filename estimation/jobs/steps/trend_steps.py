@@ -15,7 +15,7 @@ from estimation.storage import UnitOfWork
 from estimation.values.geometry import IntervalConicities
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from estimation.values.trend import IdentityChange, TrendRecord, TrendStep
+from estimation.values.trend import TREND, IdentityChange, TrendRecord, TrendStep, baseline_part
 
 AMPLITUDES = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)  # m, at which a profile behind a step is compared with its design
 
@@ -23,9 +23,19 @@ AMPLITUDES = (1e-3, 1.5e-3, 2e-3, 2.5e-3, 3e-3)  # m, at which a profile behind 
 def last_change(unit: UnitOfWork, wheelset: WheelsetRecord) -> IdentityChange | None:
     """Return the last change that data of a wheelset are not merged across: of its identity, or a step of its trend."""
     identity = identity_change(unit, wheelset.serial)
-    step = step_of(unit.trends.latest(wheelset.serial), wheelset)
-    changes = [identity, None if step is None else IdentityChange(step.before_ns, step.after_ns)]
+    changes = [identity, _step(unit, wheelset)]
     return max((one for one in changes if one is not None), key=lambda one: one.after_ns, default=None)
+
+
+def _step(unit: UnitOfWork, wheelset: WheelsetRecord) -> IdentityChange | None:
+    """Return the newest step of the present profile as a change; None where there is none."""
+    trend = unit.results.latest_head(TREND, wheelset.serial)
+    if trend is None or trend.part != baseline_part(len(wheelset.reprofilings)) or not isinstance(trend.head, list):
+        return None
+    before_ns, after_ns = trend.head
+    assert isinstance(before_ns, int)
+    assert isinstance(after_ns, int)
+    return IdentityChange(before_ns, after_ns)
 
 
 def step_of(record: TrendRecord | None, wheelset: WheelsetRecord) -> TrendStep | None:

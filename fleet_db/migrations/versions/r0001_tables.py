@@ -864,13 +864,6 @@ sa.Table(
     sa.Index(None, "fleet"),
 )
 sa.Table(
-    "wheelset_changes",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("change", BIG),
-    required("geometry_change", BIG),
-)
-sa.Table(
     "reprofilings",
     TABLES,
     sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),

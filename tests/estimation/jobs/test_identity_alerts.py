@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from due_geometries import due_geometries
 from one_database import on_sqlite
 from test_wear_jobs import feed, feed_of, open_alert, run_jobs
 from wheelset_life import DAY_NS, START_NS, geometry_of, geometry_record, register, run_windows
@@ -163,7 +164,7 @@ def test_a_swap_raises_both_and_no_wear_alert_and_the_trend_begins_again(storage
         found = identity_change(unit, "W1")
         assert found is not None
         assert found.after_ns == START_NS + 4 * DAY_NS
-        assert unit.geometries.stale(10).count("W1") == 1
+        assert due_geometries(unit).count("W1") == 1
     lengths = {serial: len(trend.trend.value) for serial, trend in trends.items() if trend is not None}
     assert lengths == {"W1": 4, "W2": 4, "W3": 8}
 
