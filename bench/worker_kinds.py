@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from distributed import Client
-
 from api.settings import Settings
 from api.workers.on_dask import DaskExecutor
 from api.workers.pool import ProcessPool
@@ -47,6 +45,8 @@ def pool_of(settings: Settings, count: int) -> Iterator[tuple[WorkExecutor | Non
 @contextmanager
 def dask_of(settings: Settings, count: int) -> Iterator[tuple[WorkExecutor | None, Pids]]:
     """Yield the workers of a Dask scheduler for a deployment."""
+    from distributed import Client  # noqa: PLC0415 - workers of this machine are measured without it
+
     folder = settings.data_dir.parent / "dask"
     with dask_cluster(settings, folder, count) as cluster:
         chosen = settings.model_copy(update={"dask_scheduler": cluster.address})
