@@ -61,7 +61,7 @@ def test_the_example_works(extended: Path, tmp_path: Path, example: str) -> None
 
 
 FILES = {
-    "An alert rule": 2,
+    "An alert rule": 3,
     "A stage": 4,
     "A REST resource": 3,
     "One more number of a geometry": 3,
