@@ -123,7 +123,10 @@ class _Working:
     counts: Counter[str] = field(default_factory=Counter)
 
     def do(self, subjects: Sequence[str]) -> None:
-        """Load, compute and store subjects together; where that fails, each alone."""
+        """Load, compute and store subjects together; where that fails, each alone.
+
+        Versions are read in the snapshot in which the inputs are: what is committed later leaves a subject due.
+        """
         due: Mapping[str, Due] = {}
         try:
             with self.context.storage.read() as unit:
@@ -156,6 +159,7 @@ class _Working:
         return made
 
     def _one(self, state: Due, inputs: object | None) -> _Made:
+        """Return what came of a subject; ``compute`` is not called where its inputs are those of before."""
         if inputs is None:
             return _Made("", Outcome())
         digest = made_from(self.context.code_version, inputs)
