@@ -160,7 +160,10 @@ def test_a_worker_that_was_stopped_for_longer_than_its_lease_stores_nothing_when
         before = results(fleet.storage)
         os.kill(stopped.pid, signal.SIGCONT)
         said = stopped.communicate("\n" * 1000)[0].splitlines()[-1]
-    assert "'leases_lost': 1" in said, said
+    # it notices when it commits; or it sees, where it reads what is due only now, that another has done everything
+    assert "'leases_lost': 1" in said or ((job, where) == ("refresh_geometry", "read") and "'wheelsets': 0" in said), (
+        said
+    )
     assert said.startswith("succeeded"), said
     assert taken.counts.get("estimated", taken.counts.get("wheelsets")) > 0
     assert "worked_on_elsewhere" not in taken.counts
