@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -60,6 +60,25 @@ class ServerLimits:
             "keepalives_count": 3,
             "tcp_user_timeout": round(2000 * self.silence_s),  # ms
         }
+
+
+class OneByOneCursor(psycopg.Cursor[Any]):
+    """A cursor that sends the rows of a statement one by one.
+
+    The driver sends them in a pipeline, after which the server does not end a transaction in which nothing happens any
+    more: a process that stands still there would keep its locks from all others.
+    """
+
+    def executemany(self, query: Any, params_seq: Iterable[Any], *, returning: bool = False) -> None:  # noqa: ANN401
+        """Execute a statement for each row; the count of rows is that of all."""
+        if returning:
+            super().executemany(query, params_seq, returning=True)
+            return
+        count = 0
+        for row in params_seq:
+            self.execute(query, row)
+            count += max(self.rowcount, 0)
+        self._rowcount = count
 
 
 class WatchedConnection(psycopg.Connection[Any]):
@@ -281,7 +300,7 @@ def _postgresql_engine(url: URL, limits: ServerLimits) -> Engine:
         url.set(drivername="postgresql+psycopg"),
         pool_size=10,
         pool_timeout=POOL_TIMEOUT_S,
-        connect_args=limits.options(),
+        connect_args={**limits.options(), "cursor_factory": OneByOneCursor},
         json_serializer=to_json,
     )
     guard_connecting(engine, partial(WatchedConnection.open, limits))
