@@ -62,23 +62,18 @@ class ServerLimits:
         }
 
 
-class OneByOneCursor(psycopg.Cursor[Any]):
-    """A cursor that sends the rows of a statement one by one.
+class EndedPipelineCursor(psycopg.Cursor[Any]):
+    """A cursor that asks for something plain after it has sent several rows.
 
     The driver sends them in a pipeline, after which the server does not end a transaction in which nothing happens any
-    more: a process that stands still there would keep its locks from all others.
+    more until it has answered something else: a process that stands still there would keep its locks from all others.
     """
 
     def executemany(self, query: Any, params_seq: Iterable[Any], *, returning: bool = False) -> None:  # noqa: ANN401
-        """Execute a statement for each row; the count of rows is that of all."""
-        if returning:
-            super().executemany(query, params_seq, returning=True)
-            return
-        count = 0
-        for row in params_seq:
-            self.execute(query, row)
-            count += max(self.rowcount, 0)
-        self._rowcount = count
+        """Execute a statement for each row."""
+        super().executemany(query, params_seq, returning=returning)
+        with psycopg.Cursor(self.connection) as plain:
+            plain.execute("SELECT 1")
 
 
 class WatchedConnection(psycopg.Connection[Any]):
@@ -300,7 +295,7 @@ def _postgresql_engine(url: URL, limits: ServerLimits) -> Engine:
         url.set(drivername="postgresql+psycopg"),
         pool_size=10,
         pool_timeout=POOL_TIMEOUT_S,
-        connect_args={**limits.options(), "cursor_factory": OneByOneCursor},
+        connect_args={**limits.options(), "cursor_factory": EndedPipelineCursor},
         json_serializer=to_json,
     )
     guard_connecting(engine, partial(WatchedConnection.open, limits))

@@ -21,6 +21,7 @@ from estimation.jobs.job import JobContext, Work
 from estimation.jobs.made_from import made_from
 from estimation.jobs.stage import AnyStage, Outcome, Part
 from estimation.storage import UnitOfWork
+from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
 from estimation.values.results import AnyResult, Result
 from estimation.values.runs import SubjectKind
@@ -263,20 +264,25 @@ def _check_finite(part: Part[object]) -> None:
     Raises:
         NotFiniteError: It has one; the result before it stays in force.
     """
-    for estimate in _estimates(part.value):
-        if estimate.status is Status.ESTIMATED and not math.isfinite((estimate.value or 0.0) + (estimate.std or 0.0)):
-            raise NotFiniteError(f"an estimated number is {estimate.value} with a std of {estimate.std}")
+    for value, std in _estimated(part.value):
+        if not math.isfinite(value + std):
+            raise NotFiniteError(f"an estimated number is {value} with a std of {std}")
 
 
-def _estimates(value: object) -> Iterator[Estimate]:
+def _estimated(value: object) -> Iterator[tuple[float, float]]:
+    """Yield the numbers of a value that are said to be estimated, each with its std."""
     if isinstance(value, Estimate):
-        yield value
+        if value.status is Status.ESTIMATED:
+            yield value.value or 0.0, value.std or 0.0
+    elif isinstance(value, BinValues):
+        bins = zip(value.value, value.std, value.status, strict=True)
+        yield from ((number, std) for number, std, status in bins if status is BinStatus.ESTIMATED)
     elif is_dataclass(value):
         for item in fields(value):
-            yield from _estimates(getattr(value, item.name))
+            yield from _estimated(getattr(value, item.name))
     elif isinstance(value, tuple):
         for one in value:
-            yield from _estimates(one)
+            yield from _estimated(one)
 
 
 def _batches(subjects: Sequence[str], size: int) -> Iterator[tuple[str, ...]]:

@@ -6,15 +6,18 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import pytest
 from wheelset_life import SetClock, register, run_windows
 
-from estimation.errors import StorageError
+from estimation.errors import NotFiniteError, StorageError
+from estimation.jobs import runner
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.storage import UnitOfWork
+from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
 from estimation.values.results import Result, ResultKind
 from estimation.values.runs import SubjectKind
@@ -154,6 +157,15 @@ def test_what_fails_keeps_its_result_and_harms_nobody(facts: Facts, clock: SetCl
     assert in_force(facts)["W2"] == 8.0
     with facts.storage.read() as unit:
         assert unit.quarantine.held() == []
+
+
+@pytest.mark.parametrize("wrong", ["value", "std"])
+def test_a_bin_that_is_estimated_and_no_number_is_refused_and_one_that_is_not_estimated_may_be_nan(wrong: str) -> None:
+    status = (BinStatus.ESTIMATED, BinStatus.TOO_FEW)
+    bins = BinValues(np.array([1.0, np.nan]), np.array([0.1, np.nan]), status)
+    runner._check_finite(Part((bins,)))
+    with pytest.raises(NotFiniteError, match="nan"):
+        runner._check_finite(Part((replace(bins, **{wrong: np.array([np.nan, np.nan])}),)))
 
 
 def test_what_changes_while_it_is_computed_is_due_again(facts: Facts, clock: SetClock) -> None:
