@@ -260,6 +260,19 @@ def _sqlite_engine(url: URL) -> Engine:
     return engine
 
 
+def reading_engine(engine: Engine) -> Engine:
+    """Return the engine of reading transactions on the same database: on SQLite one whose connections cannot write."""
+    if engine.dialect.name != "sqlite":
+        return engine
+    reading = narrow_statements(_sqlite_engine(engine.url))
+    event.listen(reading, "connect", _forbid_writing)
+    return reading
+
+
+def _forbid_writing(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type
+    connection.execute("PRAGMA query_only = ON").close()
+
+
 def _prepare_sqlite(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type
     connection.isolation_level = None
     cursor = connection.cursor()

@@ -22,7 +22,7 @@ from fleet_db.locks import (
     serialise_vehicle,
     single_writer,
 )
-from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
+from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, reading_engine, sqlite_file, translate_errors
 from fleet_db.stores.adhesion import AdhesionStore
 from fleet_db.stores.alerts import AlertStore
 from fleet_db.stores.api_keys import ApiKeyStore
@@ -194,6 +194,7 @@ class SqlStorage:
         lease: Without which nothing is committed; None where none is needed.
         owner: Lease of the process that runs jobs, with which those of its work end; None where there is none.
         unended: Leases of this process that could not be ended yet.
+        reading: Of reading transactions; None is made from ``engine``.
     """
 
     engine: Engine
@@ -204,6 +205,11 @@ class SqlStorage:
     lease: Lease | None = None
     owner: int | None = None
     unended: UnendedLeases = field(default_factory=UnendedLeases, compare=False, repr=False)
+    reading: Engine | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.reading is None:
+            object.__setattr__(self, "reading", reading_engine(self.engine))
 
     def seen_by(self, fleets: frozenset[str] | None) -> SqlStorage:
         """Return the storage whose reading transactions see only these fleets.
@@ -247,10 +253,10 @@ class SqlStorage:
         bound = {} if self.visible_fleets is None else {VISIBLE: self.visible_fleets}
         with (
             translate_errors(),
-            self.engine.connect().execution_options(**bound) as connection,
-            _read_only(connection) as reading,
+            (self.reading or self.engine).connect().execution_options(**bound) as connection,
+            _snapshot(connection),
         ):
-            yield SqlUnitOfWork(reading, self._files(), writing=False, shipped=self.shipped)
+            yield SqlUnitOfWork(connection, self._files(), writing=False, shipped=self.shipped)
 
     @contextmanager
     def owned(self, kind: JobTrigger, holder: str, length_s: float) -> Iterator[SqlStorage]:
@@ -342,7 +348,8 @@ class SqlStorage:
 
     def close(self) -> None:
         """Close every connection."""
-        self.engine.dispose()
+        for engine in (self.engine, self.reading or self.engine):
+            engine.dispose()
 
     def _write_lock(self) -> AbstractContextManager[None]:
         file = sqlite_file(self.engine)
@@ -354,17 +361,8 @@ class SqlStorage:
         return WindowFiles(self.data_dir / "windows")
 
 
-@contextmanager
-def _read_only(connection: Connection) -> Iterator[Connection]:
-    if connection.dialect.name != "sqlite":
-        # committed: the driver forgets with a rollback what the server has prepared, and nothing was written
-        with connection.execution_options(**SNAPSHOT).begin():
-            yield connection
-        return
-    with connection.begin() as transaction:
-        connection.exec_driver_sql("PRAGMA query_only = ON")
-        try:
-            yield connection
-        finally:
-            connection.exec_driver_sql("PRAGMA query_only = OFF")
-            transaction.rollback()
+def _snapshot(connection: Connection) -> AbstractContextManager[object]:
+    if connection.dialect.name == "sqlite":
+        return connection.begin()
+    # committed: the driver forgets with a rollback what the server has prepared, and nothing was written
+    return connection.execution_options(**SNAPSHOT).begin()
