@@ -429,8 +429,13 @@ class Rails(Protocol):
 
 
 class UnitOfWork(Protocol):
-    """One transaction over all stores that the jobs use; ``fleet_db`` has more for those that receive and serve."""
+    """One transaction over all stores that the jobs use; ``fleet_db`` has more for those that receive and serve.
 
+    What is claimed and put into ``done`` is free once the transaction is committed.
+    """
+
+    @property
+    def done(self) -> set[str]: ...
     @property
     def registry(self) -> Registry: ...
     @property

@@ -10,11 +10,12 @@ from pathlib import Path
 
 from sqlalchemy import Connection, Engine
 
-from estimation.errors import StorageError
+from estimation.errors import ConflictError, LeaseLostError, StorageError
 from estimation.values.runs import Claimed, JobTrigger
 from fleet_db.changes import Changes
 from fleet_db.due import WindowDueStore
 from fleet_db.locks import (
+    Claims,
     Lease,
     UnendedLease,
     UnendedLeases,
@@ -79,6 +80,7 @@ class SqlUnitOfWork:
     writing: bool
     shipped: Shipped = no_class
     owner: int | None = None  # lease of the process that runs jobs
+    done: set[str] = field(default_factory=set)  # of what is claimed: it is free once this is committed
     subjects: Subjects = field(init=False)
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
@@ -192,6 +194,7 @@ class SqlStorage:
         patience_s: How long a writing transaction on SQLite waits for that of another process.
         visible_fleets: Codes of the fleets that reading transactions see; None for all.
         lease: Without which nothing is committed; None where none is needed.
+        claims: What is claimed under it and worked on; None where it is not for claims.
         owner: Lease of the process that runs jobs, with which those of its work end; None where there is none.
         unended: Leases of this process that could not be ended yet.
         reading: Of reading transactions; None is made from ``engine``.
@@ -203,6 +206,7 @@ class SqlStorage:
     patience_s: float = BUSY_TIMEOUT_MS / 1000
     visible_fleets: frozenset[str] | None = None
     lease: Lease | None = None
+    claims: Claims | None = None
     owner: int | None = None
     unended: UnendedLeases = field(default_factory=UnendedLeases, compare=False, repr=False)
     reading: Engine | None = field(default=None, compare=False, repr=False)
@@ -230,9 +234,11 @@ class SqlStorage:
             StorageError: The database cannot be reached.
         """
         with (
+            self._lost_or_refused(),
             translate_errors(),
             self._write_lock(),
             self.engine.connect().execution_options(**IMMEDIATE) as connection,
+            _dropped_on_failure(connection),
             connection.begin(),
         ):
             unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner)
@@ -240,8 +246,30 @@ class SqlStorage:
                 unit.work_claims.bound(self.lease.length_s)
             yield unit
             unit.finish()
-            if self.lease is not None:
-                unit.work_claims.check(self.lease.number, self.lease.holder)
+            freed = self._fence(unit)
+        if self.claims is not None:
+            self.claims.keys -= freed
+
+    @contextmanager
+    def _lost_or_refused(self) -> Iterator[None]:
+        """Raise that the lease has ended where others have stored meanwhile what conflicts with this transaction."""
+        try:
+            yield
+        except ConflictError as error:
+            if self.lease is not None and self.lease_lost():
+                raise LeaseLostError(self.lease.holder) from error
+            raise
+
+    def _fence(self, unit: SqlUnitOfWork) -> frozenset[str]:
+        """Raise unless the lease is still there; free what is done, and return it."""
+        if self.lease is None:
+            return frozenset()
+        done = frozenset(() if self.claims is None else self.claims.keys & unit.done)
+        if self.claims is not None and done:
+            unit.work_claims.free(self.lease.number, self.lease.holder, self.claims.stage, done)
+        else:
+            unit.work_claims.check(self.lease.number, self.lease.holder)
+        return done
 
     @contextmanager
     def read(self) -> Iterator[SqlUnitOfWork]:
@@ -254,6 +282,7 @@ class SqlStorage:
         with (
             translate_errors(),
             (self.reading or self.engine).connect().execution_options(**bound) as connection,
+            _dropped_on_failure(connection),
             _snapshot(connection),
         ):
             yield SqlUnitOfWork(connection, self._files(), writing=False, shipped=self.shipped)
@@ -298,9 +327,11 @@ class SqlStorage:
     ) -> Iterator[tuple[SqlStorage, Claimed]]:
         """Claim what is free and yield a storage that commits nothing once the claim has ended.
 
-        The claim is prolonged until the block ends, and forgotten then, however it ends. Where the process is killed
-        or stands still it ends by itself after ``length_s``. Where the database is out of reach at the end, it ends
-        with the next one of this process.
+        The claim is made under the lease of the process that runs the job where it is this one, else under a lease of
+        its own, which is prolonged until the block ends. It is forgotten with the transaction that stores its work
+        (``done``), or when the block ends, however it does. Where the process is killed or stands still it ends by
+        itself after ``length_s``. Where the database is out of reach at the end, it ends with the next one of this
+        process.
 
         Args:
             stage: Of the work, such as the name of a job.
@@ -314,22 +345,38 @@ class SqlStorage:
             LeaseLostError: In transactions of the storage: the lease has ended meanwhile.
             StorageError: The database cannot be reached.
         """
-        left = self.unended.left()
-        with self.write() as writing:
-            for one in left:
-                writing.work_claims.end_late(one)
-            number = writing.work_claims.lease(holder, round(length_s * 1e9), owner or self.owner, unit)
-            claimed = writing.work_claims.take(number, stage, keys, alone=alone)
-        self.unended.ended(left)
+        own = self.lease if self.owner is not None and owner in {None, self.owner} else None
+        left, unfenced = self.unended.left(), replace(self, lease=None, claims=None)
         try:
-            with prolonged(partial(self._prolong, number), length_s):
-                yield replace(self, lease=Lease(number, holder, length_s)), claimed
+            with unfenced.write() as writing:
+                writing.work_claims.bound(length_s)
+                for one in left:
+                    writing.work_claims.end_late(one)
+                lease = own or Lease(
+                    writing.work_claims.lease(holder, round(length_s * 1e9), owner, unit), holder, length_s
+                )
+                claimed = writing.work_claims.take(lease.number, stage, keys, alone=alone)
+        except ConflictError:  # there is no lease of that number any more
+            raise LeaseLostError(holder) from None
+        self.unended.ended(left)
+        claims = Claims(stage, set(claimed.keys))
+        try:
+            with nullcontext() if own else prolonged(partial(self._prolong, lease.number), length_s):
+                yield replace(self, lease=lease, claims=claims), claimed
         finally:
             try:
-                with self.write() as writing:
-                    writing.work_claims.end(number)
+                unfenced._end_claims(lease.number, claims, alone=own is None)  # noqa: SLF001 - of this class
             except StorageError:  # out of reach
-                self.unended.add(UnendedLease(number, stage, claimed.begun_ns))
+                self.unended.add(UnendedLease(lease.number, stage, claimed.begun_ns, alone=own is None))
+
+    def _end_claims(self, lease: int, claims: Claims, *, alone: bool) -> None:
+        if not alone and not claims.keys:
+            return
+        with self.write() as unit:
+            if alone:
+                unit.work_claims.end(lease)
+            else:
+                unit.work_claims.forget(lease, claims.stage, claims.keys)
 
     def lease_lost(self) -> bool:
         """Return whether the lease of this storage has ended.
@@ -359,6 +406,20 @@ class SqlStorage:
 
     def _files(self) -> WindowFiles:
         return WindowFiles(self.data_dir / "windows")
+
+
+@contextmanager
+def _dropped_on_failure(connection: Connection) -> Iterator[None]:
+    """Keep a connection out of the pool where the transaction fails.
+
+    On SQLite a statement that is not read to its end keeps its snapshot for as long as the traceback lives.
+    """
+    try:
+        yield
+    except BaseException:
+        if connection.dialect.name == "sqlite":
+            connection.invalidate()
+        raise
 
 
 def _snapshot(connection: Connection) -> AbstractContextManager[object]:

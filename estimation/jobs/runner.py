@@ -38,6 +38,7 @@ def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
 def run_all(stages: Iterable[AnyStage], context: JobContext) -> Counter[str]:
     """Bring the results of stages up to date, one after the other; return what was counted of all."""
     counts, waiting = Counter(quarantined=0), deque(stages)
+    isolation = Isolation(context, waiting[0].job)
     while waiting:
         if waiting[0].kind is SubjectKind.WINDOW:
             _list_again(context, waiting[0].inputs(context))
@@ -46,13 +47,12 @@ def run_all(stages: Iterable[AnyStage], context: JobContext) -> Counter[str]:
             while waiting and not due:
                 stage = waiting.popleft()
                 due = _due(unit, stage, context, counts)
-            isolation = Isolation(context, stage.job)
             if due:
                 isolation.read(unit)
         tried = partial(_tried, stage.inputs(context))
         ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
-        counts["quarantined"] += isolation.quarantined
-        counts.update(_handed_out(stage, context, ready, len(due)) if due else {})
+        counts.update(_handed_out(stage, context, ready, len(due), isolation) if due else {})
+    counts["quarantined"] += isolation.quarantined
     return counts
 
 
@@ -75,12 +75,18 @@ def _list_again(context: JobContext, inputs: StageInputs) -> None:
             unit.marks.list_again(inputs)
 
 
-def work_of(stage: AnyStage) -> Work:
-    """Return the work of a stage in units, as it is handed out to processes."""
-    return Work(stage.name, partial(_work, stage), partial(_set_aside, stage))
+def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
+    """Return the work of a stage in units, as it is handed out to processes.
+
+    Args:
+        isolation: Of the run, where this process does the work.
+    """
+    return Work(stage.name, partial(_work, stage, isolation), partial(_set_aside, stage))
 
 
-def _handed_out(stage: AnyStage, context: JobContext, ready: Sequence[str], total: int) -> Counter[str]:
+def _handed_out(
+    stage: AnyStage, context: JobContext, ready: Sequence[str], total: int, isolation: Isolation
+) -> Counter[str]:
     size = unit_size(context, len(ready), CLAIMED_TOGETHER * stage.at_once)
     done = total - len(ready)
 
@@ -90,12 +96,13 @@ def _handed_out(stage: AnyStage, context: JobContext, ready: Sequence[str], tota
         context.checkpoint(done, total)
 
     context.checkpoint(done, total)
-    return hand_out(context, work_of(stage), _batches(ready, size), progress)
+    return hand_out(context, work_of(stage, isolation), _batches(ready, size), progress)
 
 
-def _work(stage: AnyStage, context: JobContext, subjects: Sequence[str]) -> Mapping[str, int]:
+def _work(stage: AnyStage, of_run: Isolation | None, context: JobContext, subjects: Sequence[str]) -> Mapping[str, int]:
     """Do subjects that are claimed, some in a transaction."""
-    working = _Working(stage, context, stage.inputs(context), Isolation(context, stage.job))
+    isolation = Isolation(context, stage.job) if of_run is None else of_run.of_claims(context)
+    working = _Working(stage, context, stage.inputs(context), isolation)
     for batch in _batches(subjects, stage.at_once):
         working.do(batch)
     working.counts["quarantined"] = working.isolation.quarantined
@@ -178,6 +185,7 @@ class _Working:
                 stored.update(self.stage.store(unit, self.context, computed))
             whole = {subject: one.mark(due[subject]) for subject, one in made.items() if not one.more}
             unit.marks.note(self.inputs, whole)
+            unit.done.update(whole)
         self.counts.update(stored)
         looked = {subject: one for subject, one in made.items() if subject in loaded and not one.more}
         self._count(looked, {result.subject for result in changed}, len(changed))
