@@ -23,7 +23,16 @@ from fleet_db.locks import (
     serialise_vehicle,
     single_writer,
 )
-from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, reading_engine, sqlite_file, translate_errors
+from fleet_db.read_once import ReadOnce
+from fleet_db.session import (
+    BUSY_TIMEOUT_MS,
+    IMMEDIATE,
+    dropped_on_failure,
+    reading_engine,
+    snapshot,
+    sqlite_file,
+    translate_errors,
+)
 from fleet_db.stores.adhesion import AdhesionStore
 from fleet_db.stores.alerts import AlertStore
 from fleet_db.stores.api_keys import ApiKeyStore
@@ -67,8 +76,6 @@ from fleet_db.stores.worklist_inputs import WorklistReader
 from fleet_db.subjects import Subjects
 from fleet_db.telemetry import WindowFiles
 from fleet_db.visibility import VISIBLE
-
-SNAPSHOT = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
 
 
 @dataclass(slots=True)
@@ -134,7 +141,7 @@ class SqlUnitOfWork:
         self.raw_marks = RawMarkStore(connection)
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
-        self.registry = RegistryStore(connection, self.changes, self.shipped)
+        self.registry = RegistryStore(connection, self.changes, self.shipped, once=ReadOnce(not self.writing))
         self.tracks = TrackStore(connection, self.changes)
         self.registry_history = RegistryHistoryStore(connection, self.changes)
         self.sensor_changes = SensorChangeStore(connection, self.changes)
@@ -238,7 +245,7 @@ class SqlStorage:
             translate_errors(),
             self._write_lock(),
             self.engine.connect().execution_options(**IMMEDIATE) as connection,
-            _dropped_on_failure(connection),
+            dropped_on_failure(connection),
             connection.begin(),
         ):
             unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner)
@@ -282,8 +289,8 @@ class SqlStorage:
         with (
             translate_errors(),
             (self.reading or self.engine).connect().execution_options(**bound) as connection,
-            _dropped_on_failure(connection),
-            _snapshot(connection),
+            dropped_on_failure(connection),
+            snapshot(connection),
         ):
             yield SqlUnitOfWork(connection, self._files(), writing=False, shipped=self.shipped)
 
@@ -406,24 +413,3 @@ class SqlStorage:
 
     def _files(self) -> WindowFiles:
         return WindowFiles(self.data_dir / "windows")
-
-
-@contextmanager
-def _dropped_on_failure(connection: Connection) -> Iterator[None]:
-    """Keep a connection out of the pool where the transaction fails.
-
-    On SQLite a statement that is not read to its end keeps its snapshot for as long as the traceback lives.
-    """
-    try:
-        yield
-    except BaseException:
-        if connection.dialect.name == "sqlite":
-            connection.invalidate()
-        raise
-
-
-def _snapshot(connection: Connection) -> AbstractContextManager[object]:
-    if connection.dialect.name == "sqlite":
-        return connection.begin()
-    # committed: the driver forgets with a rollback what the server has prepared, and nothing was written
-    return connection.execution_options(**SNAPSHOT).begin()

@@ -1,0 +1,37 @@
+"""Records that a transaction has read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Hashable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+Key = TypeVar("Key", bound=Hashable)
+Record = TypeVar("Record")
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOnce:
+    """Records by kind and key: a transaction that sees one snapshot reads none of them again.
+
+    Attributes:
+        snapshot: Whether the transaction sees one snapshot; one that writes reads anew each time.
+    """
+
+    snapshot: bool = False
+    _records: dict[str, dict[Any, Any]] = field(default_factory=dict)
+
+    def of(
+        self, kind: str, keys: Collection[Key], read: Callable[[Collection[Key]], Mapping[Key, Record]]
+    ) -> dict[Key, Record]:
+        """Return records by key; a key without one is left out.
+
+        Args:
+            read: Reads those of some keys.
+        """
+        known = self._records.setdefault(kind, {}) if self.snapshot else {}
+        missing = [key for key in dict.fromkeys(keys) if key not in known]
+        if missing:
+            found = read(missing)
+            known.update((key, found.get(key)) for key in missing)
+        return {key: known[key] for key in keys if known[key] is not None}
