@@ -35,3 +35,15 @@ class ReadOnce:
             found = read(missing)
             known.update((key, found.get(key)) for key in missing)
         return {key: known[key] for key in keys if known[key] is not None}
+
+    def one(self, kind: str, key: Hashable, read: Callable[[], Record]) -> Record:
+        """Return a record of which there may be none.
+
+        Args:
+            read: Reads it.
+        """
+
+        def known(_: Collection[Hashable]) -> Mapping[Hashable, tuple[Record]]:
+            return {key: (read(),)}
+
+        return self.of(kind, [key], known)[key][0]

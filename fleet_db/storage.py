@@ -141,8 +141,9 @@ class SqlUnitOfWork:
         self.raw_marks = RawMarkStore(connection)
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
-        self.registry = RegistryStore(connection, self.changes, self.shipped, once=ReadOnce(not self.writing))
-        self.tracks = TrackStore(connection, self.changes)
+        once = ReadOnce(not self.writing)
+        self.registry = RegistryStore(connection, self.changes, self.shipped, once=once)
+        self.tracks = TrackStore(connection, self.changes, once)
         self.registry_history = RegistryHistoryStore(connection, self.changes)
         self.sensor_changes = SensorChangeStore(connection, self.changes)
         self.corrections = CorrectionStore(

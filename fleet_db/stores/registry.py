@@ -122,13 +122,21 @@ class RegistryStore:
         """Return wheelsets by serial, of one fleet or of all."""
         return self._wheelsets(_in_fleet(_WITH_MOUNTING, WHEELSETS.c.fleet, fleet))
 
-    def wheelsets_of(self, serials: Sequence[str]) -> Sequence[WheelsetRecord]:
-        """Return the wheelsets of these serials, by serial; one that is not on file is left out."""
+    def wheelsets_of(self, serials: Sequence[str], *, voided: bool = True) -> Sequence[WheelsetRecord]:
+        """Return the wheelsets of these serials, by serial; one that is not on file is left out.
+
+        Args:
+            voided: Whether those that are voided are returned, too.
+        """
 
         def read(some: Collection[str]) -> Mapping[str, WheelsetRecord]:
-            return {one.serial: one for one in self._wheelsets(_WITH_MOUNTING.where(WHEELSETS.c.serial.in_(some)))}
+            chosen = _WITH_MOUNTING.where(WHEELSETS.c.serial.in_(some))
+            if not voided:
+                chosen = chosen.where(~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
+            return {one.serial: one for one in self._wheelsets(chosen)}
 
-        return [record for _, record in sorted(self.once.of("wheelset", serials, read).items())]
+        found = self.once.of("wheelset" if voided else "wheelset in force", serials, read)
+        return [record for _, record in sorted(found.items())]
 
     def wheelset(self, serial: str) -> WheelsetRecord:
         """Return one wheelset, with the mounting that lasts and its reprofilings.
