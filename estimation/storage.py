@@ -431,11 +431,14 @@ class Rails(Protocol):
 class UnitOfWork(Protocol):
     """One transaction over all stores that the jobs use; ``fleet_db`` has more for those that receive and serve.
 
-    What is claimed and put into ``done`` is free once the transaction is committed.
+    What is claimed and put into ``done`` is free once the transaction is committed. What is read of one of the
+    wheelsets in ``together`` is read of all of them, where it may be.
     """
 
     @property
     def done(self) -> set[str]: ...
+    @property
+    def together(self) -> set[str]: ...
     @property
     def registry(self) -> Registry: ...
     @property

@@ -88,6 +88,7 @@ class SqlUnitOfWork:
     shipped: Shipped = no_class
     owner: int | None = None  # lease of the process that runs jobs
     done: set[str] = field(default_factory=set)  # of what is claimed: it is free once this is committed
+    together: set[str] = field(default_factory=set)  # wheelsets of which a reading transaction reads all together
     subjects: Subjects = field(init=False)
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
@@ -141,7 +142,7 @@ class SqlUnitOfWork:
         self.raw_marks = RawMarkStore(connection)
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
-        once = ReadOnce(not self.writing)
+        once = ReadOnce(not self.writing, self.together)
         self.registry = RegistryStore(connection, self.changes, self.shipped, once=once)
         self.tracks = TrackStore(connection, self.changes, once)
         self.registry_history = RegistryHistoryStore(connection, self.changes)
@@ -150,19 +151,19 @@ class SqlUnitOfWork:
             connection, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
         self.epochs = EpochStore(connection, self.changes)
-        self.windows = WindowStore(connection, self.changes, self.files)
+        self.windows = WindowStore(connection, self.changes, self.files, once)
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
-        self.due = WindowDueStore(connection)
+        self.due = WindowDueStore(connection, once)
         self.marks = StageMarkStore(connection, self.subjects, self.due)
-        self.results = ResultStore(connection, self.changes)
-        self.geometries = GeometryStore(connection, self.results)
+        self.results = ResultStore(connection, self.changes, once)
+        self.geometries = GeometryStore(connection, self.results, once)
         self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection, self.subjects)
         self.adhesion = AdhesionStore(connection, self.subjects)
         self.dampers = DamperStore(connection, self.results)
         self.signatures = SignatureStore(connection, self.subjects)
-        self.alerts = AlertStore(connection, self.writing, self.changes)
+        self.alerts = AlertStore(connection, self.writing, self.changes, once)
         self.plausibility = PlausibilityStore(connection, self.windows)
         self.recorded_times = RecordedTimeStore(connection)
         self.feed_branches = FeedBranchStore(connection)
@@ -174,7 +175,7 @@ class SqlUnitOfWork:
         self.audit = AuditStore(connection)
         self.section_looks = SectionLookStore(connection)
         self.rails = RailsStore(connection, self.subjects)
-        self.roll_ups = RollUpStore(connection)
+        self.roll_ups = RollUpStore(connection, once)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
 

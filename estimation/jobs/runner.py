@@ -136,6 +136,8 @@ class _Working:
             with self.context.storage.read() as unit:
                 due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
                 self.isolation.read(unit)
+                if self.stage.kind is SubjectKind.WHEELSET:
+                    unit.together.update(due)
                 loaded = self.stage.load(unit, list(due), self.context) if due else {}
             made = self._computed(due, loaded)
             self._store(due, loaded, made)

@@ -135,7 +135,7 @@ class RegistryStore:
                 chosen = chosen.where(~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
             return {one.serial: one for one in self._wheelsets(chosen)}
 
-        found = self.once.of("wheelset" if voided else "wheelset in force", serials, read)
+        found = self.once.of_wheelsets("wheelset" if voided else "wheelset in force", serials, read)
         return [record for _, record in sorted(found.items())]
 
     def wheelset(self, serial: str) -> WheelsetRecord:
@@ -179,7 +179,7 @@ class RegistryStore:
 
     def mountings_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
         """Return every mounting of some wheelsets by serial, oldest first; one without a mounting is left out."""
-        return self.once.of("mountings", wheelsets, partial(mountings_of, self.connection))
+        return self.once.of_wheelsets("mountings", wheelsets, partial(mountings_of, self.connection))
 
     def mounted_on(self, vehicles: Collection[str]) -> Sequence[Mounting]:
         """Return the mountings on some vehicles that last, by vehicle and axle."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 from sqlalchemy import Connection, Row, delete, func, insert, select, update
@@ -13,7 +13,8 @@ from estimation.values.geometry import BinTable
 from estimation.values.roll_up import RolledPart, RollingSums, RollUp, RollUpKey, RollUpState, Side, WindowRollingSums
 from fleet_db.fields import fields_of, value_of
 from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin_table, unpack_rolling_sums
-from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
+from fleet_db.read_once import ReadOnce
+from fleet_db.rows import by_wheelset, insert_all_new, replace_all, table_of, upsert
 from fleet_db.stores.window_marks import keys_given
 from fleet_db.tables import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 
@@ -29,17 +30,27 @@ class RollUpStore:
     """Implements ``estimation.storage.RollUps``."""
 
     connection: Connection
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def state(self, wheelset: str) -> RollUpState | None:
         """Return what the roll-ups of a wheelset were made by; None where there are none."""
-        columns = (STATES.c.rules, STATES.c.classes)
-        row = self.connection.execute(select(*columns).where(STATES.c.wheelset == wheelset)).first()
-        return None if row is None else RollUpState(row.rules, row.classes)
+
+        def read(some: Collection[str]) -> Mapping[str, RollUpState]:
+            columns = (STATES.c.wheelset, STATES.c.rules, STATES.c.classes)
+            rows = self.connection.execute(select(*columns).where(STATES.c.wheelset.in_(some)))
+            return {row.wheelset: RollUpState(row.rules, row.classes) for row in rows}
+
+        return self.once.of_wheelset("roll-up state", wheelset, read)
 
     def of(self, wheelset: str) -> Sequence[RollUp]:
         """Return what is known of the roll-ups of a wheelset, without their sums."""
-        statement = select(*(ROLL_UPS.c[name] for name in KNOWN)).where(ROLL_UPS.c.wheelset == wheelset)
-        return [_roll_up(row) for row in self.connection.execute(statement.order_by(ROLL_UPS.c.number))]
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[RollUp]]:
+            columns = (ROLL_UPS.c.wheelset, *(ROLL_UPS.c[name] for name in KNOWN))
+            statement = select(*columns).where(ROLL_UPS.c.wheelset.in_(some)).order_by(ROLL_UPS.c.number)
+            return by_wheelset(self.connection.execute(statement), _roll_up)
+
+        return self.once.of_wheelset("roll-ups", wheelset, read) or ()
 
     def sums(self, number: int) -> tuple[BinTable, BinTable]:
         """Return the sums of a roll-up, plain and with forgetting; what has been forgotten is nothing.
