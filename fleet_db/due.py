@@ -71,22 +71,13 @@ class WindowDueStore:
 
         return dict(self.once.of_wheelset(f"due {stage}", wheelset, read) or ())
 
-    def settle(self, stage: DueStage, wheelset: str, seen: Mapping[int, int]) -> None:
-        """Remove windows that are of the versions that were seen: those that were listed again since stay due."""
-        keys = [
-            {"of_stage": stage.value, "of_wheelset": wheelset, "of_start_ns": start_ns, "of_version": version}
-            for start_ns, version in seen.items()
-        ]
-        if keys:
-            self.connection.execute(_settled(), keys)
-
     def of_section(self, stage: str, section: str) -> Mapping[WindowKey, int]:
         """Return the due windows of a section with their versions."""
         statement = select(DUE).where(DUE.c.stage == stage, DUE.c.section == section)
         return {(row.wheelset, row.start_ns): row.version for row in self.connection.execute(statement)}
 
     def settle_all(self, stage: str, seen: Mapping[WindowKey, int]) -> None:
-        """Remove windows that are of the versions that were seen."""
+        """Remove windows that are of the versions that were seen: those that were listed again since stay due."""
         names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
         if seen:
             given = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in seen.items()]

@@ -49,7 +49,7 @@ class GeometryStore:
         """Put an estimate in force; False if that of its key has the same inputs, parameters and numerics."""
         news = self.results.put_all(GEOMETRY, [result_of_geometry(record)])
         if news and record.interval is None:
-            self.show_bins(record.wheelset)
+            self.show_bins([record.wheelset])
         return bool(news)
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
@@ -155,16 +155,31 @@ class GeometryStore:
     def bins_are_current(self, wheelset: str) -> bool:
         """Whether the plain rows of bins are those of the current geometry."""
         found = self._current(wheelset)
-        return found is None or found.number == self._shown(wheelset)
+        return found is None or found.number == self._shown([wheelset]).get(wheelset)
 
-    def _shown(self, wheelset: str) -> int | None:
-        return self.connection.scalar(select(BINS.c.geometry_id).where(BINS.c.wheelset == wheelset).limit(1))
+    def _shown(self, wheelsets: Collection[str]) -> Mapping[str, int]:
+        shown = select(BINS.c.wheelset, func.max(BINS.c.geometry_id).label("number")).where(
+            BINS.c.wheelset.in_(wheelsets)
+        )
+        rows = self.connection.execute(shown.group_by(BINS.c.wheelset))
+        return {row.wheelset: row.number for row in rows}
 
-    def show_bins(self, wheelset: str) -> None:
-        """Let the plain rows of bins be those of the current geometry."""
-        found = self._current(wheelset)
-        if found is not None and found.value is not None and found.number != self._shown(wheelset):
-            _replace_bins(self.connection, wheelset, found.number, found.value)
+    def show_bins(self, wheelsets: Collection[str]) -> None:
+        """Let the plain rows of bins of some wheelsets be those of their current geometry."""
+        if not wheelsets:
+            return
+        stored = _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), lambda result: result)
+        newest, shown = {wheelset: _newest(results) for wheelset, results in stored.items()}, self._shown(wheelsets)
+        changed = {
+            serial: (one, one.value)
+            for serial, one in newest.items()
+            if one.value is not None and one.number != shown.get(serial)
+        }
+        rows = [row for result, value in changed.values() for row in _bin_rows(result, value)]
+        if changed:
+            self.connection.execute(delete(BINS).where(BINS.c.wheelset.in_(changed)))
+        if rows:
+            self.connection.execute(insert(BINS), rows)
 
 
 def _by_subject(
@@ -248,14 +263,13 @@ def _conicities(result: Result[WheelsetGeometry]) -> IntervalConicities:
         raise DamagedError(f"{place}: damaged ({error})") from error
 
 
-def _replace_bins(connection: Connection, wheelset: str, geometry_id: int, geometry: WheelsetGeometry) -> None:
-    """Replace the rows of ``wheelset`` by the bins of ``geometry``."""
-    connection.execute(delete(BINS).where(BINS.c.wheelset == wheelset))
-    rows = [
+def _bin_rows(result: Result[WheelsetGeometry], geometry: WheelsetGeometry) -> list[dict[str, Any]]:
+    """Return the bins of a geometry as plain rows."""
+    return [
         {
-            "wheelset": wheelset,
+            "wheelset": result.subject,
             "bin": index,
-            "geometry_id": geometry_id,
+            "geometry_id": result.number,
             "lateral_displacement_low_m": float(geometry.bin_edges[index]),
             "lateral_displacement_high_m": float(geometry.bin_edges[index + 1]),
             "samples": null_if_nan(float(geometry.samples[index])),
@@ -263,8 +277,6 @@ def _replace_bins(connection: Connection, wheelset: str, geometry_id: int, geome
         }
         for index in range(len(geometry.samples))
     ]
-    if rows:
-        connection.execute(insert(BINS), rows)
 
 
 def _bin_columns(geometry: WheelsetGeometry, index: int) -> dict[str, Any]:
