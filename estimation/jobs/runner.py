@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial
-from itertools import islice
+from itertools import dropwhile, islice
 
 from estimation.errors import ConflictError, NotFiniteError, TreadwatchError
 from estimation.jobs.hand_out import hand_out, unit_size
@@ -36,43 +36,57 @@ def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
 
 
 def run_all(stages: Iterable[AnyStage], context: JobContext) -> Counter[str]:
-    """Bring the results of stages up to date, one after the other; return what was counted of all."""
-    counts, waiting = Counter(quarantined=0), deque(stages)
-    isolation = Isolation(context, waiting[0].job)
+    """Bring the results of stages of a job up to date, one after the other; return what was counted of all."""
+    waiting = deque(stages)
+    counts, isolation, looked = Counter(quarantined=0), Isolation(context, waiting[0].job), False
     while waiting:
-        if waiting[0].kind is SubjectKind.WINDOW:
-            _list_again(context, waiting[0].inputs(context))
         due: Mapping[str, Due] = {}
         with context.storage.read() as unit:
-            while waiting and not due:
-                stage = waiting.popleft()
+            if not looked:
+                looked, waiting = True, _not_at_rest(unit, waiting, context, counts)
+            while waiting and not due and _is_listed(unit, stage := waiting[0], context):
+                waiting.popleft()
                 due = _due(unit, stage, context, counts)
             if due:
                 isolation.read(unit)
-        tried = partial(_tried, stage.inputs(context))
-        ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
-        counts.update(_handed_out(stage, context, ready, len(due), isolation) if due else {})
+        if due:
+            tried = partial(_tried, stage.inputs(context))
+            ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
+            counts.update(_handed_out(stage, context, ready, len(due), isolation))
+        elif waiting:
+            with context.storage.write() as unit:
+                unit.marks.list_again(waiting[0].inputs(context))
     counts["quarantined"] += isolation.quarantined
     return counts
 
 
+def _is_listed(unit: UnitOfWork, stage: AnyStage, context: JobContext) -> bool:
+    """Return whether a stage that works window by window has listed all of them with these settings."""
+    return stage.kind is not SubjectKind.WINDOW or unit.marks.has_settings(stage.inputs(context))
+
+
+def _not_at_rest(
+    unit: UnitOfWork, stages: deque[AnyStage], context: JobContext, counts: Counter[str]
+) -> deque[AnyStage]:
+    """Return the stages from the first on of which something is due; count all that the stages have seen as at rest."""
+    for stage in stages:
+        counts.update(dict.fromkeys(stage.counted.names, 0))
+    counted = {stage.name: stage for stage in stages if stage.counted.same is not None}
+    if len(stages) == 1 and not counted:
+        return stages
+    look = unit.marks.look([stage.inputs(context) for stage in stages], context.clock.now_ns(), counted)
+    for name, seen in look.seen.items():
+        counts.update({counted[name].counted.looked: seen, str(counted[name].counted.same): seen})
+    return deque(dropwhile(lambda stage: stage.name not in look.due, stages))
+
+
 def _due(unit: UnitOfWork, stage: AnyStage, context: JobContext, counts: Counter[str]) -> Mapping[str, Due]:
-    """Return what is due of a stage; count what is not."""
-    counts.update(dict.fromkeys(stage.counted.names, 0))
+    """Return what is due of a stage; it is not at rest."""
     due = unit.marks.due(stage.inputs(context), context.clock.now_ns())
     if stage.counted.same is not None:
-        at_rest = unit.marks.count(stage.name) - sum(one.marked for one in due.values())
-        counts.update({stage.counted.looked: at_rest, stage.counted.same: at_rest})
+        marked = sum(one.marked for one in due.values())
+        counts.subtract({stage.counted.looked: marked, stage.counted.same: marked})
     return due
-
-
-def _list_again(context: JobContext, inputs: StageInputs) -> None:
-    """Let a stage that works window by window look at all of them where its settings are others."""
-    with context.storage.read() as unit:
-        same = unit.marks.has_settings(inputs)
-    if not same:
-        with context.storage.write() as unit:
-            unit.marks.list_again(inputs)
 
 
 def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
@@ -112,8 +126,6 @@ def _work(stage: AnyStage, of_run: Isolation | None, context: JobContext, subjec
 def _set_aside(stage: AnyStage, context: JobContext, subject: str, error: TreadwatchError) -> None:
     """Keep a subject in quarantine at which workers have ended."""
     inputs = stage.inputs(context)
-    if stage.kind is SubjectKind.WINDOW:
-        _list_again(context, inputs)
     with context.storage.read() as unit:
         due = unit.marks.due(inputs, context.clock.now_ns(), [subject])
     Isolation(context, stage.job).keep(stage.kind, subject, _tried(inputs, due.get(subject, Due(0))), error)
