@@ -23,7 +23,7 @@ files entered by one frame
     command line, settings, transactions, records of job runs, logs, HTTP without content). Two rows: to the geometry,
     the answer that the frame's own data end in, and to trend and alerts besides.
 SQL statements
-    Of each job over six windows of two wheelsets on a new database (``bench/job_statements.py``).
+    Of each job, in one run of all over six windows of two wheelsets on a new database (``bench/job_statements.py``).
 start
     CPU seconds (user and system) of the command line, median of five.
 loose words

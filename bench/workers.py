@@ -19,7 +19,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
-from sqlalchemy import event
+from sqlalchemy import Engine, event
 
 from api.comparison.trial import Recorded, opened, receive
 from bench.chaos.final_state import final_state
@@ -105,7 +105,7 @@ class Counted:
 
 
 @contextmanager
-def counted(storage: SqlStorage) -> Iterator[Counted]:
+def counted() -> Iterator[Counted]:
     """Count what is asked of a database while the block lasts."""
     found, write = Counted(), SqlStorage.write
 
@@ -120,13 +120,13 @@ def counted(storage: SqlStorage) -> Iterator[Counted]:
         found.writes += 1
         found.writing_s += time.perf_counter() - begin_s
 
-    event.listen(storage.engine, "before_cursor_execute", count)
+    event.listen(Engine, "before_cursor_execute", count)
     SqlStorage.write = timed  # type: ignore[method-assign]
     try:
         yield found
     finally:
         SqlStorage.write = write  # type: ignore[method-assign]
-        event.remove(storage.engine, "before_cursor_execute", count)
+        event.remove(Engine, "before_cursor_execute", count)
 
 
 def rows(folder: Path, vehicles: int, minutes: float, repeats: int, server: str | None) -> Iterator[BenchRow]:
@@ -179,7 +179,7 @@ def _asked(load: Workload, folder: Path, on: str) -> Iterator[BenchRow]:
         with storage.read() as unit:
             windows = unit.windows.counts()["pending"]
         begin_s = time.perf_counter()
-        with counted(storage) as found:
+        with counted() as found:
             _run(estimate_windows.JOB, context)
         took_s = time.perf_counter() - begin_s
     each, writing = found.statements / windows, found.writing_s / took_s

@@ -7,7 +7,7 @@ what it has seen. A window that is gone stays listed until the stage has seen th
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -31,7 +31,8 @@ from estimation.values.adhesion import CREEP
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.subjects import Due, Mark, StageInputs
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
-from fleet_db.rows import table_of
+from fleet_db.read_once import ReadOnce
+from fleet_db.rows import by_wheelset, table_of
 from fleet_db.tables import WearSignatureRow, WindowAdhesionRow, WindowDueRow, WindowRow
 
 DUE, WINDOWS = table_of(WindowDueRow), table_of(WindowRow)
@@ -58,20 +59,17 @@ class WindowDueStore:
     """The due windows of every stage, in one transaction."""
 
     connection: Connection
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def of_wheelset(self, stage: DueStage, wheelset: str) -> Mapping[int, int]:
         """Return start and version of the due windows of a wheelset, oldest first."""
-        statement = select(DUE.c.start_ns, DUE.c.version).where(DUE.c.stage == stage.value, DUE.c.wheelset == wheelset)
-        return {row.start_ns: row.version for row in self.connection.execute(statement.order_by(DUE.c.start_ns))}
 
-    def settle(self, stage: DueStage, wheelset: str, seen: Mapping[int, int]) -> None:
-        """Remove windows that are of the versions that were seen: those that were listed again since stay due."""
-        keys = [
-            {"of_stage": stage.value, "of_wheelset": wheelset, "of_start_ns": start_ns, "of_version": version}
-            for start_ns, version in seen.items()
-        ]
-        if keys:
-            self.connection.execute(_settled(), keys)
+        def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, int]]]:
+            statement = select(DUE).where(DUE.c.stage == stage.value, DUE.c.wheelset.in_(some))
+            rows = self.connection.execute(statement.order_by(DUE.c.start_ns))
+            return by_wheelset(rows, lambda row: (row.start_ns, row.version))
+
+        return dict(self.once.of_wheelset(f"due {stage}", wheelset, read) or ())
 
     def of_section(self, stage: str, section: str) -> Mapping[WindowKey, int]:
         """Return the due windows of a section with their versions."""
@@ -79,7 +77,7 @@ class WindowDueStore:
         return {(row.wheelset, row.start_ns): row.version for row in self.connection.execute(statement)}
 
     def settle_all(self, stage: str, seen: Mapping[WindowKey, int]) -> None:
-        """Remove windows that are of the versions that were seen."""
+        """Remove windows that are of the versions that were seen: those that were listed again since stay due."""
         names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
         if seen:
             given = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in seen.items()]

@@ -170,19 +170,29 @@ def _prolong(prolong: Callable[[], bool], length_s: float, over: threading.Event
             _log.warning("a lease could not be prolonged: %s", error)
 
 
+@dataclass(slots=True)
+class Claims:
+    """What is claimed of a stage under a lease and not free yet."""
+
+    stage: str
+    keys: set[str]
+
+
 @dataclass(frozen=True, slots=True)
 class UnendedLease:
-    """A lease that nobody works under any more.
+    """Claims under a lease that nobody works on any more.
 
     Attributes:
         number: Of the lease.
         stage: Of the work.
         begun_ns: When work on each key was begun under it, ns by the clock of the claims.
+        alone: Whether it is the lease of these claims alone, and ends with them.
     """
 
     number: int
     stage: str
     begun_ns: Mapping[str, int]
+    alone: bool = True
 
 
 @dataclass(slots=True)

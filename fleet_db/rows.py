@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update, and_, bindparam, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.tables import Base
+
+V = TypeVar("V")
 
 
 def table_of(row: type[Base]) -> Table:
@@ -76,6 +78,18 @@ def on_sections(column: ColumnElement[str | None], sections: Collection[str]) ->
     """
     named = column.in_(sorted(set(sections) - {""}))
     return or_(named, column.is_(None)) if "" in sections else named
+
+
+def by_wheelset(rows: Iterable[Any], value: Callable[[Any], V]) -> dict[str, list[V]]:
+    """Return the values of rows by their wheelset, in their order.
+
+    Args:
+        value: Returns that of a row.
+    """
+    found: dict[str, list[V]] = {}
+    for row in rows:
+        found.setdefault(row.wheelset, []).append(value(row))
+    return found
 
 
 def null_if_nan(value: float | None) -> float | None:

@@ -10,7 +10,7 @@ import json
 import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -211,6 +211,7 @@ def guard_connecting(engine: Engine, open_connection: Callable[..., Any]) -> Non
 BUSY_TIMEOUT_MS = 30_000
 BEGIN_OPTION = "sqlite_begin"
 IMMEDIATE = {BEGIN_OPTION: "BEGIN IMMEDIATE"}
+SNAPSHOT = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
 POOL_TIMEOUT_S = 10.0
 """How long a thread waits for one of the connections of its process, in seconds."""
 IDLE_S = 1.0
@@ -274,6 +275,19 @@ def _sqlite_engine(url: URL) -> Engine:
     return engine
 
 
+def reading_engine(engine: Engine) -> Engine:
+    """Return the engine of reading transactions on the same database: on SQLite one whose connections cannot write."""
+    if engine.dialect.name != "sqlite":
+        return engine
+    reading = narrow_statements(_sqlite_engine(engine.url))
+    event.listen(reading, "connect", _forbid_writing)
+    return reading
+
+
+def _forbid_writing(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type
+    connection.execute("PRAGMA query_only = ON").close()
+
+
 def _prepare_sqlite(connection: Any, _entry: ConnectionPoolEntry) -> None:  # noqa: ANN401 - the driver's own type
     connection.isolation_level = None
     cursor = connection.cursor()
@@ -326,6 +340,28 @@ def _prepare_postgresql(limits: ServerLimits, connection: Any, _entry: Connectio
         if limits.statement_s is not None:
             cursor.execute("SELECT set_config('statement_timeout', %s, false)", [str(round(1000 * limits.statement_s))])
     connection.commit()
+
+
+@contextmanager
+def dropped_on_failure(connection: Connection) -> Iterator[None]:
+    """Keep a connection out of the pool where the transaction fails.
+
+    On SQLite a statement that is not read to its end keeps its snapshot for as long as the traceback lives.
+    """
+    try:
+        yield
+    except BaseException:
+        if connection.dialect.name == "sqlite":
+            connection.invalidate()
+        raise
+
+
+def snapshot(connection: Connection) -> AbstractContextManager[object]:
+    """Return the reading transaction of a connection: it sees one snapshot."""
+    if connection.dialect.name == "sqlite":
+        return connection.begin()
+    # committed: the driver forgets with a rollback what the server has prepared, and nothing was written
+    return connection.execution_options(**SNAPSHOT).begin()
 
 
 @contextmanager

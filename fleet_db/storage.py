@@ -10,11 +10,12 @@ from pathlib import Path
 
 from sqlalchemy import Connection, Engine
 
-from estimation.errors import StorageError
+from estimation.errors import ConflictError, LeaseLostError, StorageError
 from estimation.values.runs import Claimed, JobTrigger
 from fleet_db.changes import Changes
 from fleet_db.due import WindowDueStore
 from fleet_db.locks import (
+    Claims,
     Lease,
     UnendedLease,
     UnendedLeases,
@@ -22,7 +23,16 @@ from fleet_db.locks import (
     serialise_vehicle,
     single_writer,
 )
-from fleet_db.session import BUSY_TIMEOUT_MS, IMMEDIATE, sqlite_file, translate_errors
+from fleet_db.read_once import ReadOnce
+from fleet_db.session import (
+    BUSY_TIMEOUT_MS,
+    IMMEDIATE,
+    dropped_on_failure,
+    reading_engine,
+    snapshot,
+    sqlite_file,
+    translate_errors,
+)
 from fleet_db.stores.adhesion import AdhesionStore
 from fleet_db.stores.alerts import AlertStore
 from fleet_db.stores.api_keys import ApiKeyStore
@@ -67,8 +77,6 @@ from fleet_db.subjects import Subjects
 from fleet_db.telemetry import WindowFiles
 from fleet_db.visibility import VISIBLE
 
-SNAPSHOT = {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
-
 
 @dataclass(slots=True)
 class SqlUnitOfWork:
@@ -79,6 +87,8 @@ class SqlUnitOfWork:
     writing: bool
     shipped: Shipped = no_class
     owner: int | None = None  # lease of the process that runs jobs
+    done: set[str] = field(default_factory=set)  # of what is claimed: it is free once this is committed
+    together: set[str] = field(default_factory=set)  # wheelsets of which a reading transaction reads all together
     subjects: Subjects = field(init=False)
     changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
@@ -132,27 +142,28 @@ class SqlUnitOfWork:
         self.raw_marks = RawMarkStore(connection)
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
-        self.registry = RegistryStore(connection, self.changes, self.shipped)
-        self.tracks = TrackStore(connection, self.changes)
+        once = ReadOnce(not self.writing, self.together)
+        self.registry = RegistryStore(connection, self.changes, self.shipped, once=once)
+        self.tracks = TrackStore(connection, self.changes, once)
         self.registry_history = RegistryHistoryStore(connection, self.changes)
         self.sensor_changes = SensorChangeStore(connection, self.changes)
         self.corrections = CorrectionStore(
             connection, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
         self.epochs = EpochStore(connection, self.changes)
-        self.windows = WindowStore(connection, self.changes, self.files)
+        self.windows = WindowStore(connection, self.changes, self.files, once)
         self.assembled = AssembledWindowStore(connection, self.changes, self.files)
         self.tables = BinTableStore(connection, self.changes)
-        self.due = WindowDueStore(connection)
+        self.due = WindowDueStore(connection, once)
         self.marks = StageMarkStore(connection, self.subjects, self.due)
-        self.results = ResultStore(connection, self.changes)
-        self.geometries = GeometryStore(connection, self.results)
+        self.results = ResultStore(connection, self.changes, once)
+        self.geometries = GeometryStore(connection, self.results, once)
         self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection, self.subjects)
         self.adhesion = AdhesionStore(connection, self.subjects)
         self.dampers = DamperStore(connection, self.results)
         self.signatures = SignatureStore(connection, self.subjects)
-        self.alerts = AlertStore(connection, self.writing, self.changes)
+        self.alerts = AlertStore(connection, self.writing, self.changes, once)
         self.plausibility = PlausibilityStore(connection, self.windows)
         self.recorded_times = RecordedTimeStore(connection)
         self.feed_branches = FeedBranchStore(connection)
@@ -164,7 +175,7 @@ class SqlUnitOfWork:
         self.audit = AuditStore(connection)
         self.section_looks = SectionLookStore(connection)
         self.rails = RailsStore(connection, self.subjects)
-        self.roll_ups = RollUpStore(connection)
+        self.roll_ups = RollUpStore(connection, once)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
 
@@ -192,8 +203,10 @@ class SqlStorage:
         patience_s: How long a writing transaction on SQLite waits for that of another process.
         visible_fleets: Codes of the fleets that reading transactions see; None for all.
         lease: Without which nothing is committed; None where none is needed.
+        claims: What is claimed under it and worked on; None where it is not for claims.
         owner: Lease of the process that runs jobs, with which those of its work end; None where there is none.
         unended: Leases of this process that could not be ended yet.
+        reading: Of reading transactions; None is made from ``engine``.
     """
 
     engine: Engine
@@ -202,8 +215,14 @@ class SqlStorage:
     patience_s: float = BUSY_TIMEOUT_MS / 1000
     visible_fleets: frozenset[str] | None = None
     lease: Lease | None = None
+    claims: Claims | None = None
     owner: int | None = None
     unended: UnendedLeases = field(default_factory=UnendedLeases, compare=False, repr=False)
+    reading: Engine | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.reading is None:
+            object.__setattr__(self, "reading", reading_engine(self.engine))
 
     def seen_by(self, fleets: frozenset[str] | None) -> SqlStorage:
         """Return the storage whose reading transactions see only these fleets.
@@ -224,9 +243,11 @@ class SqlStorage:
             StorageError: The database cannot be reached.
         """
         with (
+            self._lost_or_refused(),
             translate_errors(),
             self._write_lock(),
             self.engine.connect().execution_options(**IMMEDIATE) as connection,
+            dropped_on_failure(connection),
             connection.begin(),
         ):
             unit = SqlUnitOfWork(connection, self._files(), writing=True, shipped=self.shipped, owner=self.owner)
@@ -234,8 +255,30 @@ class SqlStorage:
                 unit.work_claims.bound(self.lease.length_s)
             yield unit
             unit.finish()
-            if self.lease is not None:
-                unit.work_claims.check(self.lease.number, self.lease.holder)
+            freed = self._fence(unit)
+        if self.claims is not None:
+            self.claims.keys -= freed
+
+    @contextmanager
+    def _lost_or_refused(self) -> Iterator[None]:
+        """Raise that the lease has ended where others have stored meanwhile what conflicts with this transaction."""
+        try:
+            yield
+        except ConflictError as error:
+            if self.lease is not None and self.lease_lost():
+                raise LeaseLostError(self.lease.holder) from error
+            raise
+
+    def _fence(self, unit: SqlUnitOfWork) -> frozenset[str]:
+        """Raise unless the lease is still there; free what is done, and return it."""
+        if self.lease is None:
+            return frozenset()
+        done = frozenset(() if self.claims is None else self.claims.keys & unit.done)
+        if self.claims is not None and done:
+            unit.work_claims.free(self.lease.number, self.lease.holder, self.claims.stage, done)
+        else:
+            unit.work_claims.check(self.lease.number, self.lease.holder)
+        return done
 
     @contextmanager
     def read(self) -> Iterator[SqlUnitOfWork]:
@@ -247,10 +290,11 @@ class SqlStorage:
         bound = {} if self.visible_fleets is None else {VISIBLE: self.visible_fleets}
         with (
             translate_errors(),
-            self.engine.connect().execution_options(**bound) as connection,
-            _read_only(connection) as reading,
+            (self.reading or self.engine).connect().execution_options(**bound) as connection,
+            dropped_on_failure(connection),
+            snapshot(connection),
         ):
-            yield SqlUnitOfWork(reading, self._files(), writing=False, shipped=self.shipped)
+            yield SqlUnitOfWork(connection, self._files(), writing=False, shipped=self.shipped)
 
     @contextmanager
     def owned(self, kind: JobTrigger, holder: str, length_s: float) -> Iterator[SqlStorage]:
@@ -292,9 +336,11 @@ class SqlStorage:
     ) -> Iterator[tuple[SqlStorage, Claimed]]:
         """Claim what is free and yield a storage that commits nothing once the claim has ended.
 
-        The claim is prolonged until the block ends, and forgotten then, however it ends. Where the process is killed
-        or stands still it ends by itself after ``length_s``. Where the database is out of reach at the end, it ends
-        with the next one of this process.
+        The claim is made under the lease of the process that runs the job where it is this one, else under a lease of
+        its own, which is prolonged until the block ends. It is forgotten with the transaction that stores its work
+        (``done``), or when the block ends, however it does. Where the process is killed or stands still it ends by
+        itself after ``length_s``. Where the database is out of reach at the end, it ends with the next one of this
+        process.
 
         Args:
             stage: Of the work, such as the name of a job.
@@ -308,22 +354,38 @@ class SqlStorage:
             LeaseLostError: In transactions of the storage: the lease has ended meanwhile.
             StorageError: The database cannot be reached.
         """
-        left = self.unended.left()
-        with self.write() as writing:
-            for one in left:
-                writing.work_claims.end_late(one)
-            number = writing.work_claims.lease(holder, round(length_s * 1e9), owner or self.owner, unit)
-            claimed = writing.work_claims.take(number, stage, keys, alone=alone)
-        self.unended.ended(left)
+        own = self.lease if self.owner is not None and owner in {None, self.owner} else None
+        left, unfenced = self.unended.left(), replace(self, lease=None, claims=None)
         try:
-            with prolonged(partial(self._prolong, number), length_s):
-                yield replace(self, lease=Lease(number, holder, length_s)), claimed
+            with unfenced.write() as writing:
+                writing.work_claims.bound(length_s)
+                for one in left:
+                    writing.work_claims.end_late(one)
+                lease = own or Lease(
+                    writing.work_claims.lease(holder, round(length_s * 1e9), owner, unit), holder, length_s
+                )
+                claimed = writing.work_claims.take(lease.number, stage, keys, alone=alone)
+        except ConflictError:  # there is no lease of that number any more
+            raise LeaseLostError(holder) from None
+        self.unended.ended(left)
+        claims = Claims(stage, set(claimed.keys))
+        try:
+            with nullcontext() if own else prolonged(partial(self._prolong, lease.number), length_s):
+                yield replace(self, lease=lease, claims=claims), claimed
         finally:
             try:
-                with self.write() as writing:
-                    writing.work_claims.end(number)
+                unfenced._end_claims(lease.number, claims, alone=own is None)  # noqa: SLF001 - of this class
             except StorageError:  # out of reach
-                self.unended.add(UnendedLease(number, stage, claimed.begun_ns))
+                self.unended.add(UnendedLease(lease.number, stage, claimed.begun_ns, alone=own is None))
+
+    def _end_claims(self, lease: int, claims: Claims, *, alone: bool) -> None:
+        if not alone and not claims.keys:
+            return
+        with self.write() as unit:
+            if alone:
+                unit.work_claims.end(lease)
+            else:
+                unit.work_claims.forget(lease, claims.stage, claims.keys)
 
     def lease_lost(self) -> bool:
         """Return whether the lease of this storage has ended.
@@ -342,7 +404,8 @@ class SqlStorage:
 
     def close(self) -> None:
         """Close every connection."""
-        self.engine.dispose()
+        for engine in (self.engine, self.reading or self.engine):
+            engine.dispose()
 
     def _write_lock(self) -> AbstractContextManager[None]:
         file = sqlite_file(self.engine)
@@ -352,19 +415,3 @@ class SqlStorage:
 
     def _files(self) -> WindowFiles:
         return WindowFiles(self.data_dir / "windows")
-
-
-@contextmanager
-def _read_only(connection: Connection) -> Iterator[Connection]:
-    if connection.dialect.name != "sqlite":
-        # committed: the driver forgets with a rollback what the server has prepared, and nothing was written
-        with connection.execution_options(**SNAPSHOT).begin():
-            yield connection
-        return
-    with connection.begin() as transaction:
-        connection.exec_driver_sql("PRAGMA query_only = ON")
-        try:
-            yield connection
-        finally:
-            connection.exec_driver_sql("PRAGMA query_only = OFF")
-            transaction.rollback()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -80,7 +81,7 @@ def _drop_folder(
     def vehicle_of(path: Path) -> str:
         return vehicle or vehicle_in_name(path)
 
-    patient = SqlStorage(storage.engine, storage.data_dir, storage.shipped, RECEIPT_PATIENCE_S)
+    patient = replace(storage, patience_s=RECEIPT_PATIENCE_S)
     raw = raw_store(settings)
     wanted = DropSettings(folder, quiet_s, settings.max_chunk_mb * MEGABYTE, vehicle_of)
     chunks = ChunkStorage(patient, raw, SystemClock(), announce)

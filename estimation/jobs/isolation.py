@@ -30,8 +30,12 @@ class Isolation:
 
     context: JobContext
     stage: str
-    _read: dict[tuple[SubjectKind, str], Quarantined] | None = field(init=False, default=None)
+    _read: dict[tuple[SubjectKind, str], Quarantined] | None = None
     _kept_out: set[tuple[SubjectKind, str]] = field(init=False, default_factory=set)
+
+    def of_claims(self, context: JobContext) -> Isolation:
+        """Return the quarantine for work under claims, which counts by itself; what is held is known already."""
+        return Isolation(context, self.stage, self._read)
 
     def read(self, unit: UnitOfWork) -> None:
         """Read what is held, where that was not done yet; else it is read when it is asked for."""

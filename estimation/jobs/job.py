@@ -178,11 +178,11 @@ def run_job(
         counts = {"done": reached[-1][0], "total": reached[-1][1]}
     try:
         with context.storage.write() as unit:
-            unit.jobs.finish(begun.run_id, outcome, counts, context.clock.now_ns(), error)
+            return unit.jobs.finish(begun.run_id, outcome, counts, context.clock.now_ns(), error)
     except (ConflictError, LeaseLostError) as conflict:  # a scheduler that started meanwhile has given this run up
         _log.warning("job %s: %s", job.name, conflict)
-    with context.storage.read() as unit:
-        return unit.jobs.get(begun.run_id)
+        with context.storage.read() as unit:
+            return unit.jobs.get(begun.run_id)
 
 
 def _remember(

@@ -21,7 +21,7 @@ from estimation.dampers.pooled import DamperParameters, gear_damper
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.made_from import made_from
-from estimation.jobs.runner import run as run_stage
+from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns
 from estimation.jobs.steps.window_creep import CreepInputs, CreepOfWindow, creep_inputs, creep_of_window
@@ -350,9 +350,7 @@ OF_SECTIONS = Stage(
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Look at the creep of new windows, and at the friction of their sections."""
-    counts: Counter[str] = Counter()
-    for stage in (FIRST, OF_WINDOWS, OF_VEHICLES, OF_SECTIONS):
-        counts.update(run_stage(stage, context))
+    counts = run_all((FIRST, OF_WINDOWS, OF_VEHICLES, OF_SECTIONS), context)
     if counts["estimated_again"]:
         estimate_windows.run(context)
         refresh_geometry.JOB.run(context)

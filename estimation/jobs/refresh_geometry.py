@@ -99,33 +99,27 @@ def store(
     unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[GeometryInputs | None, Outcome[WheelsetGeometry]]]
 ) -> Mapping[str, int]:
     """Store the roll-ups, and the bins of the current geometry as plain rows."""
-    for serial, (inputs, _) in made.items():
-        if inputs is None:
-            continue
-        if inputs.whole:
-            _store_whole(unit, serial, inputs, context.clock.now_ns())
-        else:
-            unit.roll_ups.put_state(serial, _BEING_MADE)
-            unit.roll_ups.put(serial, inputs.parts, context.clock.now_ns())
+    inputs = {serial: one for serial, (one, _) in made.items() if one is not None}
+    whole = {serial: one for serial, one in inputs.items() if one.whole}
+    being_made = {serial: _BEING_MADE for serial in inputs if serial not in whole}
+    due = {serial: one.rolled.rolled for serial, one in whole.items() if one.rolled.rolled.due}
+    current = (serial for serial, one in whole.items() if any(record.interval is None for record in one.records))
+    unit.geometries.show_bins(list(current))
+    parts = {serial: one.parts for serial, one in inputs.items() if serial in due or serial in being_made}
+    unit.roll_ups.put(parts, context.clock.now_ns())
+    unit.tables.note_running({serial: one.mileages for serial, one in due.items()})
+    looked_at = {(serial, at_ns): version for serial, one in due.items() for at_ns, version in one.looked_at.items()}
+    unit.due.settle_all(DueStage.SUMS, looked_at)
+    unit.roll_ups.put_states(being_made | {serial: one.state for serial, one in due.items()})
+    for serial, one in due.items():
+        unit.roll_ups.drop(serial, one.dropped)
+        unit.roll_ups.forget(serial, whole[serial].rolled.forgotten())
+    earlier = {serial: one.rolled.earlier for serial, one in whole.items()}
+    unit.roll_ups.put_earlier({serial: sums for serial, sums in earlier.items() if sums is not None})
+    unit.roll_ups.put_rolling([sums for one in whole.values() for sums in one.rolled.radius.fresh.values()])
+    chosen = {serial: [at for part in one.parts for _, at in part.roll_up.chosen] for serial, one in due.items()}
+    unit.roll_ups.keep_rolling(chosen)
     return {}
-
-
-def _store_whole(unit: UnitOfWork, serial: str, inputs: GeometryInputs, now_ns: int) -> None:
-    geometries, rolled = inputs.rolled, inputs.rolled.rolled
-    if any(record.interval is None for record in inputs.records):
-        unit.geometries.show_bins(serial)
-    if rolled.due:
-        unit.roll_ups.put(serial, inputs.parts, now_ns)
-        unit.tables.note_running(serial, rolled.mileages)
-        unit.due.settle(DueStage.SUMS, serial, rolled.looked_at)
-        unit.roll_ups.drop(serial, rolled.dropped)
-        unit.roll_ups.put_state(serial, rolled.state)
-        unit.roll_ups.forget(serial, geometries.forgotten())
-    if geometries.earlier is not None:
-        unit.roll_ups.put_earlier(serial, *geometries.earlier)
-    unit.roll_ups.put_rolling(list(geometries.radius.fresh.values()))
-    if rolled.due:
-        unit.roll_ups.keep_rolling(serial, [start for part in rolled.parts for _, start in part.roll_up.chosen])
 
 
 GEOMETRY = Stage(

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.runner import run
+from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anchors
 from estimation.jobs.steps.rail_cells import CELL_VERSION, WheelsetCells, wheelset_cells
@@ -207,10 +207,7 @@ OF_ALL = Stage(
 
 
 def _run(context: JobContext) -> Mapping[str, int]:
-    counts: Counter[str] = Counter()
-    for stage in (OF_WHEELSETS, OF_ALL):
-        for name, count in run(stage, context).items():
-            counts[name] += count
+    counts = run_all((OF_WHEELSETS, OF_ALL), context)
     del counts[OF_ALL.counted.looked]
     return counts
 

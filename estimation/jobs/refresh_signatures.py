@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from estimation.errors import DamagedError
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.runner import run as run_stage
+from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.identities import identity_change, suspected
 from estimation.jobs.steps.signature_entries import Entries, EntryReader
@@ -298,10 +298,8 @@ OF_ALL = Stage(
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Make signatures of new windows, and answers of wheelsets for which something has changed."""
-    counts: Counter[str] = Counter()
-    for stage in (ASSUMED, OF_WINDOWS, OF_ALL):
-        found = run_stage(stage, context)
-        counts.update({name: count for name, count in found.items() if name not in BESIDE})
+    found = run_all((ASSUMED, OF_WINDOWS, OF_ALL), context)
+    counts = {name: count for name, count in found.items() if name not in BESIDE}
     with context.storage.read() as unit:
         counts["unchanged"] = len(unit.results.made_from(ANSWERS)) - counts["answered"]
     return counts

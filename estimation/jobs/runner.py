@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial
-from itertools import islice
+from itertools import dropwhile, islice
 
 from estimation.errors import ConflictError, NotFiniteError, TreadwatchError
 from estimation.jobs.hand_out import hand_out, unit_size
@@ -37,51 +37,71 @@ def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
 
 
 def run_all(stages: Iterable[AnyStage], context: JobContext) -> Counter[str]:
-    """Bring the results of stages up to date, one after the other; return what was counted of all."""
-    counts, waiting = Counter(quarantined=0), deque(stages)
+    """Bring the results of stages of a job up to date, one after the other; return what was counted of all."""
+    waiting = deque(stages)
+    counts, isolation, looked = Counter(quarantined=0), Isolation(context, waiting[0].job), False
     while waiting:
-        if waiting[0].kind is SubjectKind.WINDOW:
-            _list_again(context, waiting[0].inputs(context))
         due: Mapping[str, Due] = {}
         with context.storage.read() as unit:
-            while waiting and not due:
-                stage = waiting.popleft()
+            if not looked:
+                looked, waiting = True, _not_at_rest(unit, waiting, context, counts)
+            while waiting and not due and _is_listed(unit, stage := waiting[0], context):
+                waiting.popleft()
                 due = _due(unit, stage, context, counts)
-            isolation = Isolation(context, stage.job)
             if due:
                 isolation.read(unit)
-        tried = partial(_tried, stage.inputs(context))
-        ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
-        counts["quarantined"] += isolation.quarantined
-        counts.update(_handed_out(stage, context, ready, len(due)) if due else {})
+        if due:
+            tried = partial(_tried, stage.inputs(context))
+            ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
+            counts.update(_handed_out(stage, context, ready, len(due), isolation))
+        elif waiting:
+            with context.storage.write() as unit:
+                unit.marks.list_again(waiting[0].inputs(context))
+    counts["quarantined"] += isolation.quarantined
     return counts
 
 
+def _is_listed(unit: UnitOfWork, stage: AnyStage, context: JobContext) -> bool:
+    """Return whether a stage that works window by window has listed all of them with these settings."""
+    return stage.kind is not SubjectKind.WINDOW or unit.marks.has_settings(stage.inputs(context))
+
+
+def _not_at_rest(
+    unit: UnitOfWork, stages: deque[AnyStage], context: JobContext, counts: Counter[str]
+) -> deque[AnyStage]:
+    """Return the stages from the first on of which something is due; count all that the stages have seen as at rest."""
+    for stage in stages:
+        counts.update(dict.fromkeys(stage.counted.names, 0))
+    counted = {stage.name: stage for stage in stages if stage.counted.same is not None}
+    if len(stages) == 1 and not counted:
+        return stages
+    look = unit.marks.look([stage.inputs(context) for stage in stages], context.clock.now_ns(), counted)
+    for name, seen in look.seen.items():
+        counts.update({counted[name].counted.looked: seen, str(counted[name].counted.same): seen})
+    return deque(dropwhile(lambda stage: stage.name not in look.due, stages))
+
+
 def _due(unit: UnitOfWork, stage: AnyStage, context: JobContext, counts: Counter[str]) -> Mapping[str, Due]:
-    """Return what is due of a stage; count what is not."""
-    counts.update(dict.fromkeys(stage.counted.names, 0))
+    """Return what is due of a stage; it is not at rest."""
     due = unit.marks.due(stage.inputs(context), context.clock.now_ns())
     if stage.counted.same is not None:
-        at_rest = unit.marks.count(stage.name) - sum(one.marked for one in due.values())
-        counts.update({stage.counted.looked: at_rest, stage.counted.same: at_rest})
+        marked = sum(one.marked for one in due.values())
+        counts.subtract({stage.counted.looked: marked, stage.counted.same: marked})
     return due
 
 
-def _list_again(context: JobContext, inputs: StageInputs) -> None:
-    """Let a stage that works window by window look at all of them where its settings are others."""
-    with context.storage.read() as unit:
-        same = unit.marks.has_settings(inputs)
-    if not same:
-        with context.storage.write() as unit:
-            unit.marks.list_again(inputs)
+def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
+    """Return the work of a stage in units, as it is handed out to processes.
+
+    Args:
+        isolation: Of the run, where this process does the work.
+    """
+    return Work(stage.name, partial(_work, stage, isolation), partial(_set_aside, stage))
 
 
-def work_of(stage: AnyStage) -> Work:
-    """Return the work of a stage in units, as it is handed out to processes."""
-    return Work(stage.name, partial(_work, stage), partial(_set_aside, stage))
-
-
-def _handed_out(stage: AnyStage, context: JobContext, ready: Sequence[str], total: int) -> Counter[str]:
+def _handed_out(
+    stage: AnyStage, context: JobContext, ready: Sequence[str], total: int, isolation: Isolation
+) -> Counter[str]:
     size = unit_size(context, len(ready), CLAIMED_TOGETHER * stage.at_once)
     done = total - len(ready)
 
@@ -91,12 +111,13 @@ def _handed_out(stage: AnyStage, context: JobContext, ready: Sequence[str], tota
         context.checkpoint(done, total)
 
     context.checkpoint(done, total)
-    return hand_out(context, work_of(stage), _batches(ready, size), progress)
+    return hand_out(context, work_of(stage, isolation), _batches(ready, size), progress)
 
 
-def _work(stage: AnyStage, context: JobContext, subjects: Sequence[str]) -> Mapping[str, int]:
+def _work(stage: AnyStage, of_run: Isolation | None, context: JobContext, subjects: Sequence[str]) -> Mapping[str, int]:
     """Do subjects that are claimed, some in a transaction."""
-    working = _Working(stage, context, stage.inputs(context), Isolation(context, stage.job))
+    isolation = Isolation(context, stage.job) if of_run is None else of_run.of_claims(context)
+    working = _Working(stage, context, stage.inputs(context), isolation)
     for batch in _batches(subjects, stage.at_once):
         working.do(batch)
     working.counts["quarantined"] = working.isolation.quarantined
@@ -106,8 +127,6 @@ def _work(stage: AnyStage, context: JobContext, subjects: Sequence[str]) -> Mapp
 def _set_aside(stage: AnyStage, context: JobContext, subject: str, error: TreadwatchError) -> None:
     """Keep a subject in quarantine at which workers have ended."""
     inputs = stage.inputs(context)
-    if stage.kind is SubjectKind.WINDOW:
-        _list_again(context, inputs)
     with context.storage.read() as unit:
         due = unit.marks.due(inputs, context.clock.now_ns(), [subject])
     Isolation(context, stage.job).keep(stage.kind, subject, _tried(inputs, due.get(subject, Due(0))), error)
@@ -133,6 +152,8 @@ class _Working:
             with self.context.storage.read() as unit:
                 due = unit.marks.due(self.inputs, self.context.clock.now_ns(), subjects)
                 self.isolation.read(unit)
+                if self.stage.kind is SubjectKind.WHEELSET:
+                    unit.together.update(due)
                 loaded = self.stage.load(unit, list(due), self.context) if due else {}
             made = self._computed(due, loaded)
             self._store(due, loaded, made)
@@ -183,6 +204,7 @@ class _Working:
                 stored.update(self.stage.store(unit, self.context, computed))
             whole = {subject: one.mark(due[subject]) for subject, one in made.items() if not one.more}
             unit.marks.note(self.inputs, whole)
+            unit.done.update(whole)
         self.counts.update(stored)
         looked = {subject: one for subject, one in made.items() if subject in loaded and not one.more}
         self._count(looked, {result.subject for result in changed}, len(changed))

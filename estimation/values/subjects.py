@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -61,6 +62,14 @@ class Due:
     made_from: str | None = None
     marked: bool = False
     again_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """Of which stages something is due, and how many subjects stages have seen, by name."""
+
+    due: frozenset[str]
+    seen: Mapping[str, int]
 
 
 @dataclass(frozen=True, slots=True)

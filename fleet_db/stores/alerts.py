@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from sqlalchemy import Connection, Select, insert, select, update
@@ -16,6 +16,8 @@ from estimation.values.subjects import Facet
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
+from fleet_db.read_once import ReadOnce
+from fleet_db.rows import by_wheelset
 from fleet_db.session import to_json
 from fleet_db.stores.alert_queries import (
     ALERTS,
@@ -44,6 +46,7 @@ class AlertStore:
     connection: Connection
     writing: bool
     changes: Changes
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]:
         """Return open alerts by number, of one wheelset or of all."""
@@ -105,8 +108,14 @@ class AlertStore:
 
     def of_kind(self, kind: str, wheelsets: Collection[str]) -> Sequence[Alert]:
         """Return every alert of a kind that there has been of some wheelsets, by number."""
-        chosen = (ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(wheelsets))
-        return self._alerts(select(ALERTS).where(*chosen).order_by(ALERTS.c.alert_id))
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[Alert]]:
+            chosen = (ALERTS.c.kind == kind, ALERTS.c.wheelset.in_(some))
+            alerts = self._alerts(select(ALERTS).where(*chosen).order_by(ALERTS.c.alert_id))
+            return by_wheelset(alerts, lambda alert: alert)
+
+        found = self.once.of_wheelsets(f"alerts {kind}", wheelsets, read)
+        return sorted((alert for own in found.values() for alert in own), key=lambda alert: alert.alert_id)
 
     def outlines(
         self, choice: AlertChoice, after_id: int | None, limit: int, *, newest_first: bool = False

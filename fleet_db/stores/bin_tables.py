@@ -132,9 +132,13 @@ class BinTableStore:
         statement = _without_tables().where(*within, *read).order_by(TABLES.c.start_ns.desc()).limit(1)
         return next(iter(self._tabled(statement)), None)
 
-    def note_running(self, wheelset: str, mileages: Mapping[int, float]) -> None:
-        """Keep the mileages that a wheelset had run at windows, by start."""
-        rows = [{"wheelset": wheelset, "start_ns": at_ns, "running_km": km} for at_ns, km in mileages.items()]
+    def note_running(self, mileages: Mapping[str, Mapping[int, float]]) -> None:
+        """Keep the mileages that wheelsets had run at windows, by serial and start."""
+        rows = [
+            {"wheelset": wheelset, "start_ns": at_ns, "running_km": km}
+            for wheelset, own in mileages.items()
+            for at_ns, km in own.items()
+        ]
         replace_all(self.connection, TABLES, rows)
 
     def cells_of(self, wheelset: str, starts: Sequence[int]) -> Iterator[tuple[int, FilledCells]]:

@@ -28,7 +28,7 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.measured_profiles import stored_measurement
-from fleet_db.stores.mountings import delete_mounting, mountings_of, mountings_on
+from fleet_db.stores.mountings import delete_mounting, mountings_on
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_numbers import give_up_number
@@ -111,7 +111,7 @@ class CorrectionStore:
 
     def _on_file(self, key: RecordKey) -> object | None:
         if key.kind is RecordKind.MOUNTING:
-            return next((m for m in mountings_of(self.connection, key.subject) if m.from_ns == key.at_ns), None)
+            return next((m for m in self.registry.mountings(key.subject) if m.from_ns == key.at_ns), None)
         if key.kind is RecordKind.SECTION:
             return self.connection.execute(
                 select(SECTIONS).where(SECTIONS.c.code == key.subject, SECTIONS.c.number > 0)
@@ -160,7 +160,7 @@ class CorrectionStore:
         record = self.registry.wheelset(key.subject)
         if self.registry.voided(key.subject):
             raise NotFoundError(key.kind.value, _name(key))
-        mounted = mountings_of(self.connection, key.subject)
+        mounted = self.registry.mountings(key.subject)
         if mounted:
             reason = f"wheelset {key.subject!r} is mounted on {mounted[-1].vehicle!r}: void its mountings first"
             raise ConflictError(reason, kind=key.kind.value, key=key.subject)

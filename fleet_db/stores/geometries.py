@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import starmap
-from typing import Any
+from typing import Any, TypeVar
 
 from sqlalchemy import Connection, delete, exists, func, insert, select
 
@@ -24,10 +24,12 @@ from estimation.values.geometry_results import MOST_INTERVALS, key_of_part, part
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import Result
+from fleet_db.read_once import ReadOnce
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
 from fleet_db.tables import WheelsetBinRow, WheelsetRow, WindowBinTableRow
 
+V = TypeVar("V")
 BINS = table_of(WheelsetBinRow)
 UNITS = {name: "rad" if name.startswith("contact_angle") else "m" for name in COMBINATIONS}
 TABLES, WHEELSETS = table_of(WindowBinTableRow), table_of(WheelsetRow)
@@ -41,12 +43,13 @@ class GeometryStore:
 
     connection: Connection
     results: ResultStore
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def put(self, record: GeometryRecord) -> bool:
         """Put an estimate in force; False if that of its key has the same inputs, parameters and numerics."""
         news = self.results.put_all(GEOMETRY, [result_of_geometry(record)])
         if news and record.interval is None:
-            self.show_bins(record.wheelset)
+            self.show_bins([record.wheelset])
         return bool(news)
 
     def current(self, wheelset: str, as_of_ns: int | None = None) -> GeometryRecord | None:
@@ -59,9 +62,7 @@ class GeometryStore:
 
     def current_of(self, wheelsets: Collection[str]) -> Mapping[str, GeometryRecord]:
         """Return what :meth:`current` does of each of some wheelsets that has one, by serial."""
-        found: dict[str, list[Result[WheelsetGeometry]]] = {}
-        for result in self.results.in_force(GEOMETRY, wheelsets, None, CURRENT):
-            found.setdefault(result.subject, []).append(result)
+        found = _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), lambda result: result)
         return {wheelset: _record(_newest(results)) for wheelset, results in found.items()}
 
     def version(self, wheelset: str) -> tuple[int, int] | None:
@@ -86,16 +87,19 @@ class GeometryStore:
 
     def baselines(self, wheelset: str) -> Sequence[GeometryRecord]:
         """Return the current geometry of each baseline that there has been, by its number."""
-        return [_record(result) for result in self.results.in_force(GEOMETRY, [wheelset], None, CURRENT)]
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[GeometryRecord]]:
+            return _by_subject(self.results.in_force(GEOMETRY, some, None, CURRENT), _record)
+
+        return self.once.of_wheelset("current geometries", wheelset, read) or ()
 
     def interval_digests(self, wheelset: str) -> Mapping[tuple[int, int], IntervalDigest]:
         """Return by baseline and interval what the newest geometry was made from, and why it holds no number."""
-        digests = {}
-        for result in self.results.heads(GEOMETRY, [wheelset], INTERVALS):
-            (baseline, interval), windows = key_of_part(result.part), _head(result)["windows"]
-            reason = None if result.status is Status.ESTIMATED else result.reason
-            digests[baseline, interval or 0] = IntervalDigest(result.made_from, windows, reason)
-        return digests
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[tuple[int, int], IntervalDigest]]]:
+            return _by_subject(self.results.heads(GEOMETRY, some, INTERVALS), _interval_digest)
+
+        return dict(self.once.of_wheelset("interval digests", wheelset, read) or ())
 
     def interval_numbers(self, wheelset: str, baseline: int) -> Mapping[int, int]:
         """Return by interval the number of its newest geometry."""
@@ -151,16 +155,46 @@ class GeometryStore:
     def bins_are_current(self, wheelset: str) -> bool:
         """Whether the plain rows of bins are those of the current geometry."""
         found = self._current(wheelset)
-        return found is None or found.number == self._shown(wheelset)
+        return found is None or found.number == self._shown([wheelset]).get(wheelset)
 
-    def _shown(self, wheelset: str) -> int | None:
-        return self.connection.scalar(select(BINS.c.geometry_id).where(BINS.c.wheelset == wheelset).limit(1))
+    def _shown(self, wheelsets: Collection[str]) -> Mapping[str, int]:
+        shown = select(BINS.c.wheelset, func.max(BINS.c.geometry_id).label("number")).where(
+            BINS.c.wheelset.in_(wheelsets)
+        )
+        rows = self.connection.execute(shown.group_by(BINS.c.wheelset))
+        return {row.wheelset: row.number for row in rows}
 
-    def show_bins(self, wheelset: str) -> None:
-        """Let the plain rows of bins be those of the current geometry."""
-        found = self._current(wheelset)
-        if found is not None and found.value is not None and found.number != self._shown(wheelset):
-            _replace_bins(self.connection, wheelset, found.number, found.value)
+    def show_bins(self, wheelsets: Collection[str]) -> None:
+        """Let the plain rows of bins of some wheelsets be those of their current geometry."""
+        if not wheelsets:
+            return
+        stored = _by_subject(self.results.in_force(GEOMETRY, wheelsets, None, CURRENT), lambda result: result)
+        newest, shown = {wheelset: _newest(results) for wheelset, results in stored.items()}, self._shown(wheelsets)
+        changed = {
+            serial: (one, one.value)
+            for serial, one in newest.items()
+            if one.value is not None and one.number != shown.get(serial)
+        }
+        rows = [row for result, value in changed.values() for row in _bin_rows(result, value)]
+        if changed:
+            self.connection.execute(delete(BINS).where(BINS.c.wheelset.in_(changed)))
+        if rows:
+            self.connection.execute(insert(BINS), rows)
+
+
+def _by_subject(
+    results: Iterable[Result[WheelsetGeometry]], value: Callable[[Result[WheelsetGeometry]], V]
+) -> dict[str, list[V]]:
+    found: dict[str, list[V]] = {}
+    for result in results:
+        found.setdefault(result.subject, []).append(value(result))
+    return found
+
+
+def _interval_digest(result: Result[WheelsetGeometry]) -> tuple[tuple[int, int], IntervalDigest]:
+    (baseline, interval), windows = key_of_part(result.part), _head(result)["windows"]
+    reason = None if result.status is Status.ESTIMATED else result.reason
+    return (baseline, interval or 0), IntervalDigest(result.made_from, windows, reason)
 
 
 def _newest(results: Sequence[Result[WheelsetGeometry]]) -> Result[WheelsetGeometry]:
@@ -229,14 +263,13 @@ def _conicities(result: Result[WheelsetGeometry]) -> IntervalConicities:
         raise DamagedError(f"{place}: damaged ({error})") from error
 
 
-def _replace_bins(connection: Connection, wheelset: str, geometry_id: int, geometry: WheelsetGeometry) -> None:
-    """Replace the rows of ``wheelset`` by the bins of ``geometry``."""
-    connection.execute(delete(BINS).where(BINS.c.wheelset == wheelset))
-    rows = [
+def _bin_rows(result: Result[WheelsetGeometry], geometry: WheelsetGeometry) -> list[dict[str, Any]]:
+    """Return the bins of a geometry as plain rows."""
+    return [
         {
-            "wheelset": wheelset,
+            "wheelset": result.subject,
             "bin": index,
-            "geometry_id": geometry_id,
+            "geometry_id": result.number,
             "lateral_displacement_low_m": float(geometry.bin_edges[index]),
             "lateral_displacement_high_m": float(geometry.bin_edges[index + 1]),
             "samples": null_if_nan(float(geometry.samples[index])),
@@ -244,8 +277,6 @@ def _replace_bins(connection: Connection, wheelset: str, geometry_id: int, geome
         }
         for index in range(len(geometry.samples))
     ]
-    if rows:
-        connection.execute(insert(BINS), rows)
 
 
 def _bin_columns(geometry: WheelsetGeometry, index: int) -> dict[str, Any]:

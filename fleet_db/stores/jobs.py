@@ -44,23 +44,25 @@ class JobRunStore:
 
     def finish(
         self, run_id: int, outcome: JobOutcome, counts: Mapping[str, int], finished_ns: int, error: str | None = None
-    ) -> None:
-        """Record how a run ended.
+    ) -> JobRun:
+        """Record how a run ended; return its record.
 
         Raises:
             NotFoundError: There is no such run.
             ConflictError: It has ended already (it may have been given up as abandoned).
         """
-        result = self.connection.execute(
+        row = self.connection.execute(
             update(RUNS)
             .where(RUNS.c.run_id == run_id, RUNS.c.outcome == JobOutcome.RUNNING.value)
             .values(outcome=outcome.value, counts=dict(counts), finished_ns=finished_ns, error=error)
-        )
-        if result.rowcount == 0:
+            .returning(RUNS)
+        ).first()
+        if row is None:
             ended = self.get(run_id)
             raise ConflictError(
                 f"run {run_id} of {ended.job} has ended: {ended.outcome}", kind="job run", key=str(run_id)
             )
+        return _run(row, ())
 
     def abandon_running(self, finished_ns: int) -> int:
         """Mark every run as abandoned whose process is gone; return how many."""

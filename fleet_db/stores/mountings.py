@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -64,10 +64,13 @@ def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int)
     return [to_mounting(row) for row in connection.execute(statement)]
 
 
-def mountings_of(connection: Connection, wheelset: str) -> Sequence[Mounting]:
-    """Return every mounting of a wheelset, oldest first."""
-    statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset == wheelset).order_by(MOUNTINGS.c.from_ns)
-    return [to_mounting(row) for row in connection.execute(statement)]
+def mountings_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, list[Mounting]]:
+    """Return every mounting of some wheelsets by serial, oldest first; one without a mounting is left out."""
+    statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(wheelsets)).order_by(MOUNTINGS.c.from_ns)
+    found: dict[str, list[Mounting]] = {}
+    for row in connection.execute(statement):
+        found.setdefault(row.wheelset, []).append(to_mounting(row))
+    return found
 
 
 def mounting_on_file(connection: Connection, record: Mounting) -> Mounting | None:

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, func, select, update
+from sqlalchemy import Connection, exists, func, select, update
 
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import MileageReading, PassedOver, WindowMark, WindowState
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import replace_all, table_of
 from fleet_db.stores.windows import WindowStore, implausible_reason
-from fleet_db.tables import ChunkRow, WindowRow
+from fleet_db.tables import ChunkRow, WheelsetRow, WindowRow
 
-WINDOWS, CHUNKS = table_of(WindowRow), table_of(ChunkRow)
+WINDOWS, CHUNKS, WHEELSETS = table_of(WindowRow), table_of(ChunkRow), table_of(WheelsetRow)
 READING = (WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m, WINDOWS.c.off_line_m)
 
 
@@ -108,6 +108,9 @@ class PlausibilityStore:
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:
         """Return how many windows of a wheelset that start at or after a time are not believed, by code."""
+        some = self.windows.once.of_wheelset("left out", wheelset, self._some_left_out)
+        if not some:
+            return {}
         statement = (
             select(WINDOWS.c.implausible_code, func.count())
             .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
@@ -116,6 +119,12 @@ class PlausibilityStore:
             .order_by(WINDOWS.c.implausible_code)
         )
         return {ReasonCode(code): int(count) for code, count in self.connection.execute(statement)}
+
+    def _some_left_out(self, wheelsets: Collection[str]) -> Mapping[str, bool]:
+        left_out = exists().where(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.implausible_code.is_not(None))
+        return dict.fromkeys(
+            self.connection.scalars(select(WHEELSETS.c.serial).where(WHEELSETS.c.serial.in_(wheelsets), left_out)), True
+        )
 
     def rejected(self, vehicles: Collection[str]) -> Mapping[str, Mapping[str, int]]:
         """Return how many recordings of some vehicles are rejected, by vehicle and by reason code."""

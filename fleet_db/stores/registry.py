@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from sqlalchemy import Connection, Row, Select, select, update
@@ -14,6 +15,7 @@ from estimation.values.registry import FleetRecord, Mounting, Reprofiling, Vehic
 from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
+from fleet_db.read_once import ReadOnce
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import table_of, upsert
@@ -51,7 +53,10 @@ from fleet_db.tables import (
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
 WINDOWS = table_of(WindowRow)
-
+_LASTING = select(MOUNTINGS).where(MOUNTINGS.c.to_ns.is_(None)).subquery()
+_WITH_MOUNTING = select(WHEELSETS, _LASTING).outerjoin(_LASTING, _LASTING.c.wheelset == WHEELSETS.c.serial)
+"""Wheelsets with the mounting that lasts; within itself, so that who may not see that sees the wheelset."""
+_OF_MOUNTING = [column.name for column in MOUNTINGS.columns]
 
 NOBODY = Decision()
 
@@ -64,6 +69,7 @@ class RegistryStore:
     changes: Changes
     shipped: Shipped = no_class
     decision: Decision = NOBODY  # who changes something, and why
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def decided(self, decision: Decision) -> RegistryStore:
         """Return this store for the changes that somebody has decided on."""
@@ -79,10 +85,10 @@ class RegistryStore:
         Raises:
             NotFoundError: There is none of that code.
         """
-        found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == code))
+        found = self.vehicles_of([code])
         if not found:
             raise NotFoundError("vehicle", code)
-        return found[0]
+        return found[code]
 
     def visible_vehicles(self, codes: Sequence[str]) -> set[str]:
         """Return which of these codes are those of vehicles that this transaction sees."""
@@ -102,7 +108,11 @@ class RegistryStore:
 
     def vehicles_of(self, codes: Collection[str]) -> Mapping[str, VehicleRecord]:
         """Return vehicles by code; one that is not on file is left out."""
-        return {one.code: one for one in self._vehicles(select(VEHICLES).where(VEHICLES.c.code.in_(codes)))}
+
+        def read(some: Collection[str]) -> Mapping[str, VehicleRecord]:
+            return {one.code: one for one in self._vehicles(select(VEHICLES).where(VEHICLES.c.code.in_(some)))}
+
+        return self.once.of("vehicle", codes, read)
 
     def vehicles_of_class(self, code: str) -> Sequence[VehicleRecord]:
         """Return the vehicles of a class, by code."""
@@ -110,11 +120,23 @@ class RegistryStore:
 
     def wheelsets(self, fleet: str | None = None) -> Sequence[WheelsetRecord]:
         """Return wheelsets by serial, of one fleet or of all."""
-        return self._wheelsets(_in_fleet(select(WHEELSETS), WHEELSETS.c.fleet, fleet))
+        return self._wheelsets(_in_fleet(_WITH_MOUNTING, WHEELSETS.c.fleet, fleet))
 
-    def wheelsets_of(self, serials: Sequence[str]) -> Sequence[WheelsetRecord]:
-        """Return the wheelsets of these serials, by serial; one that is not on file is left out."""
-        return self._wheelsets(select(WHEELSETS).where(WHEELSETS.c.serial.in_(serials)))
+    def wheelsets_of(self, serials: Sequence[str], *, voided: bool = True) -> Sequence[WheelsetRecord]:
+        """Return the wheelsets of these serials, by serial; one that is not on file is left out.
+
+        Args:
+            voided: Whether those that are voided are returned, too.
+        """
+
+        def read(some: Collection[str]) -> Mapping[str, WheelsetRecord]:
+            chosen = _WITH_MOUNTING.where(WHEELSETS.c.serial.in_(some))
+            if not voided:
+                chosen = chosen.where(~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
+            return {one.serial: one for one in self._wheelsets(chosen)}
+
+        found = self.once.of_wheelsets("wheelset" if voided else "wheelset in force", serials, read)
+        return [record for _, record in sorted(found.items())]
 
     def wheelset(self, serial: str) -> WheelsetRecord:
         """Return one wheelset, with the mounting that lasts and its reprofilings.
@@ -122,7 +144,7 @@ class RegistryStore:
         Raises:
             NotFoundError: There is none of that serial.
         """
-        found = self._wheelsets(select(WHEELSETS).where(WHEELSETS.c.serial == serial))
+        found = self.wheelsets_of([serial])
         if not found:
             raise NotFoundError("wheelset", serial)
         return found[0]
@@ -134,7 +156,7 @@ class RegistryStore:
 
         With ``vehicle`` those that are mounted on it now.
         """
-        statement = _in_fleet(select(WHEELSETS), WHEELSETS.c.fleet, fleet)
+        statement = _in_fleet(_WITH_MOUNTING, WHEELSETS.c.fleet, fleet)
         statement = statement.where(~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
         if vehicle is not None:
             mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.to_ns.is_(None))
@@ -153,15 +175,11 @@ class RegistryStore:
 
     def mountings(self, wheelset: str) -> Sequence[Mounting]:
         """Return every mounting of a wheelset, oldest first."""
-        return mountings_of(self.connection, wheelset)
+        return self.mountings_of([wheelset]).get(wheelset, [])
 
     def mountings_of(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[Mounting]]:
         """Return every mounting of some wheelsets by serial, oldest first; one without a mounting is left out."""
-        statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(wheelsets)).order_by(MOUNTINGS.c.from_ns)
-        mountings: dict[str, list[Mounting]] = {}
-        for row in self.connection.execute(statement):
-            mountings.setdefault(row.wheelset, []).append(to_mounting(row))
-        return mountings
+        return self.once.of_wheelsets("mountings", wheelsets, partial(mountings_of, self.connection))
 
     def mounted_on(self, vehicles: Collection[str]) -> Sequence[Mounting]:
         """Return the mountings on some vehicles that last, by vehicle and axle."""
@@ -187,9 +205,10 @@ class RegistryStore:
 
     def vehicle_class(self, code: str, version: int | None = None) -> ClassOnFile | None:
         """Return the newest version of a class, or the one given; of the package where none is registered."""
-        found = find_class(self.connection, code, version)
-        if version is None and found is not None and taken_out(self.connection, found):
-            found = None
+        if version is None:
+            found = self.once.of("class", [code], partial(newest_classes, self.connection)).get(code)
+        else:
+            found = find_class(self.connection, code, version)
         if found is not None or version not in {None, SHIPPED_VERSION}:
             return found
         of_package = self.shipped(code)
@@ -203,7 +222,7 @@ class RegistryStore:
 
     def vehicle_classes(self) -> Sequence[ClassOnFile]:
         """Return the newest version of every registered class, by code."""
-        return newest_classes(self.connection)
+        return [found for _, found in sorted(newest_classes(self.connection).items())]
 
     def add_vehicle_class(self, vehicle_class: VehicleClass, recorded_ns: int) -> EstimatedAgain:
         """Add a class or a new version of it; return what is estimated again: where the motion changes, every window.
@@ -382,14 +401,8 @@ class RegistryStore:
 
     def _wheelsets(self, statement: Select[Any]) -> Sequence[WheelsetRecord]:
         rows = self.connection.execute(statement.order_by(WHEELSETS.c.serial)).all()
-        serials = [row.serial for row in rows]
-        mounted = self._mounted(serials)
-        turned = reprofilings_of(self.connection, serials)
-        return [_wheelset(row, mounted.get(row.serial), turned.get(row.serial, ())) for row in rows]
-
-    def _mounted(self, serials: Sequence[str]) -> dict[str, Mounting]:
-        statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(serials), MOUNTINGS.c.to_ns.is_(None))
-        return {row.wheelset: to_mounting(row) for row in self.connection.execute(statement)}
+        turned = reprofilings_of(self.connection, [row.serial for row in rows])
+        return [_wheelset(row, turned.get(row.serial, ())) for row in rows]
 
     def _known_fleet(self, code: str) -> None:
         if self.connection.scalar(select(FLEETS.c.code).where(FLEETS.c.code == code)) is None:
@@ -413,7 +426,8 @@ def _in_fleet(statement: Select[Any], column: Any, fleet: str | None) -> Select[
     return statement if fleet is None else statement.where(column == fleet)
 
 
-def _wheelset(row: Row[Any], mounting: Mounting | None, reprofilings: tuple[Reprofiling, ...]) -> WheelsetRecord:
+def _wheelset(row: Row[Any], reprofilings: tuple[Reprofiling, ...]) -> WheelsetRecord:
+    mounting = None if row.wheelset is None else Mounting(**{name: getattr(row, name) for name in _OF_MOUNTING})
     return WheelsetRecord(row.serial, row.fleet, row.wheel_profile, row.nominal_radius_m, mounting, reprofilings)
 
 

@@ -6,7 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, RowMapping, Subquery, and_, func, insert, null, select
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    RowMapping,
+    ScalarSelect,
+    Subquery,
+    and_,
+    case,
+    func,
+    insert,
+    null,
+    select,
+)
 
 from estimation.values.json_value import JsonValue
 from fleet_db.changes import Changes
@@ -127,6 +140,17 @@ def stands_voided(connection: Connection, key: RecordKey) -> RegistryEvent | Non
     row = connection.execute(select(EVENTS).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1)).first()
     found = None if row is None else _event(row)
     return found if found is not None and found.action is RecordAction.VOIDED else None
+
+
+def last_voided(kind: RecordKind, subject: ColumnElement[str]) -> ScalarSelect[Mapping[str, JsonValue]]:
+    """Return the record that the last decision on an undated one has voided; null where it has restored one.
+
+    Args:
+        subject: Column with its class, wheelset or section.
+    """
+    record = case((EVENTS.c.action == RecordAction.VOIDED.value, EVENTS.c.record), else_=null())
+    chosen = (EVENTS.c.kind == kind.value, EVENTS.c.subject == subject, EVENTS.c.action.in_(_VOID_OR_NOT))
+    return select(record).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1).scalar_subquery()
 
 
 def _json(record: Mapping[str, JsonValue] | None) -> object:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert, select, update
@@ -16,6 +16,7 @@ from estimation.values.results import AnyResult, History, Result, ResultKind
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_value, unpack_value
+from fleet_db.read_once import ReadOnce
 from fleet_db.rows import reason_columns, stored_reason, table_of
 from fleet_db.session import to_json
 from fleet_db.tables import ResultRow
@@ -39,6 +40,7 @@ class ResultStore:
 
     connection: Connection
     changes: Changes
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def in_force(
         self,
@@ -75,9 +77,12 @@ class ResultStore:
 
     def latest_head(self, kind: ResultKind[V], subject: str) -> Result[V] | None:
         """Return what :meth:`latest` does now, without the value."""
-        found = _in_force(kind, [subject]).with_only_columns(*WITHOUT_VALUE).order_by(RESULTS.c.result_id.desc())
-        row = self.connection.execute(found.limit(1)).first()
-        return None if row is None else _result(kind, row)
+
+        def read(some: Collection[str]) -> Mapping[str, Result[V]]:
+            found = _in_force(kind, some).with_only_columns(*WITHOUT_VALUE).order_by(RESULTS.c.result_id)
+            return {row.subject: _result(kind, row) for row in self.connection.execute(found)}
+
+        return self.once.of_wheelsets(f"head {kind.stage}", [subject], read).get(subject)
 
     def version(self, kind: ResultKind[Any], subject: str, parts: Parts | None = None) -> tuple[int | None, int | None]:
         """Return number and recorded time of the result that was put last: others whenever a result is another."""

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, func, insert, select, update
+from sqlalchemy import Connection, Row, and_, delete, func, insert, or_, select, update
 
 from estimation.errors import ConflictError
 from estimation.values.geometry import BinTable
 from estimation.values.roll_up import RolledPart, RollingSums, RollUp, RollUpKey, RollUpState, Side, WindowRollingSums
+from estimation.values.windows import WindowKey
 from fleet_db.fields import fields_of, value_of
 from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin_table, unpack_rolling_sums
-from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
+from fleet_db.read_once import ReadOnce
+from fleet_db.rows import by_wheelset, insert_all_new, replace_all, table_of
 from fleet_db.stores.window_marks import keys_given
 from fleet_db.tables import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 
@@ -29,17 +31,27 @@ class RollUpStore:
     """Implements ``estimation.storage.RollUps``."""
 
     connection: Connection
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def state(self, wheelset: str) -> RollUpState | None:
         """Return what the roll-ups of a wheelset were made by; None where there are none."""
-        columns = (STATES.c.rules, STATES.c.classes)
-        row = self.connection.execute(select(*columns).where(STATES.c.wheelset == wheelset)).first()
-        return None if row is None else RollUpState(row.rules, row.classes)
+
+        def read(some: Collection[str]) -> Mapping[str, RollUpState]:
+            columns = (STATES.c.wheelset, STATES.c.rules, STATES.c.classes)
+            rows = self.connection.execute(select(*columns).where(STATES.c.wheelset.in_(some)))
+            return {row.wheelset: RollUpState(row.rules, row.classes) for row in rows}
+
+        return self.once.of_wheelset("roll-up state", wheelset, read)
 
     def of(self, wheelset: str) -> Sequence[RollUp]:
         """Return what is known of the roll-ups of a wheelset, without their sums."""
-        statement = select(*(ROLL_UPS.c[name] for name in KNOWN)).where(ROLL_UPS.c.wheelset == wheelset)
-        return [_roll_up(row) for row in self.connection.execute(statement.order_by(ROLL_UPS.c.number))]
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[RollUp]]:
+            columns = (ROLL_UPS.c.wheelset, *(ROLL_UPS.c[name] for name in KNOWN))
+            statement = select(*columns).where(ROLL_UPS.c.wheelset.in_(some)).order_by(ROLL_UPS.c.number)
+            return by_wheelset(self.connection.execute(statement), _roll_up)
+
+        return self.once.of_wheelset("roll-ups", wheelset, read) or ()
 
     def sums(self, number: int) -> tuple[BinTable, BinTable]:
         """Return the sums of a roll-up, plain and with forgetting; what has been forgotten is nothing.
@@ -61,17 +73,24 @@ class RollUpStore:
         Args:
             digest: Of all that goes into it.
         """
-        same = (STATES.c.wheelset == wheelset, STATES.c.earlier_digest == digest)
-        packed: bytes | None = self.connection.scalar(select(STATES.c.earlier).where(*same))
-        return None if packed is None else unpack_bin_table(packed, where=f"earlier intervals of {wheelset}")
 
-    def put_earlier(self, wheelset: str, digest: str, table: BinTable) -> None:
-        """Keep the forgetting sum of the intervals that are over, beside the state that is there."""
-        values = {"earlier_digest": digest, "earlier": pack_bin_table(table)}
-        self.connection.execute(update(STATES).where(STATES.c.wheelset == wheelset).values(**values))
+        def read(some: Collection[str]) -> Mapping[str, tuple[str, bytes]]:
+            kept = select(STATES).where(STATES.c.wheelset.in_(some), STATES.c.earlier.is_not(None))
+            return {row.wheelset: (row.earlier_digest, row.earlier) for row in self.connection.execute(kept)}
 
-    def put(self, wheelset: str, parts: Sequence[RolledPart], now_ns: int) -> None:
-        """Store roll-ups with their sums.
+        of, packed = self.once.of_wheelset("earlier intervals", wheelset, read) or ("", b"")
+        return unpack_bin_table(packed, where=f"earlier intervals of {wheelset}") if of == digest else None
+
+    def put_earlier(self, found: Mapping[str, tuple[str, BinTable]]) -> None:
+        """Keep the forgetting sums of the intervals that are over, with their digests, beside states that are there."""
+        rows = [
+            {"wheelset": wheelset, "earlier_digest": digest, "earlier": pack_bin_table(table)}
+            for wheelset, (digest, table) in found.items()
+        ]
+        replace_all(self.connection, STATES, rows)
+
+    def put(self, parts: Mapping[str, Sequence[RolledPart]], now_ns: int) -> None:
+        """Store roll-ups of wheelsets with their sums.
 
         What has been added to one that is sealed cannot be taken away again: the tables are purged with it.
 
@@ -81,20 +100,42 @@ class RollUpStore:
         Raises:
             ConflictError: A roll-up is another by now.
         """
-        for part in parts:
-            self._put_sums(wheelset, part)
+        new = []
+        for wheelset, part in ((wheelset, part) for wheelset, own in parts.items() for part in own):
+            values = _with_sums(wheelset, part)
+            if part.roll_up.number is None:
+                new.append(values)
+            else:
+                self._change(part, part.roll_up.number, values)
             if part.roll_up.sealed and part.added:
-                keys = [(wheelset, one.start_ns) for one in part.added]
-                for first in range(0, len(keys), BATCH):
-                    some = {"keys": keys[first : first + BATCH]}
-                    purged = update(WINDOWS).where(keys_given(WINDOWS)).values(table_purged_ns=now_ns)
-                    self.connection.execute(purged, some)
-                    self.connection.execute(delete(TABLES).where(keys_given(TABLES)), some)
+                self._purge([(wheelset, one.start_ns) for one in part.added], now_ns)
+        if new:
+            self.connection.execute(insert(ROLL_UPS), new)
 
-    def put_state(self, wheelset: str, state: RollUpState) -> None:
-        """Store what the roll-ups of a wheelset were made by."""
-        values = {"wheelset": wheelset, "rules": state.rules, "classes": dict(state.classes)}
-        upsert(self.connection, STATES, values)
+    def _change(self, part: RolledPart, number: int, values: Mapping[str, Any]) -> None:
+        same = (
+            ROLL_UPS.c.number == number,
+            ROLL_UPS.c.content == part.before,
+            ROLL_UPS.c.sealed.is_(part.roll_up.sealed),
+        )
+        if not self.connection.execute(update(ROLL_UPS).where(*same).values(**values)).rowcount:
+            raise ConflictError(f"roll-up {number} changed", kind="roll-up", key=str(number))
+
+    def _purge(self, keys: Sequence[WindowKey], now_ns: int) -> None:
+        for first in range(0, len(keys), BATCH):
+            some = {"keys": keys[first : first + BATCH]}
+            purged = update(WINDOWS).where(keys_given(WINDOWS)).values(table_purged_ns=now_ns)
+            self.connection.execute(purged, some)
+            self.connection.execute(delete(TABLES).where(keys_given(TABLES)), some)
+
+    def put_states(self, states: Mapping[str, RollUpState]) -> None:
+        """Store what the roll-ups of wheelsets were made by."""
+        rows = [
+            {"wheelset": wheelset, "rules": state.rules, "classes": dict(state.classes)}
+            for wheelset, state in states.items()
+        ]
+        if insert_all_new(self.connection, STATES, rows) < len(rows):
+            replace_all(self.connection, STATES, rows)
 
     def drop(self, wheelset: str, roll_ups: Sequence[int]) -> None:
         """Remove roll-ups without windows."""
@@ -165,29 +206,18 @@ class RollUpStore:
                 found.setdefault(row.wheelset, []).append(row.window_digest)
         return found
 
-    def keep_rolling(self, wheelset: str, starts: Sequence[int]) -> None:
-        """Forget what windows other than these say of their rolling radius."""
-        self.connection.execute(
-            delete(ROLLING).where(ROLLING.c.wheelset == wheelset, ROLLING.c.start_ns.not_in(starts))
-        )
+    def keep_rolling(self, starts: Mapping[str, Sequence[int]]) -> None:
+        """Forget what windows of wheelsets other than these say of their rolling radius."""
+        others = [
+            and_(ROLLING.c.wheelset == wheelset, ROLLING.c.start_ns.not_in(own)) for wheelset, own in starts.items()
+        ]
+        if others:
+            self.connection.execute(delete(ROLLING).where(or_(*others)))
 
-    def _put_sums(self, wheelset: str, part: RolledPart) -> None:
-        """Store what is known of a roll-up and its sums."""
-        roll_up = part.roll_up
-        values = _columns(wheelset, roll_up) | {
-            "plain": pack_bin_table(part.plain),
-            "forgetting": pack_bin_table(part.forgetting),
-        }
-        if roll_up.number is None:
-            self.connection.execute(insert(ROLL_UPS).values(**values))
-            return
-        same = (
-            ROLL_UPS.c.number == roll_up.number,
-            ROLL_UPS.c.content == part.before,
-            ROLL_UPS.c.sealed.is_(roll_up.sealed),
-        )
-        if not self.connection.execute(update(ROLL_UPS).where(*same).values(**values)).rowcount:
-            raise ConflictError(f"roll-up {roll_up.number} changed", kind="roll-up", key=str(roll_up.number))
+
+def _with_sums(wheelset: str, part: RolledPart) -> dict[str, Any]:
+    sums = {"plain": pack_bin_table(part.plain), "forgetting": pack_bin_table(part.forgetting)}
+    return _columns(wheelset, part.roll_up) | sums
 
 
 def _columns(wheelset: str, roll_up: RollUp) -> dict[str, Any]:

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 from sqlalchemy import (
+    BigInteger,
     ColumnElement,
     Connection,
     Insert,
     Select,
     and_,
     bindparam,
+    cast,
     delete,
     false,
     func,
     literal,
+    null,
     or_,
     select,
+    union_all,
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import EVERYTHING, Due, Mark, StageInputs
-from fleet_db.due import WindowDueStore, list_due
+from estimation.values.subjects import EVERYTHING, Due, Look, Mark, StageInputs
+from fleet_db.due import DUE, WindowDueStore, list_due
 from fleet_db.rows import table_of
 from fleet_db.subjects import VERSIONS, Subjects
 from fleet_db.tables import StageMarkRow, WindowRow
@@ -64,9 +68,17 @@ class StageMarkStore:
             for row in rows
         }
 
-    def count(self, stage: str) -> int:
-        """Return how many subjects a stage has seen."""
-        return self.connection.scalar(select(func.count()).where(MARKS.c.stage == stage)) or 0
+    def look(self, stages: Sequence[StageInputs], now_ns: int, counted: Collection[str]) -> Look:
+        """Return of which stages something is due; one statement for all.
+
+        Args:
+            counted: Names of the stages of which is counted what they have seen.
+        """
+        looks = [look for inputs in stages for look in _looks(inputs, now_ns)]
+        looks += [_look(stage, func.count()).where(MARKS.c.stage == stage) for stage in sorted(counted)]
+        rows = self.connection.execute(union_all(*looks)).all()
+        due = frozenset(row.stage for row in rows if row.seen is None)
+        return Look(due, {row.stage: row.seen for row in rows if row.seen is not None})
 
     def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
         """Note what a stage has seen of subjects; what this transaction raises of its inputs is seen where it rests."""
@@ -77,8 +89,7 @@ class StageMarkStore:
 
     def has_settings(self, inputs: StageInputs) -> bool:
         """Return whether a stage that works window by window has looked at all windows with these settings."""
-        chosen = (MARKS.c.stage == inputs.stage, MARKS.c.subject == EVERYTHING, MARKS.c.common == inputs.common)
-        return self.connection.execute(select(MARKS.c.seen).where(*chosen)).first() is not None
+        return self.connection.execute(_with_settings(inputs)).first() is not None
 
     def list_again(self, inputs: StageInputs) -> None:
         """Let a stage look at all windows with samples."""
@@ -106,6 +117,26 @@ class StageMarkStore:
 
     def _raised(self, inputs: StageInputs, subject: str) -> int:
         return self.subjects.growth(inputs.facets, None if inputs.together else (inputs.kind, subject))
+
+
+def _look(stage: str, seen: ColumnElement[Any]) -> Select[Any]:
+    return select(literal(stage).label("stage"), seen.label("seen"))
+
+
+def _looks(inputs: StageInputs, now_ns: int) -> Iterator[Select[Any]]:
+    """Yield statements that return a row where something is due of a stage, or its settings are others."""
+    found = _look(inputs.stage, cast(null(), BigInteger))
+    if inputs.kind is SubjectKind.WINDOW:
+        yield found.where(select(DUE.c.version).where(DUE.c.stage == inputs.stage).exists())
+        yield found.where(~_with_settings(inputs).exists())
+    else:
+        yield found.where(_due(inputs, now_ns, None).exists())
+
+
+def _with_settings(inputs: StageInputs) -> Select[Any]:
+    """Return the mark of a stage that works window by window, once it has looked at all with these settings."""
+    chosen = (MARKS.c.stage == inputs.stage, MARKS.c.subject == EVERYTHING, MARKS.c.common == inputs.common)
+    return select(MARKS.c.seen).where(*chosen)
 
 
 def _due(inputs: StageInputs, now_ns: int, subjects: Collection[str] | None) -> Select[Any]:

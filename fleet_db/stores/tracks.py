@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
+from fleet_db.read_once import ReadOnce
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
@@ -73,10 +75,12 @@ class TrackStore:
 
     connection: Connection
     changes: Changes
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def sections(self) -> Sequence[TrackSectionRecord]:
         """Return all sections by code; one that was voided has no number of a bus and is none."""
-        return self._sections(select(SECTIONS).where(SECTIONS.c.number > 0).order_by(SECTIONS.c.code))
+        statement = select(SECTIONS).where(SECTIONS.c.number > 0).order_by(SECTIONS.c.code)
+        return self.once.one("sections", None, partial(self._sections, statement))
 
     def section(self, code: str) -> TrackSectionRecord:
         """Return one section.
@@ -122,6 +126,9 @@ class TrackStore:
 
     def alignment(self, section: str, version: int | None = None) -> TrackAlignment | None:
         """Return one version of the alignment of a section, or the one in force."""
+        return self.once.one("alignment", (section, version), partial(self._alignment, section, version))
+
+    def _alignment(self, section: str, version: int | None) -> TrackAlignment | None:
         statement = select(ALIGNMENTS.c.version, ALIGNMENTS.c.packed).where(ALIGNMENTS.c.section == section)
         if version is not None:
             statement = statement.where(ALIGNMENTS.c.version == version)
@@ -186,6 +193,9 @@ class TrackStore:
 
     def standings(self) -> Mapping[str, SectionStanding]:
         """Return by code which versions each section has that has some: a few statements for all."""
+        return self.once.one("standings", None, self._standings)
+
+    def _standings(self) -> Mapping[str, SectionStanding]:
         newest = select(ALIGNMENTS.c.section, func.max(ALIGNMENTS.c.version).label("version"))
         newest = newest.select_from(ALIGNMENTS.outerjoin(VERSIONS, SAME_VERSION)).group_by(ALIGNMENTS.c.section)
         standing = newest.where(STANDS).subquery()
@@ -299,11 +309,14 @@ class TrackStore:
 
     def layout(self, section: str, version: int | None = None) -> TrackLayout | None:
         """Return one version of the layout of a section, or the newest; None where there is none."""
-        return find_layout(self.connection, section, version)
+        return self.once.one("layout", (section, version), partial(find_layout, self.connection, section, version))
 
     def layout_version(self, section: str) -> int | None:
         """Return the newest version of the layout of a section without reading it; None where there is none."""
-        return newest_version(self.connection, section)
+        found: int | None = self.connection.scalar(
+            select(func.max(LAYOUTS.c.version)).where(LAYOUTS.c.section == section)
+        )
+        return found
 
     def add_layout(self, layout: TrackLayout) -> int:
         """Store a layout as the next version of its section and return that; ``layout.version`` is not read.
@@ -367,12 +380,6 @@ def find_layout(connection: Connection, section: str, version: int | None) -> Tr
     if row is None:
         return None
     return unpack_layout(row.packed, row.version, where=f"layout {row.version} of track section {section!r}")
-
-
-def newest_version(connection: Connection, section: str) -> int | None:
-    """Return the newest version of the layout of a section; None where there is none."""
-    found: int | None = connection.scalar(select(func.max(LAYOUTS.c.version)).where(LAYOUTS.c.section == section))
-    return found
 
 
 def store_layout(connection: Connection, layout: TrackLayout) -> int:

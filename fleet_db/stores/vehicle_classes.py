@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from sqlalchemy import Connection, Row, func, insert, select
 
 from estimation.errors import DamagedError, ParameterError
+from estimation.values.json_value import JsonValue
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
-from fleet_db.stores.registry_history import RecordKey, stands_voided
+from fleet_db.stores.registry_history import RecordKey, last_voided, stands_voided
 from fleet_db.tables import VehicleClassRow
 
 CLASSES = table_of(VehicleClassRow)
@@ -39,14 +40,21 @@ def find_class(connection: Connection, code: str, version: int | None) -> ClassO
     return None if row is None else _on_file(row)
 
 
-def newest_classes(connection: Connection) -> Sequence[ClassOnFile]:
-    """Return the newest version of every class, by code."""
-    newest = select(CLASSES.c.code, func.max(CLASSES.c.version).label("version")).group_by(CLASSES.c.code).subquery()
-    statement = select(CLASSES).join(
-        newest, (newest.c.code == CLASSES.c.code) & (newest.c.version == CLASSES.c.version)
+def newest_classes(connection: Connection, codes: Collection[str] | None = None) -> dict[str, ClassOnFile]:
+    """Return the newest version of classes by code, of some or of all; one that was voided is left out.
+
+    Raises:
+        DamagedError: What was stored of one is no class.
+    """
+    newest = select(CLASSES.c.code, func.max(CLASSES.c.version).label("version")).group_by(CLASSES.c.code)
+    if codes is not None:
+        newest = newest.where(CLASSES.c.code.in_(codes))
+    of_newest = newest.subquery()
+    statement = select(CLASSES, last_voided(RecordKind.VEHICLE_CLASS, CLASSES.c.code).label("voided")).join(
+        of_newest, (of_newest.c.code == CLASSES.c.code) & (of_newest.c.version == CLASSES.c.version)
     )
-    found = [_on_file(row) for row in connection.execute(statement.order_by(CLASSES.c.code))]
-    return [one for one in found if not taken_out(connection, one)]
+    found = {row.code: (_on_file(row), row.voided) for row in connection.execute(statement)}
+    return {code: on_file for code, (on_file, voided) in found.items() if not _is(on_file, voided)}
 
 
 def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
@@ -57,7 +65,11 @@ def taken_out(connection: Connection, newest: ClassOnFile) -> bool:
     """
     key = RecordKey(RecordKind.VEHICLE_CLASS, newest.vehicle_class.code)
     voided = stands_voided(connection, key)
-    return voided is not None and class_digest(class_of_document(voided.record)) == newest.digest
+    return _is(newest, None if voided is None else voided.record)
+
+
+def _is(on_file: ClassOnFile, record: Mapping[str, JsonValue] | None) -> bool:
+    return record is not None and class_digest(class_of_document(record)) == on_file.digest
 
 
 def store_class(connection: Connection, vehicle_class: VehicleClass, recorded_ns: int) -> ClassOnFile:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import builtins
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -40,7 +40,9 @@ from estimation.values.windows import (
 )
 from fleet_db.changes import Changes
 from fleet_db.due import samples_changed
+from fleet_db.read_once import ReadOnce
 from fleet_db.rows import (
+    by_wheelset,
     insert_new,
     key_given,
     key_of,
@@ -96,6 +98,7 @@ class WindowStore:
     connection: Connection
     changes: Changes
     files: WindowFiles
+    once: ReadOnce = field(default_factory=ReadOnce)
 
     def put(self, window: Window, mileage_km: float, recorded_ns: int) -> bool:
         """Store a window as pending; return whether anything changed.
@@ -291,13 +294,17 @@ class WindowStore:
 
     def passed_over(self, wheelset: str) -> Sequence[tuple[int, PassedOver]]:
         """Return start and cause of the estimated windows of a wheelset that stay as they are, oldest first."""
-        statement = select(WINDOWS.c.start_ns, WINDOWS.c.passed_over).where(
-            WINDOWS.c.wheelset == wheelset,
-            WINDOWS.c.passed_over.is_not(None),
-            WINDOWS.c.state == WindowState.ESTIMATED.value,
-        )
-        rows = self.connection.execute(statement.order_by(WINDOWS.c.start_ns))
-        return [(row.start_ns, PassedOver(row.passed_over)) for row in rows]
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[tuple[int, PassedOver]]]:
+            statement = select(WINDOWS.c.wheelset, WINDOWS.c.start_ns, WINDOWS.c.passed_over).where(
+                WINDOWS.c.wheelset.in_(some),
+                WINDOWS.c.passed_over.is_not(None),
+                WINDOWS.c.state == WindowState.ESTIMATED.value,
+            )
+            rows = self.connection.execute(statement.order_by(WINDOWS.c.start_ns))
+            return by_wheelset(rows, lambda row: (row.start_ns, PassedOver(row.passed_over)))
+
+        return self.once.of_wheelset("passed over", wheelset, read) or ()
 
     def list(self, wheelset: str, from_ns: int | None = None, to_ns: int | None = None) -> Sequence[WindowRecord]:
         """Return windows of a wheelset that start in ``[from_ns, to_ns)``, oldest first."""
@@ -310,12 +317,16 @@ class WindowStore:
 
     def refused(self, wheelset: str, codes: Sequence[ReasonCode]) -> Sequence[WindowRecord]:
         """Return the windows of a wheelset that were refused for some reasons, oldest first."""
-        statement = select(WINDOWS).where(
-            WINDOWS.c.wheelset == wheelset,
-            WINDOWS.c.state == WindowState.REFUSED.value,
-            WINDOWS.c.reason_code.in_([code.value for code in codes]),
-        )
-        return self._records(statement.order_by(WINDOWS.c.start_ns))
+
+        def read(some: Collection[str]) -> Mapping[str, Sequence[WindowRecord]]:
+            statement = select(WINDOWS).where(
+                WINDOWS.c.wheelset.in_(some),
+                WINDOWS.c.state == WindowState.REFUSED.value,
+                WINDOWS.c.reason_code.in_([code.value for code in codes]),
+            )
+            return by_wheelset(self._records(statement.order_by(WINDOWS.c.start_ns)), lambda record: record)
+
+        return self.once.of_wheelset(f"refused {codes}", wheelset, read) or ()
 
     def latest(self, wheelset: str) -> WindowRecord | None:
         """Return the window of a wheelset that starts last."""

@@ -82,8 +82,13 @@ class WorkClaimStore:
 
         Args:
             stage: Of the work, such as the name of a job.
+
+        Raises:
+            IntegrityError: The lease has ended.
         """
         taken = self._insert(lease, stage, sorted(keys), alone=alone)
+        if len(taken) < len(set(keys)) and self.end_outdated():
+            taken |= self._insert(lease, stage, sorted(set(keys) - set(taken)), alone=alone)
         ours = tuple(key for key in keys if key in taken)
         rest = set(keys) - set(taken)
         if not rest:
@@ -135,6 +140,20 @@ class WorkClaimStore:
         """Return whether anybody of this name holds a lease."""
         return self.connection.scalar(select(LEASES.c.lease_id).where(LEASES.c.holder == holder)) is not None
 
+    def free(self, lease: int, holder: str, stage: str, keys: Collection[str]) -> None:
+        """Forget claims whose work is stored by this transaction.
+
+        Raises:
+            LeaseLostError: The lease under which they were made has ended.
+        """
+        if self.forget(lease, stage, keys) < len(keys):
+            raise LeaseLostError(holder)
+
+    def forget(self, lease: int, stage: str, keys: Collection[str]) -> int:
+        """Forget claims that are still under a lease; return how many."""
+        own = (CLAIMS.c.lease_id == lease, CLAIMS.c.stage == stage, CLAIMS.c.key.in_(sorted(keys)))
+        return self.connection.execute(delete(CLAIMS).where(*own)).rowcount
+
     def end(self, lease: int) -> None:
         """End a lease in order, if it is still there: what was claimed under it is forgotten."""
         if self.connection.execute(_locked(lease, ending=True)).first() is None:
@@ -150,11 +169,13 @@ class WorkClaimStore:
         Args:
             lease: It may have ended by its time.
         """
-        self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))
+        if lease.alone:
+            self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))
         begun = tuple_(CLAIMS.c.key, CLAIMS.c.begun_ns).in_(sorted(lease.begun_ns.items()))
-        own = (CLAIMS.c.stage == lease.stage, CLAIMS.c.lease_id.is_(None), begun)
+        of_nobody = or_(CLAIMS.c.lease_id.is_(None), CLAIMS.c.lease_id == lease.number)
+        own = (CLAIMS.c.stage == lease.stage, of_nobody, begun)
         self.connection.execute(delete(CLAIMS).where(*own, CLAIMS.c.attempts == 1))
-        self.connection.execute(update(CLAIMS).where(*own).values(attempts=CLAIMS.c.attempts - 1))
+        self.connection.execute(update(CLAIMS).where(*own).values(attempts=CLAIMS.c.attempts - 1, lease_id=None))
 
     def forgive(self, holder: str) -> None:
         """End the leases of a worker that was ended for no reason of its work: that does not count against it."""
@@ -162,14 +183,15 @@ class WorkClaimStore:
         self.connection.execute(delete(CLAIMS).where(CLAIMS.c.lease_id.in_(of_holder)))
         self.connection.execute(delete(LEASES).where(LEASES.c.holder == holder))
 
-    def end_outdated(self) -> None:
-        """Remove the leases that have ended, with those of the processes that they owned."""
+    def end_outdated(self) -> int:
+        """Remove the leases that have ended, with those of the processes that they owned; return how many ended."""
         # one that is being committed under is skipped
         found = select(LEASES.c.lease_id).where(_outdated(self.connection)).with_for_update(skip_locked=True)
         ended = self.connection.execute(delete(LEASES).where(LEASES.c.lease_id.in_(found))).rowcount
         if ended:
             forgotten = (CLAIMS.c.lease_id.is_(None), CLAIMS.c.begun_ns < _now(self.connection) - KEPT_NS)
             self.connection.execute(delete(CLAIMS).where(*forgotten))
+        return ended
 
     def _insert(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool) -> dict[str, int]:
         """Insert claims, in one order in all transactions; return when each was begun that is ours now."""

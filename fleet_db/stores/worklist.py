@@ -7,7 +7,7 @@ one wheelset the second waits, and then reads what the first has committed. Noth
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from dataclasses import replace as replaced
 from enum import StrEnum
@@ -148,9 +148,10 @@ class WorklistStore:
             serials: In their order, so that no two transactions wait for each other in a circle.
         """
         for part in _parts(serials):
-            kept = self._locked(part)
-            self._store([_row(inputs) for inputs in self.reader.read(kept)])
-            gone = [serial for serial in part if serial not in set(kept)]
+            before = self._locked(part)
+            rows = [_row(inputs) for inputs in self.reader.read(sorted(before))]
+            self._store(rows, before)
+            gone = sorted(before.keys() - {row.wheelset.serial for row in rows})
             if gone:
                 self.connection.execute(delete(KINDS).where(KINDS.c.wheelset.in_(gone)))
                 self.connection.execute(delete(ENTRIES).where(ENTRIES.c.wheelset.in_(gone)))
@@ -160,23 +161,21 @@ class WorklistStore:
         for serial in self.connection.scalars(select(WHEELSETS.c.serial)):
             self.subjects.show(serial)
 
-    def _locked(self, serials: Sequence[str]) -> list[str]:
-        """Return those of the wheelsets that are not voided, their rows locked; a row that is missing is added."""
-        kept = not_voided(self.connection, serials)
-        locking = select(ENTRIES.c.wheelset).where(ENTRIES.c.wheelset.in_(serials)).order_by(ENTRIES.c.wheelset)
-        found = set(self.connection.scalars(locking.with_for_update()))
-        missing = [serial for serial in kept if serial not in found]
-        for serial in missing:
+    def _locked(self, serials: Sequence[str]) -> Mapping[str, str]:
+        """Lock the rows of wheelsets and return their documents; a row that is missing is added."""
+        locking = select(ENTRIES.c.wheelset, ENTRIES.c.document).where(ENTRIES.c.wheelset.in_(serials))
+        locking = locking.order_by(ENTRIES.c.wheelset).with_for_update()
+        before = {row.wheelset: row.document for row in self.connection.execute(locking)}
+        missing = [serial for serial in serials if serial not in before]
+        added = not_voided(self.connection, missing) if missing else ()
+        for serial in added:
             insert_new(self.connection, ENTRIES, {**_EMPTY, "wheelset": serial})
-        if missing:  # the first rows are of this form
+        if added:  # the first rows are of this form
             insert_new(self.connection, MARKS, _OF_FORM)
-        return kept
+        return before | dict.fromkeys(added, "")
 
-    def _store(self, rows: Sequence[WorklistRow]) -> None:
+    def _store(self, rows: Sequence[WorklistRow], before: Mapping[str, str]) -> None:
         """Store rows whose entries are there, with the kinds of their alerts, where they are others now."""
-        serials = [row.wheelset.serial for row in rows]
-        stored = select(ENTRIES.c.wheelset, ENTRIES.c.document).where(ENTRIES.c.wheelset.in_(serials))
-        before = {one.wheelset: one.document for one in self.connection.execute(stored)}
         changed, kinds = [], []
         for row in rows:
             values = _values(row)

@@ -43,14 +43,18 @@ class WorklistReader:
     classes: dict[str, VehicleClass | None] = field(default_factory=dict)
 
     def read(self, serials: Sequence[str]) -> list[WorklistInputs]:
-        """Return what is stored of wheelsets that are not voided, by serial.
+        """Return what is stored of wheelsets that are not voided, by serial; the others are left out.
 
         Args:
             serials: Some hundreds at most.
         """
+        records = self.registry.wheelsets_of(serials, voided=False)
+        serials = [record.serial for record in records]
+        if not serials:
+            return []
         alerts, windows = self._alerts(serials), self._windows(serials)
         geometries, trends = _readable(self.geometries.current_of, serials), _readable(self.trends.of, serials)
-        found, records = [], self.registry.wheelsets_of(serials)
+        found = []
         vehicles = {record.mounting.vehicle for record in records if record.mounting is not None}
         self.vehicles.update(self.registry.vehicles_of(vehicles - self.vehicles.keys()))
         for record in records:

@@ -35,7 +35,7 @@ def test_a_window_stays_due_until_its_newest_version_has_been_seen(fleet: SqlSto
     listed(fleet, 1, 2)
     assert due(fleet) == [1, 1, 2]
     with fleet.write() as unit:
-        unit.due.settle(SUMS, "WS-1", seen)
+        unit.due.settle_all(SUMS, {("WS-1", start): version for start, version in seen.items()})
     assert due(fleet) == [1, 2]
     with fleet.read() as unit:
         statement = sqlalchemy.select(WINDOWS.c.start_ns).where(is_due(SUMS, WINDOWS)).order_by(WINDOWS.c.start_ns)

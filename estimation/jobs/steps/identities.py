@@ -19,11 +19,7 @@ def identity_change(unit: UnitOfWork, serial: str) -> IdentityChange | None:
     One that was found in another place than the registry has for the wheelset now is none: what was recorded after it
     is another wheelset's by now.
     """
-    alerts = unit.alerts.page(
-        fleet=None, wheelset=serial, kind=IDENTITY, condition=None, open_only=False, after_id=None, limit=_ALL
-    )
-    mountings = unit.registry.mountings(serial) if alerts else ()
-    return latest_identity_change([alert for alert in alerts if _still_there(alert, mountings)])
+    return identity_changes(unit, [serial]).get(serial)
 
 
 def identity_changes(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, IdentityChange]:

@@ -182,7 +182,7 @@ def by_the_book(storage: SqlStorage) -> dict[tuple[int, int], tuple[BinTable, Bi
 
 def made_again(storage: SqlStorage) -> None:
     with storage.write() as unit:
-        unit.roll_ups.put_state("W1", RollUpState("", {}))
+        unit.roll_ups.put_states({"W1": RollUpState("", {})})
         unit.changes.note("W1")
 
 

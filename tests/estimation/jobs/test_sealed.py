@@ -333,7 +333,7 @@ def test_a_roll_up_that_was_sealed_meanwhile_is_not_overwritten(life: Life) -> N
         kept = unit.roll_ups.sums(seen.number)
     part = RolledPart(seen, seen.content, *kept, ())
     with pytest.raises(ConflictError), sqlite_storage.write() as unit:
-        unit.roll_ups.put("W1", [part], 1)
+        unit.roll_ups.put({"W1": [part]}, 1)
     assert life.there
 
 

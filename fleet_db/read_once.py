@@ -1,0 +1,65 @@
+"""Records that a transaction has read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Hashable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+Key = TypeVar("Key", bound=Hashable)
+Record = TypeVar("Record")
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOnce:
+    """Records by kind and key: a transaction that sees one snapshot reads none of them again.
+
+    Attributes:
+        snapshot: Whether the transaction sees one snapshot; one that writes reads anew each time.
+        together: Wheelsets of which all is read together.
+    """
+
+    snapshot: bool = False
+    together: set[str] = field(default_factory=set)
+    _records: dict[str, dict[Any, Any]] = field(default_factory=dict)
+
+    def of(
+        self, kind: str, keys: Collection[Key], read: Callable[[Collection[Key]], Mapping[Key, Record]]
+    ) -> dict[Key, Record]:
+        """Return records by key; a key without one is left out.
+
+        Args:
+            read: Reads those of some keys.
+        """
+        known = self._records.setdefault(kind, {}) if self.snapshot else {}
+        missing = [key for key in dict.fromkeys(keys) if key not in known]
+        if missing:
+            found = read(missing)
+            known.update((key, found.get(key)) for key in missing)
+        return {key: known[key] for key in keys if known[key] is not None}
+
+    def of_wheelset(
+        self, kind: str, wheelset: str, read: Callable[[Collection[str]], Mapping[str, Record]]
+    ) -> Record | None:
+        """Return what :meth:`of_wheelsets` does of one; None where it has none."""
+        return self.of_wheelsets(kind, [wheelset], read).get(wheelset)
+
+    def of_wheelsets(
+        self, kind: str, wheelsets: Collection[str], read: Callable[[Collection[str]], Mapping[str, Record]]
+    ) -> dict[str, Record]:
+        """Return what :meth:`of` does of wheelsets; one of those that are read together is read with all of them."""
+        if self.snapshot and not self.together.isdisjoint(wheelsets):
+            self.of(kind, sorted(self.together), read)
+        return self.of(kind, wheelsets, read)
+
+    def one(self, kind: str, key: Hashable, read: Callable[[], Record]) -> Record:
+        """Return a record of which there may be none.
+
+        Args:
+            read: Reads it.
+        """
+
+        def known(_: Collection[Hashable]) -> Mapping[Hashable, tuple[Record]]:
+            return {key: (read(),)}
+
+        return self.of(kind, [key], known)[key][0]
