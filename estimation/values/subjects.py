@@ -15,7 +15,7 @@ class Facet(StrEnum):
     """Base facts of a wheelset, vehicle or section; results of a stage are a facet of the stage's own name."""
 
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
-    WINDOWS = "windows"  # states, qualities and mileages
+    WINDOWS = "windows"  # states, qualities and mileages; of a section what its epochs do not hold as it is now
     TABLES = "tables"  # bin tables, and the verdicts on windows that its geometry rests on
     ALERTS = "alerts"
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again

@@ -9,6 +9,7 @@ from sqlalchemy import Connection, and_, case, delete, exists, func, select, tup
 
 from estimation.errors import DamagedError
 from estimation.values.windows import HUNTING_SHARE, PassedOver, Window, WindowKey, WindowRecord
+from fleet_db import alignment_due
 from fleet_db.changes import Changes
 from fleet_db.due import samples_changed
 from fleet_db.receipts import ChunkState
@@ -104,6 +105,7 @@ class AssembledWindowStore:
         rows = [self._row(each, recorded_ns) for each in windows]
         count = insert_all_new(self.connection, WINDOWS, rows)
         samples_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
+        alignment_due.come(self.changes.subjects, _sections(windows))
         return count == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
@@ -115,11 +117,14 @@ class AssembledWindowStore:
             self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
             samples_changed(self.connection, keys)
+            alignment_due.come(self.changes.subjects, _sections(windows))
+            alignment_due.left(self.changes.subjects, keys)
 
     def forget_positions(self, keys: Sequence[WindowKey]) -> None:
         """Let it be found again where windows were."""
         if keys:
             self._touch(keys)
+            alignment_due.unplaced(self.changes.subjects, keys)
             same = tuple_(POSITIONS.c.wheelset, POSITIONS.c.start_ns).in_(keys)
             self.connection.execute(delete(POSITIONS).where(same))
 
@@ -186,6 +191,7 @@ class AssembledWindowStore:
             self.changes.note(record.wheelset)
             self.changes.subjects.windows(record.wheelset, record.vehicle if record.quality.hunting.sustained else None)
             self.changes.on_section(record.track_section)
+        alignment_due.left(self.changes.subjects, [record.key for record in removed])
         return removed
 
     def _stays(self, record: WindowRecord) -> bool:
@@ -214,3 +220,7 @@ class AssembledWindowStore:
                 self.files.path(record.content_digest).unlink(missing_ok=True)
                 return False
         return True
+
+
+def _sections(windows: Sequence[AssembledWindow]) -> dict[WindowKey, str | None]:
+    return {(each.window.wheelset, each.window.start_ns): each.window.track_section for each in windows}

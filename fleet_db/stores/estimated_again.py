@@ -13,6 +13,7 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment
 from estimation.values.windows import PassedOver, WindowState
 from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
+from fleet_db import alignment_due
 from fleet_db.changes import Changes
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import reason_columns, table_of
@@ -113,6 +114,7 @@ class Again:
         """Let windows wait again, and forget where they were; those without samples stay as they are."""
         self._note(chosen)
         with_samples = WINDOWS.c.samples_purged_ns.is_(None)
+        alignment_due.unplaced_where(self.changes.subjects, and_(chosen, with_samples))
         self.connection.execute(delete(POSITIONS).where(exists().where(OF_WINDOW, chosen, with_samples)))
         pending = {"state": WindowState.PENDING.value, **reason_columns(None)}
         self.connection.execute(

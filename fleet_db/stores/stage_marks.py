@@ -65,8 +65,9 @@ class StageMarkStore:
         }
 
     def count(self, stage: str) -> int:
-        """Return how many subjects a stage has seen."""
-        return self.connection.scalar(select(func.count()).where(MARKS.c.stage == stage)) or 0
+        """Return how many subjects a stage has seen; what is on no section is none."""
+        seen = select(func.count()).where(MARKS.c.stage == stage, MARKS.c.subject != "")
+        return self.connection.scalar(seen) or 0
 
     def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
         """Note what a stage has seen of subjects; what this transaction raises of its inputs is seen where it rests."""

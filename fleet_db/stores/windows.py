@@ -38,6 +38,7 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
+from fleet_db import alignment_due
 from fleet_db.changes import Changes
 from fleet_db.due import samples_changed
 from fleet_db.rows import (
@@ -126,18 +127,23 @@ class WindowStore:
             "samples_purged_ns": None,
             "passed_over": None,
         }
+        key = (window.wheelset, window.start_ns)
         hunts = max(window.quality.hunting.share, found.hunting_share or 0.0) >= HUNTING_SHARE
         self.changes.subjects.windows(window.wheelset, window.vehicle if hunts else None)
         self.changes.on_section(window.track_section)
         if found.content_digest is None:
             if not insert_new(self.connection, WINDOWS, values):  # another transaction has stored it meanwhile
                 return self.put(window, mileage_km, recorded_ns)
-            samples_changed(self.connection, [(window.wheelset, window.start_ns)])
+            samples_changed(self.connection, [key])
+            alignment_due.come(self.changes.subjects, {key: window.track_section})
             return True
         replace(self.connection, WINDOWS, values)
-        samples_changed(self.connection, [(window.wheelset, window.start_ns)])
+        samples_changed(self.connection, [key])
+        alignment_due.come(self.changes.subjects, {key: window.track_section})
+        if window.track_section != found.track_section:
+            alignment_due.left(self.changes.subjects, [key])
         self.changes.on_section(found.track_section)
-        remove_tables(self.connection, self.changes, [(window.wheelset, window.start_ns)])
+        remove_tables(self.connection, self.changes, [key])
         return True
 
     def ready(
@@ -231,7 +237,8 @@ class WindowStore:
         samples_changed(self.connection, [(wheelset, start_ns)])
         if standing.state == WindowState.ESTIMATED.value:
             damaged = POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value
-            self.connection.execute(delete(POSITIONS).where(*same, damaged))
+            if self.connection.scalar(select(POSITIONS.c.wheelset).where(*same, damaged)) is not None:
+                self._forget_position(wheelset, start_ns)
             return
         self._forget_position(wheelset, start_ns)
         if standing.state == WindowState.REFUSED.value:
@@ -369,6 +376,7 @@ class WindowStore:
         return row
 
     def _forget_position(self, wheelset: str, start_ns: int) -> None:
+        alignment_due.unplaced(self.changes.subjects, [(wheelset, start_ns)])
         same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
         self.connection.execute(delete(POSITIONS).where(*same))
 
@@ -389,6 +397,7 @@ class WindowStore:
         values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km, "judged": False}
         replace(self.connection, WINDOWS, values)
         list_for_sums(self.connection, [(window.wheelset, window.start_ns)])
+        alignment_due.come(self.changes.subjects, {(window.wheelset, window.start_ns): found.track_section})
         self.changes.note(window.wheelset)
         self.changes.subjects.windows(window.wheelset)
         self.changes.on_section(found.track_section)
