@@ -299,6 +299,8 @@ class EpochStore:
 
     def _let_go(self, section: str, keys: Sequence[WindowKey], of_epoch: ColumnElement[bool]) -> None:
         """Forget that an epoch holds some windows; those that are still there are listed."""
+        if keys:
+            self.changes.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
         for first in range(0, len(keys), BATCH):
             given = {"keys": keys[first : first + BATCH]}
             own = and_(WINDOWS.c.track_section == section, WITH_SAMPLES, keys_given(WINDOWS))

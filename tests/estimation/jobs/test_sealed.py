@@ -19,7 +19,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 from estimation.values.roll_up import RolledPart
-from estimation.values.track import EpochMember, EpochNews, FoldState, TrackEpoch
+from estimation.values.track import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import PassedOver, WindowPosition, WindowState
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.purge import purge
@@ -376,7 +376,7 @@ def test_where_sealed_windows_were_is_forgotten(life: Life) -> None:
     assert purged(sqlite_storage) == {"window_samples": 50, "window_bin_tables": 49}  # of the epoch that is over
     with sqlite_storage.read() as unit:
         assert [one.windows for one in unit.epochs.list("S1")] == [0, 50, 30]
-        assert unit.epochs.news("S1") == EpochNews(None, frozenset())
+        assert [one.stale for one in unit.epochs.list("S1")] == [False] * 3
         there = [step for step in range(130) if unit.tracks.position("W1", step * MINUTE) is not None]
     assert there == list(range(50, 130))
     assert len(life.there) == 130

@@ -9,22 +9,31 @@ import numpy as np
 import pytest
 from alignment_job import QUIET, counts, put, register, surveyed
 from paper_class import paper_class
+from queried_news import first_changed, placed
+from sqlalchemy import update
 
 from bench.standing_clock import StandingClock
 from estimation.contact.profiles import MeasuredProfiles, wheel_profile
 from estimation.jobs import estimate_windows, refresh_alignment
 from estimation.jobs.job import JobContext
+from estimation.jobs.refresh_alignment import ALIGNMENT
 from estimation.jobs.settings import JobSettings
+from estimation.jobs.steps.due_epoch import changed_from
+from estimation.jobs.steps.epoch_inputs import FileLookup
 from estimation.jobs.steps.section_looks import section_news
+from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling
-from estimation.values.track import TrackLayout
-from estimation.values.windows import WindowState
+from estimation.values.track import EpochMember, TrackLayout
+from estimation.values.windows import DueStage, WindowState
+from fleet_db.alignment_due import WINDOWS
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
+from fleet_db.stores.assembled import AssembledWindow
 from fleet_db.stores.registry_history import RecordKey
+from fleet_db.telemetry import window_digest
 
-STAGES = ("refresh_alignment", "estimate_windows")
+JOBS = ("refresh_alignment", "estimate_windows")
 SETTINGS = JobSettings()
 
 
@@ -33,8 +42,24 @@ def context_of(storage: SqlStorage, code_version: str = "test") -> JobContext:
 
 
 def news(storage: SqlStorage, code_version: str = "test") -> list[set[str]]:
+    """Return the sections that the alignment looks at, and those that the estimation looks at."""
+    context = context_of(storage, code_version)
     with storage.read() as unit:
-        return [set(section_news(unit, context_of(storage, code_version), stage)) for stage in STAGES]
+        of_alignment = unit.marks.due(ALIGNMENT.inputs(context), context.clock.now_ns())
+        return [set(of_alignment), set(section_news(unit, context, "estimate_windows"))]
+
+
+def first_due(unit: SqlUnitOfWork, section: str) -> int | None:
+    """Return the first epoch of a section that is not as its windows are now."""
+    settings = SETTINGS
+    lookup = FileLookup(unit, settings, ClassLookup(unit, settings.estimation))
+    changed_ns = changed_from(unit, lookup, section)
+    due = [
+        epoch.number
+        for epoch in unit.epochs.list(section)
+        if epoch.stale or (changed_ns is not None and changed_ns <= epoch.horizon_ns)
+    ]
+    return min(due, default=None)
 
 
 def come_to_rest(storage: SqlStorage) -> None:
@@ -44,8 +69,8 @@ def come_to_rest(storage: SqlStorage) -> None:
             unit.tracks.add_alignment(replace(surveyed(), section=code))
     put(storage, [0, 1])
     for _ in range(2):
-        for stage in STAGES:
-            counts(storage, stage)
+        for job in JOBS:
+            counts(storage, job)
     with storage.read() as unit:
         assert unit.windows.counts()["estimated"] > 0
 
@@ -129,40 +154,126 @@ def _start_again(unit: SqlUnitOfWork) -> None:
 def test_at_rest_no_section_is_looked_at_and_nothing_is_written(
     at_rest: SqlStorage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert news(at_rest) == [set() | {""}, set()]  # windows on no section are no concern of the alignment
+    assert news(at_rest) == [set(), set()]
     monkeypatch.setattr(SqlStorage, "write", None)
-    monkeypatch.setattr(refresh_alignment, "_first_due", None)
-    assert refresh_alignment.run(context_of(at_rest))["unchanged"] == 2
+    assert refresh_alignment.JOB.run(context_of(at_rest))["unchanged"] == 2
     assert estimate_windows.run(context_of(at_rest)) == QUIET
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        _mark,
-        _forget,
-        _remove,
-        _turn,
-        _move_axle,
-        _remount,
-        _radius,
-        _measure,
-        _survey,
-        _layout,
-        _rename,
-        _wait,
-        _put_epoch,
-        _put_found,
-        _put_table,
-        _start_again,
-    ],
+CHANGES = (
+    _mark,
+    _forget,
+    _remove,
+    _turn,
+    _move_axle,
+    _remount,
+    _radius,
+    _measure,
+    _survey,
+    _layout,
+    _rename,
+    _wait,
+    _put_epoch,
+    _put_found,
+    _put_table,
+    _start_again,
 )
+NO_CONCERN_OF_AN_ALIGNMENT = (_mark, _put_found, _put_table)
+
+
+@pytest.mark.parametrize("change", CHANGES)
 def test_whatever_happens_on_a_section_it_is_looked_at_again_and_the_other_is_not(
     at_rest: SqlStorage, change: Callable[[SqlUnitOfWork], None]
 ) -> None:
     with at_rest.write() as unit:
         change(unit)
-    assert [found - {""} for found in news(at_rest)] == [{"S1"}, {"S1"}]
+    of_alignment, of_estimation = (found - {""} for found in news(at_rest))
+    assert of_alignment == (set() if change in NO_CONCERN_OF_AN_ALIGNMENT else {"S1"})
+    assert of_estimation == {"S1"}
+
+
+def _put_late(unit: SqlUnitOfWork) -> None:
+    window = unit.windows.load(*first_window(unit))
+    unit.windows.put(replace(window, start_ns=window.start_ns + 10**12), 10.0, 1)
+
+
+def _change_content(unit: SqlUnitOfWork) -> None:
+    window = unit.windows.load(*first_window(unit))
+    unit.windows.put(replace(window, distance=window.distance + 1.0), 10.0, 1)
+
+
+def _change_mileage(unit: SqlUnitOfWork) -> None:
+    unit.windows.put(unit.windows.load(*first_window(unit)), 11.0, 1)
+
+
+def _change_vehicle(unit: SqlUnitOfWork) -> None:
+    unit.windows.put(replace(unit.windows.load(*first_window(unit)), vehicle="V1"), 10.0, 1)
+
+
+def _leave(unit: SqlUnitOfWork) -> None:
+    unit.windows.put(replace(unit.windows.load(*first_window(unit)), track_section=None), 10.0, 1)
+
+
+def _leave_and_return(unit: SqlUnitOfWork) -> None:
+    window = unit.windows.load(*first_window(unit))
+    unit.windows.put(replace(window, track_section="S2"), 10.0, 1)
+    unit.windows.put(window, 11.0, 1)
+
+
+def _come_from_elsewhere(unit: SqlUnitOfWork) -> None:
+    window = unit.windows.load(*first_window(unit))
+    unit.windows.put(replace(window, track_section="S2"), 10.0, 1)
+    epoch = replace(unit.epochs.list("S1")[0], section="S2", windows=1)
+    record = unit.windows.get(*first_window(unit))
+    assert record is not None
+    unit.epochs.put(epoch, [EpochMember(record, "context", "assumed")])
+
+
+def _replace_assembled(unit: SqlUnitOfWork) -> None:
+    window = unit.windows.load(*first_window(unit))
+    moved = replace(window, distance=window.distance + 1.0, track_section="S2")
+    unit.assembled.replace([AssembledWindow(moved, window_digest(moved), 10.0)], 1)
+
+
+def _purge(unit: SqlUnitOfWork) -> None:
+    """Let a window come before others whose samples have been purged."""
+    record = unit.windows.list("W0")[1]
+    window = unit.windows.load(*first_window(unit))
+    gone = WINDOWS.c.start_ns == record.start_ns
+    unit.connection.execute(update(WINDOWS).where(gone).values(samples_purged_ns=1))
+    unit.windows.put(replace(window, start_ns=window.start_ns - 10**9), 10.0, 1)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *CHANGES,
+        _put_late,
+        _change_content,
+        _change_mileage,
+        _change_vehicle,
+        _leave,
+        _leave_and_return,
+        _come_from_elsewhere,
+        _replace_assembled,
+        _purge,
+    ],
+)
+def test_what_is_listed_is_what_a_comparison_of_all_windows_finds(
+    at_rest: SqlStorage, change: Callable[[SqlUnitOfWork], None]
+) -> None:
+    with at_rest.write() as unit:
+        before = placed(unit.connection, "S1")
+        assert first_due(unit, "S1") is first_changed(unit.connection, "S1", before) is None
+        change(unit)
+    with at_rest.read() as unit:
+        assert first_due(unit, "S1") == first_changed(unit.connection, "S1", before)
+    for job in JOBS:
+        counts(at_rest, job)
+    with at_rest.read() as unit:
+        now = placed(unit.connection, "S1")
+        assert first_due(unit, "S1") is first_changed(unit.connection, "S1", now) is None
+        assert unit.due.of_section(DueStage.ALIGNMENT, "S1") == {}
 
 
 def test_a_window_is_news_on_the_section_it_is_on_and_on_the_one_it_was_on(at_rest: SqlStorage) -> None:
