@@ -131,9 +131,11 @@ def _inputs(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) 
     code, settings = section.code, context.settings.alignment
     lookup = FileLookup(unit, context.settings, ClassLookup(unit, context.settings.estimation))
     on_file = _on_file(unit, lookup, code, context)
-    starts = (changed_from(unit, lookup, code), *on_file.changed.values())
+    stored = unit.epochs.list(code)
+    listed_ns = changed_from(unit, lookup, code) if stored else None
+    starts = (listed_ns, *on_file.changed.values())
     changed_ns = min((start_ns for start_ns in starts if start_ns is not None), default=None)
-    found = EpochSearch(unit, context, section, lookup, changed_ns).found()
+    found = EpochSearch(unit, context, section, lookup, stored, changed_ns).found()
     due = found.due
     own = {member.record.key for kept in found.kept for member in kept.own}
     own |= {member.record.key for member in due.own} if due is not None else set()
@@ -148,7 +150,7 @@ def _inputs(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) 
         seen={key: version for key, version in seen.items() if at_rest or key in own},
         on_file=on_file,
         found=found,
-        known=_known(unit, due, context) if due is not None and due.own else None,
+        known=_known(unit, due, lookup.classes, settings) if due is not None and due.own else None,
         settings=settings,
         passes=partial(epoch_passes, context),
     )
@@ -165,13 +167,10 @@ def _files(context: JobContext) -> StageInputs:
     return StageInputs(f"{ALIGNMENT.name}_files", SubjectKind.SECTION, (Facet.REGISTRY,), common)
 
 
-def _known(unit: UnitOfWork, due: Due, context: JobContext) -> Known:
-    settings, code = context.settings.alignment, due.section.code
-    version, since = due.before.version, due.before.same_since
+def _known(unit: UnitOfWork, due: Due, classes: ClassLookup, settings: AlignmentSettings) -> Known:
+    code, version, since = due.section.code, due.before.version, due.before.same_since
     alignment = None if version is None else unit.tracks.alignment(code, version)
-    classes = ClassLookup(unit, context.settings.estimation)
     records = [record for record, _ in due.entries]
-    classes.look_up([record.wheelset for record in records], {record.vehicle for record in records})
     parts = []
     rest: Sequence[Entry] = due.entries
     while rest:

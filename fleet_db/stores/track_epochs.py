@@ -196,13 +196,12 @@ class EpochStore:
         """
         self.changes.on_section(epoch.section)
         upsert(self.connection, EPOCHS, _values(epoch))
-        own = (epoch.section, epoch.number)
         of_epoch = and_(MEMBERS.c.section == epoch.section, MEMBERS.c.epoch == epoch.number)
         held = self.connection.execute(select(MEMBERS.c.wheelset, MEMBERS.c.start_ns).where(of_epoch))
         before = {(row.wheelset, row.start_ns) for row in held}
         keys = [member.record.key for member in members]
         self._let_go(epoch.section, sorted(before - set(keys)), of_epoch)
-        elsewhere = {(row.section, row.epoch) for row in self._held(sorted(set(keys) - before))} - {own}
+        elsewhere = {(row.section, row.epoch) for row in self._held(sorted(set(keys) - before))}
         for section, _ in sorted(elsewhere):
             self.changes.on_section(section)
         alignment_due.stale(self.changes.subjects, sorted(elsewhere))

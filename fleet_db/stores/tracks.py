@@ -32,7 +32,7 @@ from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, 
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
-from fleet_db.stores.window_positions import positions_of
+from fleet_db.stores.window_positions import forget_positions, positions_of, put_positions
 from fleet_db.tables import (
     TrackAlignmentRow,
     TrackEpochRow,
@@ -273,16 +273,16 @@ class TrackStore:
 
     def put_position(self, position: WindowPosition) -> bool:
         """Store where a window was, in the place of what was known; return whether that has changed."""
-        return upsert(self.connection, POSITIONS, asdict(position) | reason_columns(position.reason))
+        return bool(self.put_positions([position]))
 
-    def forget_position(self, wheelset: str, start_ns: int) -> None:
-        """Forget where a window was."""
-        of_window = (WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-        for section in self.connection.scalars(select(WINDOWS.c.track_section).where(*of_window)):
+    def put_positions(self, positions: Sequence[WindowPosition]) -> frozenset[WindowKey]:
+        """Store where windows were as :meth:`put_position` does; return those of which that has changed."""
+        return put_positions(self.connection, positions)
+
+    def forget_positions_of(self, keys: Sequence[WindowKey]) -> None:
+        """Forget where some windows were."""
+        for section in forget_positions(self.connection, keys):
             self.changes.on_section(section)
-        self.connection.execute(
-            delete(POSITIONS).where(POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
-        )
 
     def forget_positions(self, section: str) -> int:
         """Forget where the windows of a section were, so that they are looked at again; return of how many.

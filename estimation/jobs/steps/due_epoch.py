@@ -84,6 +84,7 @@ class EpochSearch:
 
     Attributes:
         lookup: What is on file, of the same transaction.
+        stored: All epochs, in order.
         changed_ns: Start of the first window that they do not hold as it is now; None where there is none.
     """
 
@@ -91,11 +92,12 @@ class EpochSearch:
     context: JobContext
     section: TrackSectionRecord
     lookup: FileLookup
+    stored: Sequence[TrackEpoch]
     changed_ns: int | None
 
     def found(self) -> Found:
         """Return what is due."""
-        stored = self.unit.epochs.list(self.section.code)
+        stored = self.stored
         basis, first = given(self.unit, self.section, self.context.settings)
         states = [first, *(epoch.after for epoch in stored)]
         kept: list[Kept] = []

@@ -90,7 +90,7 @@ def store_epoch(unit: UnitOfWork, computed: Computed, context: JobContext) -> No
         recorded_ns=context.clock.now_ns(),
     )
     behind = due.old is None or due.old.after != after  # the epochs behind it start from something else
-    if behind:
+    if behind and due.number < len(due.stored):
         unit.epochs.start_again(section, due.number)
     _supersede(unit, due, after, context, kept=0 if behind else due.number)
     unit.suspensions.forget(section, due.number, behind=behind)
@@ -104,7 +104,7 @@ def store_epoch(unit: UnitOfWork, computed: Computed, context: JobContext) -> No
     of_vehicles = _of_vehicles(unit, computed, after, context.settings.alignment)
     unit.epochs.put(epoch, due.own)
     unit.epochs.put_found(section, due.number, of_vehicles)
-    if epoch.waits and not behind:
+    if epoch.waits and not behind and due.number < len(due.stored):
         unit.epochs.stale(section, due.number + 1)
 
 
@@ -225,7 +225,9 @@ def _report(unit: UnitOfWork, computed: Computed, version: int | None, context: 
 
 def classes_of(classes: ClassLookup, records: Sequence[WindowRecord]) -> dict[str, ClassOnFile]:
     """Return the class of each vehicle of windows, where it is on file."""
-    found = {vehicle: classes.of_vehicle(vehicle) for vehicle in sorted({record.vehicle for record in records})}
+    vehicles = sorted({record.vehicle for record in records})
+    classes.look_up((), vehicles)
+    found = {vehicle: classes.of_vehicle(vehicle) for vehicle in vehicles}
     return {vehicle: one for vehicle, one in found.items() if not isinstance(one, Reason)}
 
 
