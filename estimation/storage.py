@@ -34,7 +34,7 @@ from estimation.values.roll_up import (
     TabledWindow,
     WindowRollingSums,
 )
-from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger, Quarantined, SectionLook
+from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger, Quarantined
 from estimation.values.signatures import MadeOf, StoredSignatures, WindowSignatures
 from estimation.values.subjects import Due, Mark, StageInputs
 from estimation.values.track import (
@@ -415,14 +415,6 @@ class RecordedTimes(Protocol):
     def correct(self, now_ns: int) -> int: ...
 
 
-class SectionLooks(Protocol):
-    """What has happened on each track section, and what a job has seen of it."""
-
-    def of(self, stage: str) -> Mapping[str, SectionLook]: ...
-    def touched(self) -> Mapping[str, int]: ...
-    def note(self, stage: str, looks: Mapping[str, SectionLook]) -> None: ...
-
-
 class Rails(Protocol):
     """Conicities of wheelsets by section."""
 
@@ -476,8 +468,6 @@ class UnitOfWork(Protocol):
     def recorded_times(self) -> RecordedTimes: ...
     @property
     def worklist(self) -> Worklist: ...
-    @property
-    def section_looks(self) -> SectionLooks: ...
     @property
     def due(self) -> WindowsDue: ...
     @property

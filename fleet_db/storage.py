@@ -12,7 +12,6 @@ from sqlalchemy import Connection, Engine
 
 from estimation.errors import StorageError
 from estimation.values.runs import Claimed, JobTrigger
-from fleet_db.changes import Changes
 from fleet_db.due import WindowDueStore
 from fleet_db.locks import (
     Lease,
@@ -47,7 +46,6 @@ from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore
 from fleet_db.stores.results import ResultStore
 from fleet_db.stores.roll_ups import RollUpStore
-from fleet_db.stores.section_looks import SectionLookStore
 from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.signatures import SignatureStore
@@ -80,7 +78,6 @@ class SqlUnitOfWork:
     shipped: Shipped = no_class
     owner: int | None = None  # lease of the process that runs jobs
     subjects: Subjects = field(init=False)
-    changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
     settings: StoredSettingStore = field(init=False)
     stale_spans: StaleSpanStore = field(init=False)
@@ -115,7 +112,6 @@ class SqlUnitOfWork:
     worklist: WorklistStore = field(init=False)
     api_keys: ApiKeyStore = field(init=False)
     audit: AuditStore = field(init=False)
-    section_looks: SectionLookStore = field(init=False)
     rails: RailsStore = field(init=False)
     roll_ups: RollUpStore = field(init=False)
     webhooks: WebhookStore = field(init=False)
@@ -124,7 +120,6 @@ class SqlUnitOfWork:
     def __post_init__(self) -> None:
         connection = self.connection
         self.subjects = Subjects(connection)
-        self.changes = Changes(connection, self.subjects)
         self.chunks = ChunkStore(connection, self.subjects)
         self.settings = StoredSettingStore(connection)
         self.stale_spans = StaleSpanStore(connection)
@@ -132,27 +127,27 @@ class SqlUnitOfWork:
         self.raw_marks = RawMarkStore(connection)
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
-        self.registry = RegistryStore(connection, self.changes, self.shipped)
-        self.tracks = TrackStore(connection, self.changes)
-        self.registry_history = RegistryHistoryStore(connection, self.changes)
-        self.sensor_changes = SensorChangeStore(connection, self.changes)
+        self.registry = RegistryStore(connection, self.subjects, self.shipped)
+        self.tracks = TrackStore(connection, self.subjects)
+        self.registry_history = RegistryHistoryStore(connection, self.subjects)
+        self.sensor_changes = SensorChangeStore(connection, self.subjects)
         self.corrections = CorrectionStore(
             connection, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
-        self.epochs = EpochStore(connection, self.changes)
-        self.windows = WindowStore(connection, self.changes, self.files)
-        self.assembled = AssembledWindowStore(connection, self.changes, self.files)
-        self.tables = BinTableStore(connection, self.changes)
+        self.epochs = EpochStore(connection, self.subjects)
+        self.windows = WindowStore(connection, self.subjects, self.files)
+        self.assembled = AssembledWindowStore(connection, self.subjects, self.files)
+        self.tables = BinTableStore(connection, self.subjects)
         self.due = WindowDueStore(connection)
         self.marks = StageMarkStore(connection, self.subjects, self.due)
-        self.results = ResultStore(connection, self.changes)
+        self.results = ResultStore(connection, self.subjects)
         self.geometries = GeometryStore(connection, self.results)
         self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection, self.subjects)
         self.adhesion = AdhesionStore(connection, self.subjects)
         self.dampers = DamperStore(connection, self.results)
         self.signatures = SignatureStore(connection, self.subjects)
-        self.alerts = AlertStore(connection, self.writing, self.changes)
+        self.alerts = AlertStore(connection, self.writing, self.subjects)
         self.plausibility = PlausibilityStore(connection, self.windows)
         self.recorded_times = RecordedTimeStore(connection)
         self.feed_branches = FeedBranchStore(connection)
@@ -162,15 +157,14 @@ class SqlUnitOfWork:
         self.worklist = WorklistStore(connection, self.subjects, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
-        self.section_looks = SectionLookStore(connection)
         self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
 
     def finish(self) -> None:
-        """Let what follows from the changes follow, as the last of the transaction: see ``Changes``."""
-        self.changes.flush()
+        """Let what follows from the changes follow, as the last of the transaction: see ``Subjects``."""
+        self.subjects.flush()
         self.worklist.refresh(self.subjects.take_shown())
 
     def assemble_alone(self, vehicle: str) -> None:

@@ -14,11 +14,13 @@ from estimation.jobs.refresh_rails import OF_WHEELSETS as CELLS
 from estimation.jobs.refresh_signatures import OF_ALL as ANSWERS
 from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.stage import AnyStage
+from estimation.jobs.steps.outdated_windows import OUTDATED
 from estimation.jobs.steps.signature_windows import ASSUMED, OF_WINDOWS
 from estimation.jobs.worklist_rows import WORKLIST
 
 ALL_STAGES: tuple[AnyStage, ...] = (
     ALIGNMENT,
+    OUTDATED,
     GEOMETRY,
     FIRST,
     CREEP,

@@ -24,6 +24,7 @@ class Facet(StrEnum):
     HUNTING = "hunting"  # windows of a vehicle in which it hunts
     RECORDINGS = "recordings"  # of a vehicle, that are rejected
     STIFFNESS = "stiffness"  # ratios that epochs show of a vehicle
+    PLACES = "places"  # windows of a section with their states, bin tables and positions, and its epochs
     ALIGNMENT = "alignment"  # versions of the alignment of a section
 
 

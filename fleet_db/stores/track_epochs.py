@@ -32,11 +32,11 @@ from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, Hel
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
 from fleet_db import alignment_due
 from fleet_db.alignment_due import OF_WINDOW
-from fleet_db.changes import Changes
 from fleet_db.due import DUE, list_due
 from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
 from fleet_db.stores.window_marks import BATCH, keys_given
 from fleet_db.stores.windows import to_window_record
+from fleet_db.subjects import Subjects
 from fleet_db.tables import (
     TrackEpochRow,
     TrackEpochVehicleRow,
@@ -108,7 +108,7 @@ class EpochStore:
     """Implements ``estimation.storage.Epochs``."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
 
     def list(self, section: str) -> Sequence[TrackEpoch]:
         """Return the epochs of a section as they were computed last, in order."""
@@ -136,7 +136,7 @@ class EpochStore:
         for first in range(0, len(keys), BATCH):
             list_due(self.connection, DueStage.ALIGNMENT, keys_given(WINDOWS), keys=keys[first : first + BATCH])
         if keys:
-            self.changes.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
+            self.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
 
     def remaining(self, section: str, number: int, limit: int) -> Sequence[WindowRecord]:
         """Return the first windows of a section that no epoch before ``number`` holds, by start and wheelset.
@@ -194,7 +194,7 @@ class EpochStore:
 
         Windows that it held before are listed; another epoch that has held some of its windows is stale.
         """
-        self.changes.on_section(epoch.section)
+        self.subjects.places(epoch.section)
         upsert(self.connection, EPOCHS, _values(epoch))
         of_epoch = and_(MEMBERS.c.section == epoch.section, MEMBERS.c.epoch == epoch.number)
         held = self.connection.execute(select(MEMBERS.c.wheelset, MEMBERS.c.start_ns).where(of_epoch))
@@ -203,17 +203,17 @@ class EpochStore:
         self._let_go(epoch.section, sorted(before - set(keys)), of_epoch)
         elsewhere = {(row.section, row.epoch) for row in self._held(sorted(set(keys) - before))}
         for section, _ in sorted(elsewhere):
-            self.changes.on_section(section)
-        alignment_due.stale(self.changes.subjects, sorted(elsewhere))
+            self.subjects.places(section)
+        alignment_due.stale(self.subjects, sorted(elsewhere))
         self._put_members(epoch, members)
 
     def stale(self, section: str, number: int) -> None:
         """Let an epoch be computed again, where it is there."""
-        alignment_due.stale(self.changes.subjects, [(section, number)])
+        alignment_due.stale(self.subjects, [(section, number)])
 
     def put_found(self, section: str, number: int, found: FoundOfVehicles | None) -> None:
         """Store of which vehicles an epoch has found what matters for them alone, in the place of what was known."""
-        self.changes.on_section(section)
+        self.subjects.places(section)
         of_epoch = (VEHICLES.c.section == section, VEHICLES.c.epoch == number)
         self.connection.execute(delete(VEHICLES).where(*of_epoch))
         if found is None:
@@ -239,8 +239,8 @@ class EpochStore:
 
         What they have made stays in force until then.
         """
-        self.changes.on_section(section)
-        self.changes.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
+        self.subjects.places(section)
+        self.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
         behind = (MEMBERS.c.section == section, MEMBERS.c.epoch > number)
         own = and_(WINDOWS.c.track_section == section, WITH_SAMPLES, exists().where(OF_WINDOW, *behind))
         list_due(self.connection, DueStage.ALIGNMENT, own)
@@ -299,7 +299,7 @@ class EpochStore:
     def _let_go(self, section: str, keys: Sequence[WindowKey], of_epoch: ColumnElement[bool]) -> None:
         """Forget that an epoch holds some windows; those that are still there are listed."""
         if keys:
-            self.changes.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
+            self.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
         for first in range(0, len(keys), BATCH):
             given = {"keys": keys[first : first + BATCH]}
             own = and_(WINDOWS.c.track_section == section, WITH_SAMPLES, keys_given(WINDOWS))

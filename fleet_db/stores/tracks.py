@@ -24,7 +24,6 @@ from estimation.values.track import (
     TrackSectionRecord,
 )
 from estimation.values.windows import WindowKey, WindowPosition
-from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.registry_events import Decision, RecordKind
@@ -33,6 +32,7 @@ from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.window_positions import forget_positions, positions_of, put_positions
+from fleet_db.subjects import Subjects
 from fleet_db.tables import (
     TrackAlignmentRow,
     TrackEpochRow,
@@ -72,7 +72,7 @@ class TrackStore:
     """Implements ``estimation.storage.Tracks``."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
 
     def sections(self) -> Sequence[TrackSectionRecord]:
         """Return all sections by code; one that was voided has no number of a bus and is none."""
@@ -111,7 +111,7 @@ class TrackStore:
         was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
         line = None if record.line is None else [list(point) for point in record.line]  # as JSON has it
         if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}):
-            history = RegistryHistoryStore(self.connection, self.changes)
+            history = RegistryHistoryStore(self.connection, self.subjects)
             before = None if was is None or was["number"] <= 0 else was
             key, decision = RecordKey(RecordKind.SECTION, record.code), Decision(recorded_ns=recorded_ns)
             history.note_change(key, before, None, decision)
@@ -170,7 +170,7 @@ class TrackStore:
         if recorded_ns is not None:
             version_values = _version_values(alignment, version if same_since is None else same_since, recorded_ns)
             self.connection.execute(insert(VERSIONS).values(**values, **version_values))
-        self.changes.subjects.raised(SubjectKind.SECTION, alignment.section, Facet.ALIGNMENT)
+        self.subjects.raised(SubjectKind.SECTION, alignment.section, Facet.ALIGNMENT)
         return version
 
     def in_force(self, section: str) -> AlignmentRecord | None:
@@ -227,7 +227,7 @@ class TrackStore:
         gone = (VERSIONS.c.section == section, STANDS, VERSIONS.c.version.not_in(sorted(kept)))
         count = int(self.connection.execute(update(VERSIONS).where(*gone).values(superseded_ns=recorded_ns)).rowcount)
         if count:
-            self.changes.subjects.raised(SubjectKind.SECTION, section, Facet.ALIGNMENT)
+            self.subjects.raised(SubjectKind.SECTION, section, Facet.ALIGNMENT)
         return count
 
     def versions(self, section: str, after: int | None, limit: int) -> Sequence[AlignmentRecord]:
@@ -282,14 +282,14 @@ class TrackStore:
     def forget_positions_of(self, keys: Sequence[WindowKey]) -> None:
         """Forget where some windows were."""
         for section in forget_positions(self.connection, keys):
-            self.changes.on_section(section)
+            self.subjects.places(section)
 
     def forget_positions(self, section: str) -> int:
         """Forget where the windows of a section were, so that they are looked at again; return of how many.
 
         Its epochs are computed again from the first.
         """
-        EpochStore(self.connection, self.changes).start_again(section)
+        EpochStore(self.connection, self.subjects).start_again(section)
         of_section = exists().where(
             WINDOWS.c.wheelset == POSITIONS.c.wheelset,
             WINDOWS.c.start_ns == POSITIONS.c.start_ns,
@@ -317,7 +317,7 @@ class TrackStore:
         self.section(layout.section)
         before, version = self.layout_version(layout.section), store_layout(self.connection, layout)
         if version != before:
-            self.changes.subjects.section_on_file(layout.section)
+            self.subjects.section_on_file(layout.section)
         return version
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:

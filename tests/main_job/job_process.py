@@ -36,7 +36,7 @@ class Hesitant(SqlStorage):
     def write(self) -> Iterator[SqlUnitOfWork]:
         with super().write() as unit:
             yield unit
-            unit.changes.flush()
+            unit.subjects.flush()
             print("not committed", flush=True)  # noqa: T201 - what the test waits for
             time.sleep(0.3)
 

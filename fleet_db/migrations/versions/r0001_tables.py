@@ -527,20 +527,6 @@ sa.Table(
     required("version", BIG),
 )
 sa.Table(
-    "section_changes",
-    TABLES,
-    sa.Column("section", CODE, primary_key=True),
-    required("touched", BIG),
-)
-sa.Table(
-    "section_looks",
-    TABLES,
-    sa.Column("stage", sa.String(32), primary_key=True),
-    sa.Column("section", CODE, primary_key=True),
-    required("inputs", CODE),
-    required("touched", BIG),
-)
-sa.Table(
     "sensor_changes",
     TABLES,
     sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),

@@ -18,12 +18,14 @@ from estimation.jobs import estimate_windows, refresh_alignment
 from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_alignment import ALIGNMENT
 from estimation.jobs.settings import JobSettings
+from estimation.jobs.stage import AnyStage
 from estimation.jobs.steps.due_epoch import changed_from
 from estimation.jobs.steps.epoch_inputs import FileLookup
-from estimation.jobs.steps.section_looks import section_news
+from estimation.jobs.steps.outdated_windows import OUTDATED
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling
+from estimation.values.subjects import Mark
 from estimation.values.track import EpochMember, TrackLayout
 from estimation.values.windows import DueStage, WindowState
 from fleet_db.alignment_due import WINDOWS
@@ -43,10 +45,12 @@ def context_of(storage: SqlStorage, code_version: str = "test") -> JobContext:
 
 def news(storage: SqlStorage, code_version: str = "test") -> list[set[str]]:
     """Return the sections that the alignment looks at, and those that the estimation looks at."""
-    context = context_of(storage, code_version)
+    return [due_of(stage, storage, context_of(storage, code_version)) for stage in (ALIGNMENT, OUTDATED)]
+
+
+def due_of(stage: AnyStage, storage: SqlStorage, context: JobContext) -> set[str]:
     with storage.read() as unit:
-        of_alignment = unit.marks.due(ALIGNMENT.inputs(context), context.clock.now_ns())
-        return [set(of_alignment), set(section_news(unit, context, "estimate_windows"))]
+        return set(unit.marks.due(stage.inputs(context), context.clock.now_ns()))
 
 
 def first_due(unit: SqlUnitOfWork, section: str) -> int | None:
@@ -289,29 +293,29 @@ def test_windows_on_a_section_that_is_no_longer_on_file_are_looked_at(at_rest: S
     assert "S1" in news(at_rest, "other")[1]
 
 
-def test_another_class_and_other_settings_look_at_all(at_rest: SqlStorage) -> None:
+def test_another_class_and_other_settings_look_at_all_windows(at_rest: SqlStorage) -> None:
     others = replace(SETTINGS, estimation=replace(SETTINGS.estimation, interval_km=SETTINGS.estimation.interval_km + 1))
-    with at_rest.read() as unit:
-        changed = replace(context_of(at_rest), settings=others)
-        assert set(section_news(unit, changed, "estimate_windows")) == {"", "S1", "S2"}
+    for stage in (ALIGNMENT, OUTDATED):
+        assert due_of(stage, at_rest, replace(context_of(at_rest), settings=others)) == {"S1", "S2"}
     metro = paper_class("metro")
     softer = replace(metro, parameters=replace(metro.parameters, yaw_stiffness=0.9 * metro.parameters.yaw_stiffness))
     with at_rest.write() as unit:
         unit.registry.add_vehicle_class(softer, 2)
-    assert news(at_rest)[1] == {"", "S1", "S2"}
+    assert news(at_rest) == [{"S1"}, {"S1"}]  # there are no windows on the other
 
 
 def test_another_version_of_the_numerics_looks_at_all(at_rest: SqlStorage) -> None:
-    assert news(at_rest, "other")[1] == {"", "S1", "S2"}
+    assert news(at_rest, "other") == [{"S1", "S2"}, {"S1", "S2"}]
 
 
 def test_a_change_during_a_look_is_looked_at_again(at_rest: SqlStorage) -> None:
     with at_rest.write() as unit:
         _wait(unit)
+    inputs = OUTDATED.inputs(context_of(at_rest))
     with at_rest.read() as unit:
-        seen = section_news(unit, context_of(at_rest), "estimate_windows")
+        seen = unit.marks.due(inputs, 0)["S1"].seen
     with at_rest.write() as unit:
         _mark(unit)
     with at_rest.write() as unit:
-        unit.section_looks.note("estimate_windows", seen)
+        unit.marks.note(inputs, {"S1": Mark(seen, "")})
     assert news(at_rest)[1] == {"S1"}
