@@ -40,17 +40,16 @@ class Outdated:
 def load(unit: UnitOfWork, sections: Sequence[str], context: JobContext) -> Mapping[str, Outdated]:
     """Return what has come for the windows of some sections."""
     classes = ClassLookup(unit, context.settings.estimation)
-    standing = unit.tracks.standings().items()
-    estimated = {code for code, one in standing if one.in_force and one.in_force.status is Status.ESTIMATED}
-    aligned = set(unit.windows.refused_sections(NO_ALIGNMENT.code, sorted(estimated & {*sections})))
-    return {code: _of_section(unit, classes, code, aligned=code in aligned) for code in sections}
+    return {code: _of_section(unit, classes, code) for code in sections}
 
 
-def _of_section(unit: UnitOfWork, classes: ClassLookup, code: str, *, aligned: bool) -> Outdated:
+def _of_section(unit: UnitOfWork, classes: ClassLookup, code: str) -> Outdated:
+    known = unit.tracks.in_force(code)
+    aligned = known is not None and known.status is Status.ESTIMATED
     waiting = unit.windows.refused_vehicles(ReasonCode.CLASS_UNKNOWN, [code])
     return Outdated(
         windows=sorted({*unit.epochs.outdated([code]), *_made_otherwise(unit, classes, code)}),
-        aligned=aligned,
+        aligned=aligned and bool(unit.windows.refused_sections(NO_ALIGNMENT.code, [code])),
         classed=[vehicle for vehicle in waiting if not isinstance(classes.of_vehicle(vehicle), Reason)],
     )
 
