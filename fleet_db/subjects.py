@@ -46,7 +46,7 @@ class Subjects:
     _shown: set[str] = field(default_factory=set)
 
     def raised(self, kind: SubjectKind, subject: str | None, facet: str) -> None:
-        """Let a facet have another version.
+        """Raise the version of a facet: the stages that read it are due once this transaction is committed.
 
         Args:
             subject: Its code or serial; None is what is on no section.

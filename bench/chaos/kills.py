@@ -29,6 +29,7 @@ from estimation.values.runs import JobTrigger
 
 SECONDS = 45.0
 PIECES = 8
+LEASE_S = 1.0
 KILLS_A_ROUND = 10
 LONGEST_LIFE_S = 0.8
 RECOVERY_S = 5.0
@@ -72,7 +73,7 @@ def _round(both: Databases, kind: str, rng: random.Random, tally: Tally, kills: 
     """Kill processes of one deployment, let it come to rest, and compare it with one that was left alone."""
     folder = both.folder / "recordings"
     paths = recordings(folder, [rng.random() for _ in range(PIECES - 1)], SECONDS)
-    broken, alone = both.new(kind), both.new(kind)
+    broken, alone = (both.new(kind).model_copy(update={"lease_s": LEASE_S}) for _ in range(2))
     log = both.folder / "kills.log"
     for _ in range(kills):
         some = rng.sample(paths, 2)
@@ -88,6 +89,7 @@ def _round(both: Databases, kind: str, rng: random.Random, tally: Tally, kills: 
         wait_for([pid])
         tally.kills += 1
         tally.recoveries_s.append(_until_written(broken))
+    time.sleep(2.0 * LEASE_S)  # what a killed process ran is abandoned once its lease has ended
     for deployment in (broken, alone):
         if wait_for([fork(partial(_to_the_end, deployment, paths), log)]) != [0]:
             tally.faults.append("the end was not reached")

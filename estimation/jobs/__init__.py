@@ -1,1 +1,1 @@
-"""Scheduled jobs, one file each, and the scheduler that runs them."""
+"""Stages, one file each; what is done for all of them alike; the jobs that run them, and the scheduler."""

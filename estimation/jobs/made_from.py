@@ -10,7 +10,10 @@ import numpy as np
 
 
 def made_from(*inputs: object) -> str:
-    """Return the digest of frozen values, exact to the last bit of their numbers and arrays."""
+    """Return the digest of frozen values, exact to the last bit of their numbers and arrays.
+
+    A field with ``metadata={"made_from": False}`` is left out: what another field stands for, or is only carried along.
+    """
     digest = hashlib.sha256()
     for part in _parts(inputs):
         digest.update(part)

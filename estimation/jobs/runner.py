@@ -134,7 +134,10 @@ class _Working:
             waiting.extend([subject] for subject in rest)
 
     def _do(self, subjects: Sequence[str]) -> Sequence[str]:
-        """Do subjects together; where that fails, each alone. Return those that are due still."""
+        """Do subjects together; where that fails, each alone. Return those that are due still.
+
+        Versions are read in the snapshot in which the inputs are: what is committed later leaves a subject due.
+        """
         due: Mapping[str, Due] = {}
         try:
             with self.context.storage.read() as unit:
@@ -170,6 +173,7 @@ class _Working:
         return made
 
     def _one(self, state: Due, inputs: object | None) -> _Made:
+        """Return what came of a subject; ``compute`` is not called where its inputs are those of before."""
         if inputs is None:
             return _Made("", Outcome())
         digest = made_from(self.context.code_version, inputs)

@@ -1,7 +1,7 @@
 """What a stage is: its kind of subject, what it is made from, and a pure function from inputs to a value.
 
 A stage file says what is computed and nothing else; when, in which process and what happens where it fails is the
-runner's (``estimation.jobs.runner``).
+runner's (``estimation.jobs.runner``). ``docs/decisions/engine.md`` explains both, ``docs/extending.md`` adds a stage.
 """
 
 from __future__ import annotations
@@ -111,16 +111,16 @@ class Stage(Generic[I, V]):
         name: Of the stage; its results are a facet of this name.
         job: Name of the job that runs it, under which failures are kept.
         facets: What of its subjects it is made from: base facts, and names of stages whose results it reads.
-        settings: Returns what of the settings it is made from.
+        settings: Returns what of the settings it is made from; with others all subjects are due.
         load: Reads the inputs of some subjects, few statements for all; a subject that is left out has nothing to
-            compute from.
-        compute: Gets the inputs and nothing else.
+            compute from. The digest of its inputs (``made_from``) decides whether it is computed.
+        compute: Gets the inputs and nothing else. A part that it does not return keeps its former result.
         results: How what it computes is stored; None where ``store`` does all.
         store: Stores what is more than results, in the same transaction; returns what it counted.
         at_once: Subjects that are loaded and stored in one transaction.
         together: Whether it looks at all subjects together, of whatever kind a facet is; its one subject is
             ``EVERYTHING``.
-        frozen: Stages whose results it reads and that do not make it due.
+        frozen: Facets that it reads and that do not make it due.
         inline: Whether the transaction that raises a facet makes what the stage is for, at its end; a run makes all of
             it again where the settings are others.
     """

@@ -1,4 +1,7 @@
-"""The pipeline: all stages, in the order in which one hands its results to the next."""
+"""The pipeline: all stages, in the order in which one hands its results to the next.
+
+A job runs its stages (``estimation.jobs.catalogue``); a worker finds the stage of a unit here, by its name.
+"""
 
 from __future__ import annotations
 

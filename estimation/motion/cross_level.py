@@ -12,7 +12,7 @@ rails, to the low side, and the roll sensor measures phi = phi_t + phi_c, so tha
     y_EN = (y - d) + r0 phi + rho phi_c
 
 The first two terms are measured. The last is too where the track does not roll. Where it may, it is hidden behind the
-roll of the track, and taken as a share of the displacement that most profiles have; ``geometry.contact_roll`` puts
+roll of the track, and taken as a share of the displacement that most profiles have; ``geometry.rolling_line`` puts
 what the curve says in its place. The equations of motion go on in the displacement of the axle.
 """
 

@@ -141,7 +141,7 @@ def test_frames_on_the_bus_become_geometry_over_rest(deployment: Deployment, tre
             assert job["last_run"]["error"] is None
         alerts = client.get("/v1/alerts?kind=no_data").json()["items"]
         assert alerts == []  # the simulated vehicle's clock is in 2024; that is no silence
-        second = deployment.once(treadwatch, "scheduler")
+        second = deployment.once(treadwatch, "scheduler", "schedule")
         assert second.returncode == 2
         assert "another scheduler is already running" in second.stderr
     for name in ("scheduler", "receiver", "simulated-fleet"):

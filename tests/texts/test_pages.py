@@ -54,10 +54,10 @@ def anchors(page: Path) -> set[str]:
 @pytest.mark.parametrize("page", PAGES, ids=relative)
 def test_paths_in_the_text_exist(page: Path, files: frozenset[str]) -> None:
     folders = {"/".join(parts[:n]) for parts in (path.split("/") for path in files) for n in range(1, len(parts))}
-    names = {path.rpartition("/")[2] for path in files}
+    names = {"/".join(parts[n:]) for parts in (path.split("/") for path in files) for n in range(len(parts))}
     missing = []
     for quoted in re.findall(r"`([^`\n]+)`", page.read_text()):
-        if re.fullmatch(r"[\w.-]+\.py", quoted):
+        if re.fullmatch(r"[\w./-]+\.(py|js)", quoted):
             missing += [] if quoted in names else [quoted]
         elif re.fullmatch(rf"(?:{'|'.join(PACKAGES)})/[a-z\d_./-]*", quoted):
             missing += [] if quoted.rstrip("/") in files | folders else [quoted]
