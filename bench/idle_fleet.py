@@ -220,12 +220,12 @@ def _members(unit: SqlUnitOfWork, settings: JobSettings) -> None:
     )
     lookup = FileLookup(unit, settings, ClassLookup(unit, settings.estimation))
     columns = ("wheelset", "start_ns", "section", "epoch", "vehicle", "content_digest", "mileage_km", "context")
-    names = [*columns, "assumed", "placed", "estimated_version"]
+    names = [*columns, "assumed", "estimated_version"]
     copied = select(MOUNTINGS.c.wheelset, MOUNTINGS.c.vehicle).where(MOUNTINGS.c.vehicle.like("V-%"))
     for wheelset, vehicle in unit.connection.execute(copied).all():
         context = lookup.of(vehicle, wheelset).digest
         values = {"section": WINDOWS.c.track_section, "epoch": epoch.scalar_subquery(), "context": literal(context)}
-        values |= {"assumed": literal("a" * 64), "placed": literal(True), "estimated_version": literal(None)}  # noqa: FBT003 - a value of SQL
+        values |= {"assumed": literal("a" * 64), "estimated_version": literal(None)}
         chosen = [values.get(name, WINDOWS.c.get(name)) for name in names]
         rows = select(*chosen).where(WINDOWS.c.wheelset == wheelset)
         unit.connection.execute(insert(MEMBERS).from_select(names, rows))

@@ -71,9 +71,15 @@ class WindowDueStore:
 
         return dict(self.once.of_wheelset(f"due {stage}", wheelset, read) or ())
 
-    def of_section(self, stage: str, section: str) -> Mapping[WindowKey, int]:
-        """Return the due windows of a section with their versions."""
+    def of_section(self, stage: str, section: str, until_ns: int | None = None) -> Mapping[WindowKey, int]:
+        """Return the due windows of a section with their versions.
+
+        Args:
+            until_ns: Last start; None is all.
+        """
         statement = select(DUE).where(DUE.c.stage == stage, DUE.c.section == section)
+        if until_ns is not None:
+            statement = statement.where(DUE.c.start_ns <= until_ns)
         return {(row.wheelset, row.start_ns): row.version for row in self.connection.execute(statement)}
 
     def settle_all(self, stage: str, seen: Mapping[WindowKey, int]) -> None:

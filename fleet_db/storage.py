@@ -12,7 +12,6 @@ from sqlalchemy import Connection, Engine
 
 from estimation.errors import ConflictError, LeaseLostError, StorageError
 from estimation.values.runs import Claimed, JobTrigger
-from fleet_db.changes import Changes
 from fleet_db.due import WindowDueStore
 from fleet_db.locks import (
     Claims,
@@ -57,7 +56,6 @@ from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RegistryHistoryStore
 from fleet_db.stores.results import ResultStore
 from fleet_db.stores.roll_ups import RollUpStore
-from fleet_db.stores.section_looks import SectionLookStore
 from fleet_db.stores.sensor_changes import SensorChangeStore
 from fleet_db.stores.settings import StoredSettingStore
 from fleet_db.stores.signatures import SignatureStore
@@ -90,7 +88,6 @@ class SqlUnitOfWork:
     done: set[str] = field(default_factory=set)  # of what is claimed: it is free once this is committed
     together: set[str] = field(default_factory=set)  # wheelsets of which a reading transaction reads all together
     subjects: Subjects = field(init=False)
-    changes: Changes = field(init=False)
     chunks: ChunkStore = field(init=False)
     settings: StoredSettingStore = field(init=False)
     stale_spans: StaleSpanStore = field(init=False)
@@ -125,7 +122,6 @@ class SqlUnitOfWork:
     worklist: WorklistStore = field(init=False)
     api_keys: ApiKeyStore = field(init=False)
     audit: AuditStore = field(init=False)
-    section_looks: SectionLookStore = field(init=False)
     rails: RailsStore = field(init=False)
     roll_ups: RollUpStore = field(init=False)
     webhooks: WebhookStore = field(init=False)
@@ -134,7 +130,6 @@ class SqlUnitOfWork:
     def __post_init__(self) -> None:
         connection = self.connection
         self.subjects = Subjects(connection)
-        self.changes = Changes(connection, self.subjects)
         self.chunks = ChunkStore(connection, self.subjects)
         self.settings = StoredSettingStore(connection)
         self.stale_spans = StaleSpanStore(connection)
@@ -143,27 +138,27 @@ class SqlUnitOfWork:
         self.raw_scrubs = RawScrubStore(connection)
         self.recording_changes = RecordingChangeStore(connection)
         once = ReadOnce(not self.writing, self.together)
-        self.registry = RegistryStore(connection, self.changes, self.shipped, once=once)
-        self.tracks = TrackStore(connection, self.changes, once)
-        self.registry_history = RegistryHistoryStore(connection, self.changes)
-        self.sensor_changes = SensorChangeStore(connection, self.changes)
+        self.registry = RegistryStore(connection, self.subjects, self.shipped, once=once)
+        self.tracks = TrackStore(connection, self.subjects, once)
+        self.registry_history = RegistryHistoryStore(connection, self.subjects)
+        self.sensor_changes = SensorChangeStore(connection, self.subjects)
         self.corrections = CorrectionStore(
             connection, self.registry, self.tracks, self.registry_history, self.sensor_changes
         )
-        self.epochs = EpochStore(connection, self.changes)
-        self.windows = WindowStore(connection, self.changes, self.files, once)
-        self.assembled = AssembledWindowStore(connection, self.changes, self.files)
-        self.tables = BinTableStore(connection, self.changes)
+        self.epochs = EpochStore(connection, self.subjects)
+        self.windows = WindowStore(connection, self.subjects, self.files, once)
+        self.assembled = AssembledWindowStore(connection, self.subjects, self.files)
+        self.tables = BinTableStore(connection, self.subjects)
         self.due = WindowDueStore(connection, once)
         self.marks = StageMarkStore(connection, self.subjects, self.due)
-        self.results = ResultStore(connection, self.changes, once)
+        self.results = ResultStore(connection, self.subjects, once)
         self.geometries = GeometryStore(connection, self.results, once)
         self.trends = TrendStore(self.results, self.geometries)
         self.suspensions = SuspensionStore(connection, self.subjects)
         self.adhesion = AdhesionStore(connection, self.subjects)
         self.dampers = DamperStore(connection, self.results)
         self.signatures = SignatureStore(connection, self.subjects)
-        self.alerts = AlertStore(connection, self.writing, self.changes, once)
+        self.alerts = AlertStore(connection, self.writing, self.subjects, once)
         self.plausibility = PlausibilityStore(connection, self.windows)
         self.recorded_times = RecordedTimeStore(connection)
         self.feed_branches = FeedBranchStore(connection)
@@ -173,15 +168,14 @@ class SqlUnitOfWork:
         self.worklist = WorklistStore(connection, self.subjects, reader)
         self.api_keys = ApiKeyStore(connection)
         self.audit = AuditStore(connection)
-        self.section_looks = SectionLookStore(connection)
         self.rails = RailsStore(connection, self.subjects)
         self.roll_ups = RollUpStore(connection, once)
         self.webhooks = WebhookStore(connection)
         self.work_claims = WorkClaimStore(connection)
 
     def finish(self) -> None:
-        """Let what follows from the changes follow, as the last of the transaction: see ``Changes``."""
-        self.changes.flush()
+        """Let what follows from the changes follow, as the last of the transaction: see ``Subjects``."""
+        self.subjects.flush()
         self.worklist.refresh(self.subjects.take_shown())
 
     def assemble_alone(self, vehicle: str) -> None:

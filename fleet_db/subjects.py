@@ -7,7 +7,7 @@ versions of the facets that it declares with the sum that it has seen (``fleet_d
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -75,6 +75,18 @@ class Subjects:
         if hunting_in is not None:
             self.raised(SubjectKind.VEHICLE, hunting_in, Facet.HUNTING)
 
+    def tables(self, wheelset: str) -> None:
+        """Let what the geometry of a wheelset is computed from have another version."""
+        self.raised(SubjectKind.WHEELSET, wheelset, Facet.TABLES)
+
+    def places(self, section: str | None) -> None:
+        """Let windows, bin tables, positions or epochs of a section have another version.
+
+        Args:
+            section: None is what is on no section.
+        """
+        self.raised(SubjectKind.SECTION, section, Facet.PLACES)
+
     def growth(self, facets: Collection[str], subject: tuple[SubjectKind, str] | None = None) -> int:
         """Return by how much this transaction lets the sum of versions grow, of a subject or of all."""
         grown = self._written + Counter(self._raised)
@@ -82,20 +94,17 @@ class Subjects:
             count for (kind, name, facet), count in grown.items() if facet in facets and subject in {None, (kind, name)}
         )
 
-    def wheelset_on_file(self, serial: str) -> Sequence[str]:
-        """Something on file of a wheelset has changed: sections with its windows follow, and are returned."""
+    def wheelset_on_file(self, serial: str) -> None:
+        """Something on file of a wheelset has changed: sections with its windows follow."""
         self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
-        return self._sections(WINDOWS.c.wheelset == serial, MEMBERS.c.wheelset == serial)
+        self._sections(WINDOWS.c.wheelset == serial, MEMBERS.c.wheelset == serial)
 
-    def vehicle_on_file(self, code: str) -> Sequence[str]:
-        """Something on file of a vehicle has changed: what has ever been mounted there follows, and its sections.
-
-        These are returned.
-        """
+    def vehicle_on_file(self, code: str) -> None:
+        """Something on file of a vehicle has changed: what has ever been mounted there follows, and its sections."""
         self.raised(SubjectKind.VEHICLE, code, Facet.REGISTRY)
         for serial in self.connection.scalars(select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == code)):
             self.raised(SubjectKind.WHEELSET, serial, Facet.REGISTRY)
-        return self._sections(WINDOWS.c.vehicle == code, MEMBERS.c.vehicle == code)
+        self._sections(WINDOWS.c.vehicle == code, MEMBERS.c.vehicle == code)
 
     def section_on_file(self, code: str) -> None:
         """Something on file of a section has changed, or its layout: the signatures of all wheelsets rest on that."""
@@ -130,13 +139,11 @@ class Subjects:
             for serial in self.connection.scalars(statement):
                 self.raised(SubjectKind.WHEELSET, serial, Facet.BESIDE)
 
-    def _sections(self, windows: ColumnElement[bool], members: ColumnElement[bool]) -> Sequence[str]:
-        """Raise the sections that windows are on, or were when their epoch was computed; return them."""
+    def _sections(self, windows: ColumnElement[bool], members: ColumnElement[bool]) -> None:
+        """Raise the sections that windows are on, or were when their epoch was computed."""
         on = select(func.coalesce(WINDOWS.c.track_section, "")).where(windows)
-        sections = list(self.connection.scalars(on.union(select(MEMBERS.c.section).where(members))))
-        for section in sections:
+        for section in self.connection.scalars(on.union(select(MEMBERS.c.section).where(members))):
             self.raised(SubjectKind.SECTION, section, Facet.REGISTRY)
-        return sections
 
 
 @cache

@@ -182,8 +182,6 @@ HIDDEN = frozenset(
         "audit_entries",
         "raw_marks",
         "raw_scrubs",
-        "section_changes",
-        "section_looks",
         "stage_marks",
         "subject_versions",
         "webhook_secrets",

@@ -16,6 +16,7 @@ from estimation.errors import DamagedError, PassingFaultError, TreadwatchError
 from estimation.jobs.hand_out import Unit, hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import Job, JobContext, Work
+from estimation.jobs.runner import run as run_stage
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.failed_windows import (
     FailedWindow,
@@ -28,9 +29,9 @@ from estimation.jobs.steps.failed_windows import (
 from estimation.jobs.steps.likely_chosen import likely_chosen
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.lost_windows import assemble_if_lost
+from estimation.jobs.steps.outdated_windows import OUTDATED
 from estimation.jobs.steps.plausibility import judge_mileages
 from estimation.jobs.steps.refusals import count_of, refusals_text
-from estimation.jobs.steps.requeued_windows import requeued
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.steps.window_inputs import BatchInputs, WindowInputs, inputs_of_batch
 from estimation.jobs.steps.window_tracks import tracks_of_batch
@@ -65,12 +66,15 @@ def run(context: JobContext) -> Mapping[str, int]:
         counts["mileages_judged"] = judged
     isolation = Isolation(context, "estimate_windows")
     let_due_wait_again(context, isolation)
-    counts.update(requeued(context, STAGE.name))
+    outdated = run_stage(OUTDATED, context)
+    counts["requeued"] = outdated["requeued"]
+    if outdated["passed_over"]:
+        counts["passed_over"] = outdated["passed_over"]
     with context.storage.read() as unit:
         total, standing = unit.windows.pending_count(), unit.tracks.standings()
     in_force = {code: one.in_force for code, one in standing.items() if one.in_force is not None}
     waiting = [code for code, record in in_force.items() if _waits_for_place(record)]
-    counts["quarantined"] = isolation.quarantined
+    counts["quarantined"] = isolation.quarantined + outdated["quarantined"]
     _hand_out(context, waiting, total, counts)
     if refused := refusals_text(counts):
         _log.info("%d windows estimated, %d refused: %s", counts["estimated"], counts["refused"], refused)

@@ -1,44 +1,51 @@
-"""Job: windows of a section, in epochs of vehicle time, give its alignment, which corrects their positions.
+"""Stage: windows of a section, in epochs of vehicle time, give its alignment, which corrects their positions.
 
 The windows of each section are divided into epochs, a function of the set of windows. Those of an epoch become passes;
 these and what was known after the epoch before become the next version. So what is known of a section does not depend
 on when its windows came. An epoch is computed again when one of its windows has changed, or what it started from; so a
 run costs its new windows and not the history. Windows of an epoch that identifies nothing are looked at again together
-with those of the next. A section on which nothing has happened is not read.
+with those of the next. One epoch is computed at a time; a section on which nothing has happened is not read.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 
-from estimation.errors import TreadwatchError
-from estimation.jobs.hand_out import hand_out
-from estimation.jobs.isolation import Isolation, fails_alone, no_inputs
-from estimation.jobs.job import Job, JobContext, Work
-from estimation.jobs.steps.epoch_inputs import FileLookup, entries, given, input_digest
-from estimation.jobs.steps.epoch_passes import epoch_passes
+from estimation.errors import ConflictError
+from estimation.jobs.job import Job, JobContext
+from estimation.jobs.made_from import made_from
+from estimation.jobs.runner import run
+from estimation.jobs.settings import JobSettings
+from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.steps.due_epoch import Due, EpochSearch, Found, changed_from, otherwise_on_file
+from estimation.jobs.steps.epoch_inputs import FileLookup
+from estimation.jobs.steps.epoch_passes import EpochPasses, epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured
-from estimation.jobs.steps.section_looks import note_sections, section_news
 from estimation.jobs.steps.store_alignment import (
     Computed,
-    Due,
     classes_of,
     cut,
     is_hardly_another,
-    store,
+    store_epoch,
     survey_checked,
 )
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_positions import Solved
 from estimation.storage import UnitOfWork
-from estimation.track.partition import Entry, Group, first_epoch, newest_within
-from estimation.track.passes import NANOSECONDS, Journey
+from estimation.track.partition import Entry, newest_within
+from estimation.track.passes import Journey
 from estimation.track.placing import place_alone
+from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, update_alignment
 from estimation.values.runs import SubjectKind
-from estimation.values.track import OPEN_NS, Correction, TrackAlignment, TrackEpoch, TrackSectionRecord
+from estimation.values.subjects import Due as Seen
+from estimation.values.subjects import Facet, Mark, StageInputs
+from estimation.values.track import Correction, TrackAlignment, TrackSectionRecord
+from estimation.values.windows import DueStage, WindowKey, WindowRecord
+from estimation.vehicle.vehicle_class import ClassOnFile
 
 _COUNTED = {
     UpdateOutcome.UNESTIMATED: "unestimated",
@@ -48,263 +55,255 @@ _COUNTED = {
     UpdateOutcome.SURVEY_EXTENDED: "versions",
     UpdateOutcome.SURVEY_REFUSED: "versions",
 }
-_COUNTS = (
-    "sections",
-    "epochs",
-    "windows",
-    "passes",
-    "versions",
-    "kept",
-    "unestimated",
-    "unchanged",
-    "changed_meanwhile",
-)
-GROWN = 4.0
-"""Times as many windows as it was computed with: from there on an open epoch is computed although more still come."""
-
-_READ = 4  # times the windows of an epoch that are read to find it
+_COUNTS = ("epochs", "windows", "passes", "kept", "unestimated", "changed_meanwhile")
+_HELD = ("track_section", "vehicle", "content_digest", "mileage_km")
 
 
-def run(context: JobContext) -> Mapping[str, int]:
-    """Compute the epochs of every section that are new or have changed; each is committed on its own."""
-    counts: Counter[str] = Counter(dict.fromkeys(_COUNTS, 0))
-    isolation = Isolation(context, "refresh_alignment")
-    due = _due_sections(context, isolation, counts)
-    counts["quarantined"] = isolation.quarantined
-    done = 0
+@dataclass(frozen=True, slots=True)
+class OnFile:
+    """What has been seen of the files of a section, and what follows from it.
 
-    def progress(more: int) -> None:
-        nonlocal done
-        done += more
-        context.checkpoint(done, len(due))
-
-    counts.update(hand_out(context, STAGE, ((code,) for code in due), progress))
-    return counts
-
-
-def _due_sections(context: JobContext, isolation: Isolation, counts: Counter[str]) -> list[str]:
-    """Return the sections with an epoch to look at; those on which nothing has happened are not even read."""
-    with context.storage.read() as unit:
-        sections, news = unit.tracks.sections(), section_news(unit, context, STAGE.name)
-    failed = {item.key for item in isolation.held(SubjectKind.SECTION)}
-    due, at_rest = [], {}
-    for section in sections:
-        code = section.code
-        if isolation.waits(SubjectKind.SECTION, code):
-            continue
-        counts["sections"] += 1
-        if code not in news and code not in failed:
-            counts["unchanged"] += 1
-            continue
-        try:
-            first = _first_due(context, section)
-            if first is not None and not first.later:
-                due.append(code)
-                continue
-        except Exception as error:
-            if not fails_alone(error):
-                raise
-            isolation.keep(SubjectKind.SECTION, code, no_inputs(), error)
-        else:
-            counts["unchanged"] += 1
-            isolation.release(SubjectKind.SECTION, code)
-            if code in news and first is None:  # an epoch that is left for later is looked at again
-                at_rest[code] = news[code]
-    note_sections(context, STAGE.name, at_rest)
-    return due
-
-
-def _work(context: JobContext, codes: Sequence[str]) -> Mapping[str, int]:
-    """Compute the epochs of sections; what fails at one of them is kept in quarantine."""
-    counts: Counter[str] = Counter()
-    isolation = Isolation(context, "refresh_alignment")
-    with context.storage.read() as unit:
-        sections = [section for section in unit.tracks.sections() if section.code in codes]
-    for section in sections:
-        with isolation.alone(SubjectKind.SECTION, section.code):
-            _fold(context, section, counts)
-    counts["quarantined"] = isolation.quarantined
-    return counts
-
-
-def _set_aside(context: JobContext, code: str, error: TreadwatchError) -> None:
-    Isolation(context, "refresh_alignment").keep(SubjectKind.SECTION, code, no_inputs(), error)
-
-
-JOB = Job("refresh_alignment", "Find the alignment of sections and the positions of windows", every_s=600.0, run=run)
-STAGE = Work(JOB.name, _work, _set_aside)
-
-
-def _first_due(context: JobContext, section: TrackSectionRecord) -> Due | None:
-    """Return which epoch of a section has to be looked at; asked before the section is claimed, for that writes."""
-    files_ns = _files_changed(context, section)
-    with context.storage.read() as unit:
-        return _due(unit, section, context, 0, files_ns)
-
-
-def _fold(context: JobContext, section: TrackSectionRecord, counts: Counter[str]) -> None:
-    """Do the epochs of a section that have changed, in order; each once."""
-    files_ns = _files_changed(context, section)
-    visited = 0
-    while True:
-        with context.storage.read() as unit:
-            due = _due(unit, section, context, visited, files_ns)
-        if due is None or due.later:
-            break
-        visited = due.number
-        if not due.own:
-            _cut(context, due)
-            return
-        if due.same is not None:
-            with context.storage.write() as unit:
-                unit.epochs.put(due.same, due.own)
-        elif not _compute(context, due, counts):
-            counts["changed_meanwhile"] += 1
-            return
-    counts["unchanged"] += visited == 0
-
-
-def _files_changed(context: JobContext, section: TrackSectionRecord) -> int | None:
-    """Return the start of the first window for which something else is on file than when its epoch was computed."""
-    changed: list[int] = []
-    unaffected: list[tuple[str, str, str]] = []
-    with context.storage.read() as unit:
-        lookup = _lookup(unit, context)
-        for vehicle, wheelset, digest in unit.epochs.contexts(section.code):
-            now = lookup.of(vehicle, wheelset).digest
-            if now == digest:
-                continue
-            held = unit.epochs.members(section.code, vehicle, wheelset)
-            other = [one.record.start_ns for one in held if lookup.member(one.record).assumed != one.assumed]
-            changed += other
-            if not other:
-                unaffected.append((vehicle, wheelset, now))
-    if unaffected:
-        with context.storage.write() as unit:
-            for vehicle, wheelset, now in unaffected:
-                unit.epochs.note_context(section.code, vehicle, wheelset, now)
-    return min(changed, default=None)
-
-
-def _lookup(unit: UnitOfWork, context: JobContext) -> FileLookup:
-    return FileLookup(unit, context.settings, ClassLookup(unit, context.settings.estimation))
-
-
-def _due(
-    unit: UnitOfWork, section: TrackSectionRecord, context: JobContext, visited: int, files_ns: int | None
-) -> Due | None:
-    """Return the next epoch behind ``visited`` that has to be looked at; None where all are as they should be."""
-    stored = unit.epochs.list(section.code)
-    basis, first = given(unit, section, context.settings)
-    states = [first, *(epoch.after for epoch in stored)]
-    news = unit.epochs.news(section.code)
-    changed_ns = min((at for at in (news.from_ns, files_ns) if at is not None), default=None)
-    again = {visited + 1} if visited and stored[visited - 1].waits else set[int]()
-
-    def affected(epoch: TrackEpoch) -> bool:
-        return (
-            epoch.before != states[epoch.number - 1].key(basis)
-            or (changed_ns is not None and changed_ns <= epoch.horizon_ns)
-            or epoch.number in news.unplaced | again
-        )
-
-    known = [epoch for epoch in stored if epoch.number > visited and affected(epoch)]
-    number = known[0].number if known else len(stored) + 1
-    settings = context.settings.alignment
-    lookup = _lookup(unit, context)
-    records = unit.epochs.remaining(section.code, number, _READ * settings.most_windows)
-    if not records:
-        return Due(section, number, stored, states[number - 1], basis) if known else None
-    group = first_epoch(entries(lookup, records), settings.most_windows, settings.most_wheelsets, settings.partition)
-    waiting = unit.epochs.windows(section.code, _waiting_before(stored, number))
-    own = [lookup.member(record) for record, _ in group.entries]
-    due = Due(
-        section,
-        number,
-        stored,
-        states[number - 1],
-        basis,
-        own,
-        [*entries(lookup, waiting), *group.entries],
-        input_digest([*(lookup.member(record) for record in waiting), *own]),
-        group.horizon_ns,
-    )
-    if known and number == len(stored) and _leaves_for_later(context, known[0], due, group):
-        return replace(due, later=True)
-    same = known and number not in news.unplaced | again and _rests_on(known[0], due)
-    return replace(due, same=replace(known[0], horizon_ns=group.horizon_ns, windows=len(own))) if same else due
-
-
-def _leaves_for_later(context: JobContext, epoch: TrackEpoch, due: Due, group: Group) -> bool:
-    """Return whether the last epoch stays as it is for now: windows still come, and it has hardly grown since.
-
-    It is computed by the first run that finds no new window, so what is stored at rest is the same.
+    Attributes:
+        seen: As it is to be noted; None where nothing is on file that was not seen.
+        changed: Starts of windows that are looked at otherwise, by key.
+        unaffected: Vehicle, wheelset and digest of what is on file where it changes nothing.
     """
-    ages_ns = [context.clock.now_ns() - record.recorded_ns for record, _ in group.entries]
-    coming = any(0 <= age_ns < context.quiet_s * NANOSECONDS for age_ns in ages_ns)
-    grows = epoch.windows < len(group.entries) < GROWN * epoch.windows
-    return coming and grows and group.horizon_ns == OPEN_NS and epoch.before == due.before.key(due.basis)
+
+    seen: Seen | None = None
+    changed: Mapping[WindowKey, int] = field(default_factory=dict)
+    unaffected: Sequence[tuple[str, str, str]] = ()
 
 
-def _rests_on(epoch: TrackEpoch, due: Due) -> bool:
-    return epoch.before == due.before.key(due.basis) and epoch.input_digest == due.digest
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What an epoch is solved with.
+
+    Attributes:
+        alignment: After the epoch before; None where nothing is known.
+        base: The oldest version from which that does not differ materially.
+        classes: By vehicle.
+        chosen: Windows that are solved together, those that make the version first, with what was measured of their
+            wheelsets.
+    """
+
+    alignment: TrackAlignment | None
+    base: TrackAlignment | None
+    classes: Mapping[str, ClassOnFile]
+    chosen: Sequence[tuple[Sequence[Entry], Measured]]
 
 
-def _waiting_before(stored: Sequence[TrackEpoch], number: int) -> list[int]:
-    """Return the epochs right before one that have identified nothing."""
-    found: list[int] = []
-    for epoch in reversed(stored[: number - 1]):
-        if not epoch.waits:
-            break
-        found.append(epoch.number)
-    return found
+@dataclass(frozen=True, slots=True)
+class FoldInputs:
+    """What is to be done of the epochs of a section; samples are read where they are looked at.
+
+    Attributes:
+        number: Of the epoch that is due; None for none.
+        digest: Of what that rests on.
+        later: Whether the last epoch is left for a later run.
+        seen: Windows that are listed and done with when this is stored, with the versions that were read.
+        known: None where no epoch is due, or it has no window left.
+    """
+
+    section: str
+    number: int | None
+    digest: str
+    later: bool
+    seen: Mapping[WindowKey, int]
+    on_file: OnFile
+    found: Found = field(metadata={"made_from": False})
+    known: Known | None = field(metadata={"made_from": False})
+    settings: AlignmentSettings = field(metadata={"made_from": False})
+    passes: Callable[[Sequence[Entry]], EpochPasses] = field(metadata={"made_from": False})
+
+    @property
+    def writes(self) -> bool:
+        """Whether anything is to be stored: else the section is at rest."""
+        return bool(self.found.due or self.found.kept or self.seen or self.on_file.seen)
 
 
-def _compute(context: JobContext, due: Due, counts: Counter[str]) -> bool:
-    """Compute an epoch and store what it shows; return whether that could be stored."""
-    settings = context.settings.alignment
-    chosen, rest = newest_within(due.entries, settings.most_windows, settings.most_wheelsets)
-    with context.storage.read() as unit:
-        version = due.before.version
-        alignment = None if version is None else unit.tracks.alignment(due.section.code, version)
-        since = due.before.same_since
-        base = alignment if since == version or since is None else unit.tracks.alignment(due.section.code, since)
-        classes = classes_of(ClassLookup(unit, context.settings.estimation), [record for record, _ in due.entries])
-    solved, known = _solve(context, due, chosen, alignment, checked=survey_checked(due.before.survey))
+def load(unit: UnitOfWork, codes: Sequence[str], context: JobContext) -> Mapping[str, FoldInputs]:
+    """Return what is to be done of some sections; those that are not on file any more are left out."""
+    sections = {section.code: section for section in unit.tracks.sections()}
+    return {code: _inputs(unit, sections[code], context) for code in codes if code in sections}
+
+
+def _inputs(unit: UnitOfWork, section: TrackSectionRecord, context: JobContext) -> FoldInputs:
+    code, settings = section.code, context.settings.alignment
+    lookup = FileLookup(unit, context.settings, ClassLookup(unit, context.settings.estimation))
+    on_file = _on_file(unit, lookup, code, context)
+    stored = unit.epochs.list(code)
+    listed_ns = changed_from(unit, lookup, code) if stored else None
+    starts = (listed_ns, *on_file.changed.values())
+    changed_ns = min((start_ns for start_ns in starts if start_ns is not None), default=None)
+    found = EpochSearch(unit, context, section, lookup, stored, changed_ns).found()
+    due = found.due
+    own = {member.record.key for kept in found.kept for member in kept.own}
+    own |= {member.record.key for member in due.own} if due is not None else set()
+    until_ns = max((start_ns for _, start_ns in own), default=0)
+    at_rest = due is None and not found.later
+    seen = unit.due.of_section(DueStage.ALIGNMENT, code, None if at_rest else until_ns)
+    return FoldInputs(
+        section=code,
+        number=None if due is None else due.number,
+        digest="" if due is None else due.digest,
+        later=found.later,
+        seen={key: version for key, version in seen.items() if at_rest or key in own},
+        on_file=on_file,
+        found=found,
+        known=_known(unit, due, lookup.classes, settings) if due is not None and due.own else None,
+        settings=settings,
+        passes=partial(epoch_passes, context),
+    )
+
+
+def _on_file(unit: UnitOfWork, lookup: FileLookup, code: str, context: JobContext) -> OnFile:
+    seen = unit.marks.due(_files(context), context.clock.now_ns(), [code]).get(code)
+    return OnFile() if seen is None else OnFile(seen, *otherwise_on_file(unit, lookup, code))
+
+
+def _files(context: JobContext) -> StageInputs:
+    """Return what the windows of epochs are looked at with: it is compared only where one of these was raised."""
+    common = made_from(_settings(context.settings))
+    return StageInputs(f"{ALIGNMENT.name}_files", SubjectKind.SECTION, (Facet.REGISTRY,), common)
+
+
+def _known(unit: UnitOfWork, due: Due, classes: ClassLookup, settings: AlignmentSettings) -> Known:
+    code, version, since = due.section.code, due.before.version, due.before.same_since
+    alignment = None if version is None else unit.tracks.alignment(code, version)
+    records = [record for record, _ in due.entries]
+    parts = []
+    rest: Sequence[Entry] = due.entries
+    while rest:
+        chosen, rest = newest_within(rest, settings.most_windows, settings.most_wheelsets)
+        of_windows = ([record for record, _ in chosen], [life for _, life in chosen])
+        parts.append((chosen, measured(unit, due.section, *of_windows, settings.measured_km, classes)))
+    return Known(
+        alignment=alignment,
+        base=alignment if since == version or since is None else unit.tracks.alignment(code, since),
+        classes=classes_of(classes, records),
+        chosen=parts,
+    )
+
+
+def compute(inputs: FoldInputs) -> Outcome[Computed]:
+    """Return the epoch that is due, as it is now; the next one comes when that is stored."""
+    due, known = inputs.found.due, inputs.known
+    if inputs.later:
+        return Outcome(again_ns=0, counted="unchanged")
+    if due is None or known is None:
+        return Outcome(more=inputs.writes)
+    settings = inputs.settings
+    (chosen, of_chosen), *rest = known.chosen
+    alignment = known.alignment
+    solved = _solve(inputs, chosen, of_chosen, alignment, checked=survey_checked(due.before.survey))
     parts, alone = [solved], dict[Journey, Correction]()
-    if alignment is not None and is_hardly_another(base, solved.update, settings):
-        alone = place_alone(due.section, solved.update.estimate.grouped, alignment, settings.section, known.curves)
+    if alignment is not None and is_hardly_another(known.base, solved.update, settings):
+        grouped = solved.update.estimate.grouped
+        alone = place_alone(due.section, grouped, alignment, settings.section, of_chosen.curves)
     if not solved.update.outcome.windows_wait:
-        while rest:
-            chosen, rest = newest_within(rest, settings.most_windows, settings.most_wheelsets)
-            parts.append(_solve(context, due, chosen, solved.update.alignment, checked=True)[0])
-    with context.storage.write() as unit:
-        stored = store(unit, Computed(due, alignment, parts, classes, known.notes, alone), context)
-    if stored:
-        counts[_COUNTED[solved.update.outcome]] += 1
-        counts["epochs"] += 1
-        counts["windows"] += len(due.own)
-        counts["passes"] += sum(len(part.passes.found) for part in parts)
-    return stored
+        parts += [_solve(inputs, *part, solved.update.alignment, checked=True) for part in rest]
+    return Outcome([Part(Computed(due, alignment, parts, known.classes, of_chosen.notes, alone))], more=True)
 
 
 def _solve(
-    context: JobContext, due: Due, chosen: Sequence[Entry], alignment: TrackAlignment | None, *, checked: bool
-) -> tuple[Solved, Measured]:
-    """Return what some windows make of an alignment, and what has been measured of their wheelsets."""
-    settings = context.settings.alignment
-    records, lives = [record for record, _ in chosen], [life for _, life in chosen]
-    with context.storage.read() as unit:
-        classes = ClassLookup(unit, context.settings.estimation)
-        known: Measured = measured(unit, due.section, records, lives, settings.measured_km, classes)
-    made = epoch_passes(context, chosen)
+    inputs: FoldInputs, chosen: Sequence[Entry], known: Measured, alignment: TrackAlignment | None, *, checked: bool
+) -> Solved:
+    """Return what some windows make of an alignment."""
+    assert inputs.found.due is not None
+    made = inputs.passes(chosen)
     update = update_alignment(
-        due.section, made.found, alignment, settings, survey_checked=checked, measured=known.curves
+        inputs.found.due.section,
+        made.found,
+        alignment,
+        inputs.settings,
+        survey_checked=checked,
+        measured=known.curves,
     )
-    return Solved(records, made, update), known
+    return Solved([record for record, _ in chosen], made, update)
 
 
-def _cut(context: JobContext, due: Due) -> None:
-    """Forget the epochs that have no window any more."""
-    with context.storage.write() as unit:
-        cut(unit, due, context)
+def store(
+    unit: UnitOfWork, context: JobContext, made: Mapping[str, tuple[FoldInputs | None, Outcome[Computed]]]
+) -> Mapping[str, int]:
+    """Store what was computed of sections, and what was seen of their windows."""
+    counts: Counter[str] = Counter()
+    for inputs, outcome in made.values():
+        if inputs is not None:
+            _store(unit, context, inputs, outcome, counts)
+    return counts
+
+
+def _store(
+    unit: UnitOfWork, context: JobContext, inputs: FoldInputs, outcome: Outcome[Computed], counts: Counter[str]
+) -> None:
+    found, code, on_file = inputs.found, inputs.section, inputs.on_file
+    _check_unchanged(unit, found, code)
+    own = {member.record.key for kept in found.kept for member in kept.own}
+    for kept in found.kept:
+        unit.epochs.put(kept.epoch, kept.own)
+    if found.due is not None:
+        own |= {member.record.key for member in found.due.own}
+        if inputs.known is None:
+            cut(unit, found.due, context)
+    for part in outcome.parts:
+        assert part.value is not None
+        store_epoch(unit, part.value, context)
+        counts.update(_counts(part.value))
+    unit.due.settle_all(DueStage.ALIGNMENT, inputs.seen)
+    if on_file.seen is not None:
+        unit.epochs.list_again(code, [key for key in on_file.changed if key not in own])
+        for vehicle, wheelset, digest in on_file.unaffected:
+            unit.epochs.note_context(code, vehicle, wheelset, digest)
+        unit.marks.note(_files(context), {code: Mark(on_file.seen.seen, "")})
+
+
+def _check_unchanged(unit: UnitOfWork, found: Found, code: str) -> None:
+    """Hold the windows of epochs until they are stored: who changes them later finds that an epoch holds them.
+
+    Raises:
+        ConflictError: Something has changed since it was read.
+    """
+    own = [member.record for kept in found.kept for member in kept.own]
+    own += [member.record for member in found.due.own] if found.due is not None else []
+    now = {record.key: record for record in unit.windows.several([record.key for record in own], held=True)}
+    same = all(_same(record, now.get(record.key)) for record in own)
+    if not same or (found and unit.epochs.list(code) != found.stored):
+        raise ConflictError("windows or epochs have changed", kind="track section", key=code)
+
+
+def _same(record: WindowRecord, now: WindowRecord | None) -> bool:
+    """Return whether a window is what it was, as far as an epoch holds it."""
+    return now is not None and all(getattr(record, name) == getattr(now, name) for name in _HELD)
+
+
+def _counts(computed: Computed) -> Mapping[str, int]:
+    return {
+        _COUNTED[computed.update.outcome]: 1,
+        "epochs": 1,
+        "windows": len(computed.due.own),
+        "passes": sum(len(part.passes.found) for part in computed.parts),
+    }
+
+
+def _settings(settings: JobSettings) -> object:
+    return settings.alignment_parameters(), settings.estimation.as_json()
+
+
+ALIGNMENT = Stage(
+    name="alignment",
+    job="refresh_alignment",
+    kind=SubjectKind.SECTION,
+    facets=(Facet.REGISTRY, Facet.ALIGNMENT, Facet.WINDOWS),
+    settings=_settings,
+    load=load,
+    compute=compute,
+    counted=Counted(looked="sections", changed="versions", same="unchanged", more=_COUNTS),
+    store=store,
+    at_once=1,
+)
+JOB = Job(
+    name=ALIGNMENT.job,
+    description="Find the alignment of sections and the positions of windows",
+    every_s=600.0,
+    run=partial(run, ALIGNMENT),
+)

@@ -29,6 +29,8 @@ from estimation.values.subjects import Due, Mark, StageInputs
 
 CLAIMED_TOGETHER = 4
 """Batches of subjects that are claimed together."""
+CHANGED = "changed_meanwhile"
+"""Counts subjects that have changed between the reading of their inputs and the storing, of stages that name it."""
 
 
 def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
@@ -141,9 +143,18 @@ class _Working:
     inputs: StageInputs
     isolation: Isolation
     counts: Counter[str] = field(default_factory=Counter)
+    _stored: set[str] = field(default_factory=set)  # subjects of which a part was stored
 
     def do(self, subjects: Sequence[str]) -> None:
-        """Load, compute and store subjects together; where that fails, each alone.
+        """Load, compute and store subjects together, and the rest of those of which that was a part each alone."""
+        waiting = deque([subjects])
+        while waiting:
+            rest = self._do(waiting.popleft())
+            self._stored.update(rest)
+            waiting.extend([subject] for subject in rest)
+
+    def _do(self, subjects: Sequence[str]) -> Sequence[str]:
+        """Do subjects together; where that fails, each alone. Return those that are due still.
 
         Versions are read in the snapshot in which the inputs are: what is committed later leaves a subject due.
         """
@@ -156,7 +167,7 @@ class _Working:
                     unit.together.update(due)
                 loaded = self.stage.load(unit, list(due), self.context) if due else {}
             made = self._computed(due, loaded)
-            self._store(due, loaded, made)
+            return self._store(due, loaded, made)
         except Exception as error:
             if not fails_alone(error):
                 raise
@@ -165,6 +176,9 @@ class _Working:
                     self.do([subject])
             elif not isinstance(error, ConflictError):  # with a conflict it is still due
                 self._keep(subjects[0], due.get(subjects[0], Due(0)), error)
+            elif CHANGED in self.stage.counted.names:
+                self.counts[CHANGED] += 1
+        return ()
 
     def _computed(self, due: Mapping[str, Due], loaded: Mapping[str, object]) -> dict[str, _Made]:
         """Return what was computed of each subject that did not fail; None where its inputs are those of before."""
@@ -192,9 +206,9 @@ class _Working:
             _check_finite(part)
         return _Made(digest, outcome)
 
-    def _store(self, due: Mapping[str, Due], loaded: Mapping[str, object], made: Mapping[str, _Made]) -> None:
+    def _store(self, due: Mapping[str, Due], loaded: Mapping[str, object], made: Mapping[str, _Made]) -> Sequence[str]:
         if not made:
-            return
+            return ()
         computed = {subject: (loaded.get(subject), one.outcome) for subject, one in made.items() if one.outcome}
         results = [self._result(subject, one, part) for subject, one in made.items() for part in one.parts]
         stored: Counter[str] = Counter()
@@ -212,8 +226,7 @@ class _Working:
             self.isolation.release(self.stage.kind, subject)
             if self.stage.together and one.outcome is not None:
                 self._keep_failed(one.outcome.failed)
-        for subject in made.keys() - whole.keys():
-            self.do([subject])
+        return sorted(made.keys() - whole.keys())
 
     def _keep_failed(self, failed: Mapping[tuple[SubjectKind, str], Exception]) -> None:
         """Keep what failed alone of a look at all together; what does not any more is released."""
@@ -246,7 +259,7 @@ class _Working:
         self.counts[names.changed] += results
         for subject, one in made.items():
             name = names.same if one.outcome is None or one.outcome.counted is None else one.outcome.counted
-            if name is not None and subject not in changed:
+            if name is not None and subject not in changed and not (name == names.same and subject in self._stored):
                 self.counts[name] += 1
 
     def _keep(self, subject: str, state: Due, error: Exception) -> None:

@@ -10,16 +10,20 @@ from estimation.jobs.compare_suspensions import SUSPENSIONS
 from estimation.jobs.evaluate_alerts import ALERTS
 from estimation.jobs.refresh_adhesion import FIRST, OF_SECTIONS, OF_VEHICLES
 from estimation.jobs.refresh_adhesion import OF_WINDOWS as CREEP
+from estimation.jobs.refresh_alignment import ALIGNMENT
 from estimation.jobs.refresh_geometry import GEOMETRY
 from estimation.jobs.refresh_rails import OF_ALL as RAILS
 from estimation.jobs.refresh_rails import OF_WHEELSETS as CELLS
 from estimation.jobs.refresh_signatures import OF_ALL as ANSWERS
 from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.stage import AnyStage
+from estimation.jobs.steps.outdated_windows import OUTDATED
 from estimation.jobs.steps.signature_windows import ASSUMED, OF_WINDOWS
 from estimation.jobs.worklist_rows import WORKLIST
 
 ALL_STAGES: tuple[AnyStage, ...] = (
+    ALIGNMENT,
+    OUTDATED,
     GEOMETRY,
     FIRST,
     CREEP,

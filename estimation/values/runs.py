@@ -55,14 +55,6 @@ class Claimed:
     begun_ns: Mapping[str, int] = field(default_factory=dict)  # of ``keys``, by the clock of the claims
 
 
-@dataclass(frozen=True, slots=True)
-class SectionLook:
-    """What a look at a track section is made from: the same again would find the same."""
-
-    inputs: str  # digest of settings, classes and what is on file of the section, 64 hexadecimal digits
-    touched: int  # how often something had happened to its windows, positions or epochs
-
-
 SECOND_NS = 1_000_000_000
 FIRST_DELAY_S = 60.0
 PASSING_FACTOR, PASSING_LONGEST_S = 2.0, 3_600.0

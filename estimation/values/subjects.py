@@ -16,7 +16,7 @@ class Facet(StrEnum):
     """Base facts of a wheelset, vehicle or section; results of a stage are a facet of the stage's own name."""
 
     REGISTRY = "registry"  # what is on file, also of the vehicle or class behind it
-    WINDOWS = "windows"  # states, qualities and mileages
+    WINDOWS = "windows"  # states, qualities and mileages; of a section what its epochs do not hold as it is now
     TABLES = "tables"  # bin tables, and the verdicts on windows that its geometry rests on
     ALERTS = "alerts"
     RESTARTS = "restarts"  # alerts from which its geometry and trend begin again
@@ -25,6 +25,7 @@ class Facet(StrEnum):
     HUNTING = "hunting"  # windows of a vehicle in which it hunts
     RECORDINGS = "recordings"  # of a vehicle, that are rejected
     STIFFNESS = "stiffness"  # ratios that epochs show of a vehicle
+    PLACES = "places"  # windows of a section with their states, bin tables and positions, and its epochs
     ALIGNMENT = "alignment"  # versions of the alignment of a section
 
 

@@ -256,6 +256,7 @@ class TrackEpoch:
     estimated_on: int | None  # version of its windows, as long as the last one does not differ materially
     report: int  # number of its report
     recorded_ns: int
+    stale: bool = False  # a window that it holds has gone since, or where that was has been forgotten
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,11 +277,24 @@ class EpochMember:
 
 
 @dataclass(frozen=True, slots=True)
-class EpochNews:
-    """What has changed under the epochs of a section since they were computed."""
+class HeldWindow:
+    """What an epoch holds of a window. Fields as of the window that it was computed with."""
 
-    from_ns: int | None  # start of the first window that is new, changed or gone; None where none is
-    unplaced: frozenset[int]  # epochs with windows whose positions have been forgotten
+    section: str
+    epoch: int
+    vehicle: str
+    content_digest: str
+    mileage_km: float
+    assumed: str  # as in EpochMember
+
+
+@dataclass(frozen=True, slots=True)
+class ListedWindow:
+    """A window that may not be held by an epoch as it is now."""
+
+    start_ns: int
+    record: WindowRecord | None  # None where it is gone
+    held: HeldWindow | None  # by an epoch of whatever section; None where by none
 
 
 def evidence_of_measurement(name: str) -> str:

@@ -130,6 +130,7 @@ class DueStage(StrEnum):
     """Stages that list the windows that they have not made from what these are now."""
 
     SUMS = "sums"
+    ALIGNMENT = "alignment"
 
 
 @dataclass(frozen=True, slots=True)

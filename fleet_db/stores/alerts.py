@@ -14,7 +14,6 @@ from estimation.values.alerts import Alert, AlertEvent, AlertEventKind, AlertSco
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE
-from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset
@@ -29,6 +28,7 @@ from fleet_db.stores.alert_queries import (
     outlines_of,
     page_of,
 )
+from fleet_db.subjects import Subjects
 
 SEVERITIES = {one.value: one for one in Severity}
 CONDITIONS = {one.value: one for one in Condition}
@@ -45,7 +45,7 @@ class AlertStore:
 
     connection: Connection
     writing: bool
-    changes: Changes
+    subjects: Subjects
     once: ReadOnce = field(default_factory=ReadOnce)
 
     def all_open(self, wheelset: str | None = None) -> Sequence[Alert]:
@@ -230,10 +230,10 @@ class AlertStore:
         for row in rows:
             self.connection.execute(insert(EVENTS).values(**row))
         if saved.wheelset is not None:
-            self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.ALERTS)
+            self.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.ALERTS)
         if events and saved.kind in RESTARTING and saved.wheelset is not None:
             # its geometry and trend start again from the change
-            self.changes.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.RESTARTS)
+            self.subjects.raised(SubjectKind.WHEELSET, saved.wheelset, Facet.RESTARTS)
         return saved
 
     def _in_feed(self, alert: Alert) -> bool:

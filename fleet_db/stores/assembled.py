@@ -9,12 +9,13 @@ from sqlalchemy import Connection, and_, case, delete, exists, func, select, tup
 
 from estimation.errors import DamagedError
 from estimation.values.windows import HUNTING_SHARE, PassedOver, Window, WindowKey, WindowRecord
-from fleet_db.changes import Changes
+from fleet_db import alignment_due
 from fleet_db.due import samples_changed
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.window_marks import list_for_sums, pass_over
 from fleet_db.stores.windows import to_window_record, window_values
+from fleet_db.subjects import Subjects
 from fleet_db.tables import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.telemetry import WindowFiles
 
@@ -66,7 +67,7 @@ class AssembledWindowStore:
     """The stored windows of a vehicle over a span of its clock, in one transaction."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
     files: WindowFiles
 
     def of_vehicle(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[WindowRecord]:
@@ -104,6 +105,7 @@ class AssembledWindowStore:
         rows = [self._row(each, recorded_ns) for each in windows]
         count = insert_all_new(self.connection, WINDOWS, rows)
         samples_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
+        alignment_due.come(self.subjects, _sections(windows))
         return count == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
@@ -115,11 +117,14 @@ class AssembledWindowStore:
             self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
             samples_changed(self.connection, keys)
+            alignment_due.come(self.subjects, _sections(windows))
+            alignment_due.left(self.subjects, keys)
 
     def forget_positions(self, keys: Sequence[WindowKey]) -> None:
         """Let it be found again where windows were."""
         if keys:
             self._touch(keys)
+            alignment_due.unplaced(self.subjects, keys)
             same = tuple_(POSITIONS.c.wheelset, POSITIONS.c.start_ns).in_(keys)
             self.connection.execute(delete(POSITIONS).where(same))
 
@@ -129,14 +134,14 @@ class AssembledWindowStore:
         hunts = WINDOWS.c.hunting_share >= HUNTING_SHARE
         stored = select(WINDOWS.c.wheelset, WINDOWS.c.track_section, case((hunts, WINDOWS.c.vehicle)))
         for wheelset, section, hunting_in in self.connection.execute(stored.where(same).distinct()):
-            self.changes.on_section(section)
-            self.changes.subjects.windows(wheelset, hunting_in)
+            self.subjects.places(section)
+            self.subjects.windows(wheelset, hunting_in)
 
     def _row(self, each: AssembledWindow, recorded_ns: int) -> dict[str, object]:
         """Return the row of a window whose file is written here."""
         hunts = each.window.quality.hunting.sustained
-        self.changes.subjects.windows(each.window.wheelset, each.window.vehicle if hunts else None)
-        self.changes.on_section(each.window.track_section)
+        self.subjects.windows(each.window.wheelset, each.window.vehicle if hunts else None)
+        self.subjects.places(each.window.track_section)
         return window_values(each.window, each.mileage_km) | {
             "content_digest": each.digest,
             "sample_bytes": self.files.save(each.window, each.digest),
@@ -183,16 +188,17 @@ class AssembledWindowStore:
             for table in (TABLES, POSITIONS, WINDOWS):
                 same = (table.c.wheelset == record.wheelset, table.c.start_ns == record.start_ns)
                 self.connection.execute(delete(table).where(*same))
-            self.changes.note(record.wheelset)
-            self.changes.subjects.windows(record.wheelset, record.vehicle if record.quality.hunting.sustained else None)
-            self.changes.on_section(record.track_section)
+            self.subjects.tables(record.wheelset)
+            self.subjects.windows(record.wheelset, record.vehicle if record.quality.hunting.sustained else None)
+            self.subjects.places(record.track_section)
+        alignment_due.left(self.subjects, [record.key for record in removed])
         return removed
 
     def _stays(self, record: WindowRecord) -> bool:
         key = and_(WINDOWS.c.wheelset == record.wheelset, WINDOWS.c.start_ns == record.start_ns)
         purged = self.connection.scalar(select(WINDOWS.c.table_purged_ns).where(key)) is not None
         if purged and pass_over(self.connection, key, PassedOver.RECORD_CHANGED):
-            self.changes.note(record.wheelset)
+            self.subjects.tables(record.wheelset)
         return purged
 
     def intact(self, record: WindowRecord, *, verify: bool) -> bool:
@@ -214,3 +220,7 @@ class AssembledWindowStore:
                 self.files.path(record.content_digest).unlink(missing_ok=True)
                 return False
         return True
+
+
+def _sections(windows: Sequence[AssembledWindow]) -> dict[WindowKey, str | None]:
+    return {(each.window.wheelset, each.window.start_ns): each.window.track_section for each in windows}

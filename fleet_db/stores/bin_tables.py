@@ -14,12 +14,12 @@ from estimation.errors import ConflictError, NotFoundError
 from estimation.jobs.steps.running_mileage import MOST_KM
 from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTable
 from estimation.values.roll_up import TabledWindow
-from estimation.values.windows import WindowKey, WindowRecord
-from fleet_db.changes import Changes
+from estimation.values.windows import WindowKey, WindowRecord, WindowState
 from fleet_db.packed_values import pack_bin_table, unpack_bin_table, unpack_filled_cells
 from fleet_db.rows import insert_all_new, on_sections, replace, replace_all, table_of
 from fleet_db.stores.window_marks import keys_given, list_for_sums
 from fleet_db.stores.windows import NOT_PASSED_OVER, to_window_record
+from fleet_db.subjects import Subjects
 from fleet_db.tables import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
@@ -32,7 +32,7 @@ class BinTableStore:
     """Implements ``estimation.storage.BinTables``."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
 
     def put(self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str) -> None:
         """Store the bin table of a window, in the place of an earlier one; the same again changes nothing.
@@ -62,8 +62,8 @@ class BinTableStore:
                     continue
                 replace(self.connection, TABLES, row)
             changed.append(key)
-            self.changes.note(key[0])  # its geometry follows
-            self.changes.on_section(windows[key].track_section)
+            self.subjects.tables(key[0])  # its geometry follows
+            self.subjects.places(windows[key].track_section)
         list_for_sums(self.connection, changed)
 
     def _checked(self, expected: Sequence[tuple[WindowKey, str]]) -> Mapping[WindowKey, Row[Any]]:
@@ -98,13 +98,15 @@ class BinTableStore:
     def made_with(self, key: TableKey) -> Sequence[tuple[str, int]]:
         """Return (wheelset, start) of the tables of one wheelset on one vehicle with certain parameters.
 
-        Those that have no samples any more, and are known to be of other parameters, are left out.
+        Those whose windows wait already, or have no samples any more and are known to be of other parameters, are left
+        out.
         """
         statement = (
             select(TABLES.c.start_ns)
             .join_from(WINDOWS, TABLES, SAME_WINDOW)
             .where(TABLES.c.wheelset == key.wheelset, TABLES.c.parameter_key == key.parameter_key)
             .where(WINDOWS.c.vehicle == key.vehicle, NOT_PASSED_OVER)
+            .where(WINDOWS.c.state == WindowState.ESTIMATED.value)
             .order_by(TABLES.c.start_ns)
         )
         return [(key.wheelset, start_ns) for start_ns in self.connection.scalars(statement)]

@@ -13,12 +13,13 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment
 from estimation.values.windows import PassedOver, WindowState
 from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
-from fleet_db.changes import Changes
+from fleet_db import alignment_due
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import reason_columns, table_of
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.window_marks import pass_over
+from fleet_db.subjects import Subjects
 from fleet_db.tables import TrackAlignmentRow, TrackVersionRow, WindowPositionRow, WindowRow
 
 WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
@@ -31,7 +32,7 @@ class Again:
     """Puts windows back to the begin of the pipeline, in one writing transaction."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
     recorded_ns: int | None  # our time; None: that of the version that a section is restarted from
 
     def class_changed(
@@ -92,14 +93,14 @@ class Again:
 
     def _restart(self, section: str) -> None:
         """Put the newest registered alignment of a section in force again; where there is none, none is known."""
-        tracks = TrackStore(self.connection, self.changes)
+        tracks = TrackStore(self.connection, self.subjects)
         now, before = tracks.alignment(section), tracks.in_force(section)
         assert now is not None
         assert before is not None
         recorded_ns = before.recorded_ns if self.recorded_ns is None else self.recorded_ns
         if recorded_ns is not None:  # a registered one is in force as it is
             tracks.add_alignment(self._registered(section) or _unknown(now), recorded_ns=recorded_ns)
-        EpochStore(self.connection, self.changes).start_again(section)
+        EpochStore(self.connection, self.subjects).start_again(section)
         self._wait(WINDOWS.c.track_section == section, PassedOver.SUPERSEDED)
 
     def _registered(self, section: str) -> TrackAlignment | None:
@@ -107,12 +108,13 @@ class Again:
         version = self.connection.scalar(
             select(func.max(ALIGNMENTS.c.version)).where(ALIGNMENTS.c.section == section, ~exists().where(same))
         )
-        return None if version is None else TrackStore(self.connection, self.changes).alignment(section, version)
+        return None if version is None else TrackStore(self.connection, self.subjects).alignment(section, version)
 
     def _wait(self, chosen: ColumnElement[bool], what: PassedOver) -> None:
         """Let windows wait again, and forget where they were; those without samples stay as they are."""
         self._note(chosen)
         with_samples = WINDOWS.c.samples_purged_ns.is_(None)
+        alignment_due.unplaced_where(self.subjects, and_(chosen, with_samples))
         self.connection.execute(delete(POSITIONS).where(exists().where(OF_WINDOW, chosen, with_samples)))
         pending = {"state": WindowState.PENDING.value, **reason_columns(None)}
         self.connection.execute(
@@ -123,9 +125,9 @@ class Again:
     def _note(self, chosen: ColumnElement[bool]) -> None:
         of = select(WINDOWS.c.wheelset, WINDOWS.c.track_section).where(chosen).distinct()
         for wheelset, section in self.connection.execute(of):
-            self.changes.note(wheelset)
-            self.changes.subjects.windows(wheelset)
-            self.changes.on_section(section)
+            self.subjects.tables(wheelset)
+            self.subjects.windows(wheelset)
+            self.subjects.places(section)
 
 
 def _unknown(alignment: TrackAlignment) -> TrackAlignment:

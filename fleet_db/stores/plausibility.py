@@ -103,7 +103,7 @@ class PlausibilityStore:
         replace_all(self.connection, WINDOWS, rows)
         if marks:
             self.windows.mark_all(marks)
-            self.windows.changes.subjects.windows(wheelset)
+            self.windows.subjects.windows(wheelset)
         return len(marks)
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:

@@ -13,7 +13,6 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
-from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.read_once import ReadOnce
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
@@ -44,6 +43,7 @@ from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryS
 from fleet_db.stores.reprofilings import REPROFILINGS, reprofilings_of, stored_reprofiling
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
+from fleet_db.subjects import Subjects
 from fleet_db.tables import (
     FleetRow,
     VehicleRow,
@@ -66,7 +66,7 @@ class RegistryStore:
     """Implements ``estimation.storage.Registry``."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
     shipped: Shipped = no_class
     decision: Decision = NOBODY  # who changes something, and why
     once: ReadOnce = field(default_factory=ReadOnce)
@@ -238,9 +238,9 @@ class RegistryStore:
             was = None if on_file is None else class_document(on_file.vehicle_class)
             self._note(key, was, document, recorded_ns)
         if taken_out(self.connection, stored):
-            RegistryHistoryStore(self.connection, self.changes).note_return(key, document, self.decision)
+            RegistryHistoryStore(self.connection, self.subjects).note_return(key, document, self.decision)
         vehicles = [vehicle.code for vehicle in self.vehicles_of_class(vehicle_class.code)]
-        return Again(self.connection, self.changes, recorded_ns).class_changed(vehicles, before, stored)
+        return Again(self.connection, self.subjects, recorded_ns).class_changed(vehicles, before, stored)
 
     def add_fleet(self, record: FleetRecord) -> None:
         """Add a fleet or change its name."""
@@ -259,7 +259,7 @@ class RegistryStore:
         was = found[0] if found else None
         values = _vehicle_values(record)
         key = RecordKey(RecordKind.VEHICLE, record.code)
-        RegistryHistoryStore(self.connection, self.changes).note_return(key, values, self.decision)
+        RegistryHistoryStore(self.connection, self.subjects).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
             self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
         if was is not None and was.max_speed_m_s != record.max_speed_m_s:  # mileages are judged by it
@@ -269,10 +269,10 @@ class RegistryStore:
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
         if was is None or was.vehicle_class == record.vehicle_class:
             return NOTHING_AGAIN
-        chunks = ChunkStore(self.connection, self.changes.subjects)
+        chunks = ChunkStore(self.connection, self.subjects)
         decode_undecoded(chunks, record.code, f"vehicle {record.code} is of another class now", recorded_ns or 0)
         before, after = self.vehicle_class(was.vehicle_class), self.vehicle_class(record.vehicle_class)
-        return Again(self.connection, self.changes, recorded_ns).class_changed([record.code], before, after)
+        return Again(self.connection, self.subjects, recorded_ns).class_changed([record.code], before, after)
 
     def add_wheelset(self, record: WheelsetRecord, recorded_ns: int | None = None) -> EstimatedAgain:
         """Add a wheelset or change it; the mounting and the reprofilings that it carries are added too.
@@ -290,7 +290,7 @@ class RegistryStore:
         was = None if row is None else row["nominal_radius_m"]
         key = RecordKey(RecordKind.WHEELSET, record.serial)
         if self.voided(record.serial):
-            RegistryHistoryStore(self.connection, self.changes).note(
+            RegistryHistoryStore(self.connection, self.subjects).note(
                 key, RecordAction.RESTORED, values, replace(self.decision, recorded_ns=recorded_ns)
             )
         if upsert(self.connection, WHEELSETS, values):
@@ -301,7 +301,7 @@ class RegistryStore:
             self.add_reprofiling(reprofiling)
         if was is None or was == record.nominal_radius_m:
             return NOTHING_AGAIN
-        return Again(self.connection, self.changes, recorded_ns).wheelset(record.serial)
+        return Again(self.connection, self.subjects, recorded_ns).wheelset(record.serial)
 
     def add_mountings(self, records: Sequence[Mounting], recorded_ns: int | None = None) -> None:
         """Add or change mountings together: wheelsets may change places with each other.
@@ -350,7 +350,7 @@ class RegistryStore:
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
             # windows that stay as they are may be of a mounting with another way round now
             there = _still_there(was, now, from_ns, to_ns)
-            Again(self.connection, self.changes, recorded_ns).mounting(record.wheelset, from_ns, to_ns, there=there)
+            Again(self.connection, self.subjects, recorded_ns).mounting(record.wheelset, from_ns, to_ns, there=there)
         if now is not None:
             key = RecordKey(RecordKind.MOUNTING, now.wheelset, now.from_ns)
             self._note(key, None if was is None else asdict(was), asdict(now), recorded_ns)
@@ -393,7 +393,7 @@ class RegistryStore:
 
     def _note(self, key: RecordKey, was: Record | None, now: Record | None, recorded_ns: int | None) -> None:
         decision = self.decision if recorded_ns is None else replace(self.decision, recorded_ns=recorded_ns)
-        RegistryHistoryStore(self.connection, self.changes).note_change(key, was, now, decision)
+        RegistryHistoryStore(self.connection, self.subjects).note_change(key, was, now, decision)
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
         rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()

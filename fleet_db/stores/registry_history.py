@@ -22,9 +22,9 @@ from sqlalchemy import (
 )
 
 from estimation.values.json_value import JsonValue
-from fleet_db.changes import Changes
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import table_of
+from fleet_db.subjects import Subjects
 from fleet_db.tables import RegistryEventRow, VehicleRow
 
 EVENTS, VEHICLES = table_of(RegistryEventRow), table_of(VehicleRow)
@@ -47,7 +47,7 @@ class RegistryHistoryStore:
     """Decisions, in one transaction; what rests on a record follows each change of it, noted or not."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
 
     def note(
         self,
@@ -100,21 +100,19 @@ class RegistryHistoryStore:
 
     def _raise(self, key: RecordKey, *records: Record | None) -> None:
         """Let what rests on a record follow."""
-        if key.kind is RecordKind.SENSOR_CHANGE:
-            self.changes.subjects.vehicle_on_file(key.subject)
-        elif key.kind is RecordKind.VEHICLE:
-            self.changes.refile_vehicle(key.subject)
+        if key.kind is RecordKind.SENSOR_CHANGE or key.kind is RecordKind.VEHICLE:
+            self.subjects.vehicle_on_file(key.subject)
         elif key.kind is RecordKind.VEHICLE_CLASS:
             of_class = select(VEHICLES.c.code).where(VEHICLES.c.vehicle_class == key.subject)
             for vehicle in self.connection.scalars(of_class).all():
-                self.changes.refile_vehicle(vehicle)
+                self.subjects.vehicle_on_file(vehicle)
         elif key.kind is RecordKind.SECTION:
-            self.changes.subjects.section_on_file(key.subject)
+            self.subjects.section_on_file(key.subject)
         else:
-            self.changes.refile(key.subject)
+            self.subjects.wheelset_on_file(key.subject)
         if key.kind is RecordKind.MOUNTING:  # the wheelsets beside it have another beside them
             for vehicle in {str(record["vehicle"]) for record in records if record}:
-                self.changes.subjects.vehicle_on_file(vehicle)
+                self.subjects.vehicle_on_file(vehicle)
 
     def list(
         self,

@@ -13,12 +13,12 @@ from estimation.errors import DamagedError
 from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.results import AnyResult, History, Result, ResultKind
-from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_value, unpack_value
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import reason_columns, stored_reason, table_of
 from fleet_db.session import to_json
+from fleet_db.subjects import Subjects
 from fleet_db.tables import ResultRow
 
 V = TypeVar("V")
@@ -39,7 +39,7 @@ class ResultStore:
     """The only statements on ``results``, in one transaction."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
     once: ReadOnce = field(default_factory=ReadOnce)
 
     def in_force(
@@ -125,9 +125,9 @@ class ResultStore:
             self._replace([(values, was) for _, values, was in news])
         for result, values, was in news:
             if any(getattr(was, name, None) != values[name] for name in SHOWN if was is not None or name in SAID):
-                self.changes.subjects.raised(kind.subject, result.subject, kind.stage)
+                self.subjects.raised(kind.subject, result.subject, kind.stage)
             if (None if was is None else was.head) != values["head"]:
-                self.changes.subjects.raised(kind.subject, result.subject, kind.head_facet)
+                self.subjects.raised(kind.subject, result.subject, kind.head_facet)
         return [result for result, _, _ in news]
 
     def replace_all(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> None:
@@ -140,7 +140,7 @@ class ResultStore:
                 delete(RESULTS).where(RESULTS.c.stage == kind.stage, RESULTS.c.subject.in_(sorted(gone)))
             )
             for subject in gone:
-                self.changes.subjects.raised(kind.subject, subject, kind.stage)
+                self.subjects.raised(kind.subject, subject, kind.stage)
 
     def _before(self, kind: ResultKind[Any], results: Sequence[AnyResult]) -> Mapping[tuple[str, str], Row[Any]]:
         """Return what stands in the place of each result, by subject and part; of ``one_in_force`` that put last."""

@@ -11,11 +11,11 @@ from sqlalchemy import Connection, delete, func, select
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.registry import SensorChange, SensorWork
 from estimation.values.utc_text import utc_text
-from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.rows import table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+from fleet_db.subjects import Subjects
 from fleet_db.tables import SensorChangeRow
 
 CHANGES = table_of(SensorChangeRow)
@@ -26,7 +26,7 @@ class SensorChangeStore:
     """Implements ``estimation.storage.SensorChanges``."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
 
     def list(self, vehicle: str) -> Sequence[SensorChange]:
         """Return what was done to the sensors of a vehicle, oldest first."""
@@ -58,7 +58,7 @@ class SensorChangeStore:
         if not upsert(self.connection, CHANGES, values):
             return False
         key = RecordKey(RecordKind.SENSOR_CHANGE, record.vehicle, record.at_ns)
-        RegistryHistoryStore(self.connection, self.changes).note_change(key, was, values, decision)
+        RegistryHistoryStore(self.connection, self.subjects).note_change(key, was, values, decision)
         return True
 
     def remove(self, vehicle: str, at_ns: int) -> None:

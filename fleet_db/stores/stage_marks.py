@@ -75,7 +75,9 @@ class StageMarkStore:
             counted: Names of the stages of which is counted what they have seen.
         """
         looks = [look for inputs in stages for look in _looks(inputs, now_ns)]
-        looks += [_look(stage, func.count()).where(MARKS.c.stage == stage) for stage in sorted(counted)]
+        looks += [
+            _look(stage, func.count()).where(MARKS.c.stage == stage, MARKS.c.subject != "") for stage in sorted(counted)
+        ]
         rows = self.connection.execute(union_all(*looks)).all()
         due = frozenset(row.stage for row in rows if row.seen is None)
         return Look(due, {row.stage: row.seen for row in rows if row.seen is not None})

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any
 
@@ -16,41 +16,43 @@ from sqlalchemy import (
     bindparam,
     case,
     delete,
+    exists,
     func,
     insert,
     or_,
     select,
+    tuple_,
     update,
 )
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
-from estimation.values.windows import WindowKey, WindowRecord, WindowState
-from fleet_db.changes import Changes
-from fleet_db.rows import insert_new, replace, table_of, upsert
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Facet
+from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
+from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
+from fleet_db import alignment_due
+from fleet_db.alignment_due import OF_WINDOW
+from fleet_db.due import DUE, list_due
+from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
 from fleet_db.stores.window_marks import BATCH, keys_given
 from fleet_db.stores.windows import to_window_record
+from fleet_db.subjects import Subjects
 from fleet_db.tables import (
     TrackEpochRow,
     TrackEpochVehicleRow,
     TrackEpochWindowRow,
     WindowBinTableRow,
-    WindowPositionRow,
     WindowRow,
 )
 
 EPOCHS, MEMBERS, WINDOWS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowRow)
 VEHICLES = table_of(TrackEpochVehicleRow)
-POSITIONS, TABLES = table_of(WindowPositionRow), table_of(WindowBinTableRow)
-OF_WINDOW = and_(MEMBERS.c.wheelset == WINDOWS.c.wheelset, MEMBERS.c.start_ns == WINDOWS.c.start_ns)
+TABLES = table_of(WindowBinTableRow)
 OF_EPOCH = and_(MEMBERS.c.section == EPOCHS.c.section, MEMBERS.c.epoch == EPOCHS.c.number)
-PLACED = and_(
-    POSITIONS.c.wheelset == MEMBERS.c.wheelset,
-    POSITIONS.c.start_ns == MEMBERS.c.start_ns,
-    POSITIONS.c.content_digest == MEMBERS.c.content_digest,
-)
 OF_TABLE = and_(TABLES.c.wheelset == WINDOWS.c.wheelset, TABLES.c.start_ns == WINDOWS.c.start_ns)
 WITH_SAMPLES = WINDOWS.c.samples_purged_ns.is_(None)
+HELD = [item.name for item in fields(HeldWindow)]
+LISTED_AT_ONCE = 64
 SAME_CONTENT = WINDOWS.c.content_digest == MEMBERS.c.content_digest
 BY_ALIGNMENT = (
     ReasonCode.ALIGNMENT_UNKNOWN,
@@ -106,26 +108,49 @@ class EpochStore:
     """Implements ``estimation.storage.Epochs``."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
 
     def list(self, section: str) -> Sequence[TrackEpoch]:
         """Return the epochs of a section as they were computed last, in order."""
         rows = self.connection.execute(select(EPOCHS).where(EPOCHS.c.section == section).order_by(EPOCHS.c.number))
         return [_epoch(row) for row in rows]
 
-    def news(self, section: str) -> EpochNews:
-        """Return what has changed under the epochs of a section since they were computed."""
-        return EpochNews(self._changed_from(section), frozenset({*self._unplaced(section), *self._torn(section)}))
+    def listed(self, section: str) -> Iterator[ListedWindow]:
+        """Yield the windows of a section that its epochs may not hold as they are now, oldest first."""
+        after = (-1, "")
+        while rows := self.connection.execute(_of_listed(section, after)).all():
+            after = (rows[-1].due_start_ns, rows[-1].due_wheelset)
+            for row in rows:
+                record = None if row.wheelset is None else to_window_record(row)
+                held = HeldWindow(*(getattr(row, f"held_{name}") for name in HELD))
+                yield ListedWindow(row.due_start_ns, record, None if row.held_section is None else held)
+
+    def purged_until(self, section: str) -> int | None:
+        """Return the start of the last window of a section whose samples have been purged."""
+        purged = select(func.max(WINDOWS.c.start_ns)).where(WINDOWS.c.track_section == section, ~WITH_SAMPLES)
+        found: int | None = self.connection.scalar(purged)
+        return found
+
+    def list_again(self, section: str, keys: Sequence[WindowKey]) -> None:
+        """List windows of a section that are looked at otherwise now, for what is on file of them has changed."""
+        for first in range(0, len(keys), BATCH):
+            list_due(self.connection, DueStage.ALIGNMENT, keys_given(WINDOWS), keys=keys[first : first + BATCH])
+        if keys:
+            self.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
 
     def remaining(self, section: str, number: int, limit: int) -> Sequence[WindowRecord]:
         """Return the first windows of a section that no epoch before ``number`` holds, by start and wheelset.
 
-        Those whose samples have been purged are left out.
+        Those whose samples have been purged are left out. Windows that no epoch holds are listed, so that those before
+        the first of these and of the epochs behind are not read.
         """
+        first_ns = self._first(section, number)
+        if first_ns is None:
+            return []
         statement = (
             select(WINDOWS)
             .select_from(WINDOWS.outerjoin(MEMBERS, OF_WINDOW))
-            .where(WINDOWS.c.track_section == section, WITH_SAMPLES)
+            .where(WINDOWS.c.track_section == section, WINDOWS.c.start_ns >= first_ns, WITH_SAMPLES)
             .where(or_(MEMBERS.c.epoch.is_(None), MEMBERS.c.section != section, MEMBERS.c.epoch >= number))
             .order_by(WINDOWS.c.start_ns, WINDOWS.c.wheelset)
             .limit(limit)
@@ -167,25 +192,28 @@ class EpochStore:
     def put(self, epoch: TrackEpoch, members: Sequence[EpochMember]) -> None:
         """Store an epoch with its windows, in the place of what was known of it; no other epoch holds them then.
 
-        Its windows count as placed where their positions are stored.
+        Windows that it held before are listed; another epoch that has held some of its windows is stale.
         """
-        self.changes.on_section(epoch.section)
+        self.subjects.places(epoch.section)
         upsert(self.connection, EPOCHS, _values(epoch))
         of_epoch = and_(MEMBERS.c.section == epoch.section, MEMBERS.c.epoch == epoch.number)
         held = self.connection.execute(select(MEMBERS.c.wheelset, MEMBERS.c.start_ns).where(of_epoch))
-        gone = {(row.wheelset, row.start_ns) for row in held}
-        gone -= {(member.record.wheelset, member.record.start_ns) for member in members}
-        for wheelset, start_ns in sorted(gone):
-            self.connection.execute(
-                delete(MEMBERS).where(MEMBERS.c.wheelset == wheelset, MEMBERS.c.start_ns == start_ns)
-            )
-        for member in members:
-            self._put_member(epoch, member)
-        self.note_placed(epoch.section)
+        before = {(row.wheelset, row.start_ns) for row in held}
+        keys = [member.record.key for member in members]
+        self._let_go(epoch.section, sorted(before - set(keys)), of_epoch)
+        elsewhere = {(row.section, row.epoch) for row in self._held(sorted(set(keys) - before))}
+        for section, _ in sorted(elsewhere):
+            self.subjects.places(section)
+        alignment_due.stale(self.subjects, sorted(elsewhere))
+        self._put_members(epoch, members)
+
+    def stale(self, section: str, number: int) -> None:
+        """Let an epoch be computed again, where it is there."""
+        alignment_due.stale(self.subjects, [(section, number)])
 
     def put_found(self, section: str, number: int, found: FoundOfVehicles | None) -> None:
         """Store of which vehicles an epoch has found what matters for them alone, in the place of what was known."""
-        self.changes.on_section(section)
+        self.subjects.places(section)
         of_epoch = (VEHICLES.c.section == section, VEHICLES.c.epoch == number)
         self.connection.execute(delete(VEHICLES).where(*of_epoch))
         if found is None:
@@ -206,23 +234,20 @@ class EpochStore:
         )
         return {row.vehicle: row.stiffness_ratio for row in self.connection.execute(statement)}
 
-    def note_placed(self, section: str) -> None:
-        """Record of the windows of all epochs of a section whose positions are stored that they are."""
-        placed = select(POSITIONS.c.wheelset).where(PLACED).exists()
-        self.connection.execute(
-            update(MEMBERS).where(MEMBERS.c.section == section, ~MEMBERS.c.placed, placed).values(placed=True)
-        )
-
     def start_again(self, section: str, number: int = 0) -> int:
         """Forget the epochs of a section behind ``number``, so that they are computed again; return of how many.
 
         What they have made stays in force until then.
         """
-        self.changes.on_section(section)
+        self.subjects.places(section)
+        self.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
+        behind = (MEMBERS.c.section == section, MEMBERS.c.epoch > number)
+        own = and_(WINDOWS.c.track_section == section, WITH_SAMPLES, exists().where(OF_WINDOW, *behind))
+        list_due(self.connection, DueStage.ALIGNMENT, own)
         for table in (MEMBERS, VEHICLES):
             self.connection.execute(delete(table).where(table.c.section == section, table.c.epoch > number))
-        behind = delete(EPOCHS).where(EPOCHS.c.section == section, EPOCHS.c.number > number)
-        return int(self.connection.execute(behind).rowcount)
+        gone = delete(EPOCHS).where(EPOCHS.c.section == section, EPOCHS.c.number > number)
+        return int(self.connection.execute(gone).rowcount)
 
     def alignment_version(self, wheelset: str, start_ns: int, in_force: int | None) -> int | None:
         """Return the version of the alignment that a window is estimated on; ``in_force`` where no epoch holds it.
@@ -271,82 +296,68 @@ class EpochStore:
         )
         return [(row.wheelset, row.start_ns) for row in self.connection.execute(statement)]
 
-    def _put_member(self, epoch: TrackEpoch, member: EpochMember) -> None:
-        record = member.record
-        values = {
-            "wheelset": record.wheelset,
-            "start_ns": record.start_ns,
-            "section": epoch.section,
-            "epoch": epoch.number,
-            "vehicle": record.vehicle,
-            "content_digest": record.content_digest,
-            "mileage_km": record.mileage_km,
-            "context": member.context,
-            "assumed": member.assumed,
-            "placed": False,
-        }
-        if not insert_new(self.connection, MEMBERS, values):
-            same = (MEMBERS.c.wheelset == record.wheelset, MEMBERS.c.start_ns == record.start_ns)
-            self.changes.on_section(self.connection.scalar(select(MEMBERS.c.section).where(*same)))
-            replace(self.connection, MEMBERS, values)
+    def _let_go(self, section: str, keys: Sequence[WindowKey], of_epoch: ColumnElement[bool]) -> None:
+        """Forget that an epoch holds some windows; those that are still there are listed."""
+        if keys:
+            self.subjects.raised(SubjectKind.SECTION, section, Facet.WINDOWS)
+        for first in range(0, len(keys), BATCH):
+            given = {"keys": keys[first : first + BATCH]}
+            own = and_(WINDOWS.c.track_section == section, WITH_SAMPLES, keys_given(WINDOWS))
+            list_due(self.connection, DueStage.ALIGNMENT, own, **given)
+            self.connection.execute(delete(MEMBERS).where(of_epoch, keys_given(MEMBERS)), given)
 
-    def _changed_from(self, section: str) -> int | None:
-        """Return the start of the first window that is new, changed or gone.
+    def _held(self, keys: Sequence[WindowKey]) -> Iterator[Any]:
+        """Yield the epochs that hold some windows."""
+        for first in range(0, len(keys), BATCH):
+            of_windows = select(MEMBERS.c.section, MEMBERS.c.epoch).where(keys_given(MEMBERS)).distinct()
+            yield from self.connection.execute(of_windows, {"keys": keys[first : first + BATCH]})
 
-        What comes so late that samples of later windows have been purged joins the next epoch, and none is computed
-        again for it.
-        """
-        changed = or_(
-            MEMBERS.c.wheelset.is_(None),
-            MEMBERS.c.section != section,
-            MEMBERS.c.content_digest != WINDOWS.c.content_digest,
-            MEMBERS.c.mileage_km != WINDOWS.c.mileage_km,
-            MEMBERS.c.vehicle != WINDOWS.c.vehicle,
-        )
-        come = (
-            select(func.min(WINDOWS.c.start_ns))
-            .select_from(WINDOWS.outerjoin(MEMBERS, OF_WINDOW))
-            .where(WINDOWS.c.track_section == section, changed, WITH_SAMPLES)
-        )
+    def _put_members(self, epoch: TrackEpoch, members: Sequence[EpochMember]) -> None:
+        rows = [
+            {
+                "wheelset": member.record.wheelset,
+                "start_ns": member.record.start_ns,
+                "section": epoch.section,
+                "epoch": epoch.number,
+                "vehicle": member.record.vehicle,
+                "content_digest": member.record.content_digest,
+                "mileage_km": member.record.mileage_km,
+                "context": member.context,
+                "assumed": member.assumed,
+            }
+            for member in sorted(members, key=lambda member: member.record.key)
+        ]
+        if insert_all_new(self.connection, MEMBERS, rows) < len(rows):
+            replace_all(self.connection, MEMBERS, rows)
 
-        gone = (
-            select(func.min(MEMBERS.c.start_ns))
-            .select_from(MEMBERS.outerjoin(WINDOWS, OF_WINDOW))
-            .where(MEMBERS.c.section == section, WINDOWS.c.track_section.is_distinct_from(section))
-        )
-        found = [self.connection.scalar(statement) for statement in (come, gone)]
-        if found[0] is not None:
-            purged = select(func.max(WINDOWS.c.start_ns)).where(WINDOWS.c.track_section == section, ~WITH_SAMPLES)
-            horizon_ns = self.connection.scalar(purged)
-            if horizon_ns is not None and found[0] <= horizon_ns:
-                held = or_(WINDOWS.c.start_ns > horizon_ns, MEMBERS.c.wheelset.is_not(None))
-                found[0] = self.connection.scalar(come.where(held))
+    def _first(self, section: str, number: int) -> int | None:
+        """Return before which start every window is held by an epoch before ``number``; None where all are."""
+        listed = select(func.min(DUE.c.start_ns)).where(*_listed(section))
+        behind = select(func.min(MEMBERS.c.start_ns)).where(MEMBERS.c.section == section, MEMBERS.c.epoch >= number)
+        found = self.connection.execute(select(listed.scalar_subquery(), behind.scalar_subquery())).one()
         return min((start_ns for start_ns in found if start_ns is not None), default=None)
-
-    def _unplaced(self, section: str) -> set[int]:
-        """Return the epochs with windows whose positions have been forgotten."""
-        statement = (
-            select(MEMBERS.c.epoch)
-            .select_from(MEMBERS.outerjoin(POSITIONS, PLACED))
-            .where(MEMBERS.c.section == section, MEMBERS.c.placed, POSITIONS.c.wheelset.is_(None))
-            .distinct()
-        )
-        return set(self.connection.scalars(statement))
-
-    def _torn(self, section: str) -> set[int]:
-        """Return the epochs that have lost windows to others."""
-        counted = func.count(MEMBERS.c.wheelset)
-        statement = (
-            select(EPOCHS.c.number)
-            .select_from(EPOCHS.outerjoin(MEMBERS, OF_EPOCH))
-            .where(EPOCHS.c.section == section)
-            .group_by(EPOCHS.c.number, EPOCHS.c.windows)
-            .having(counted != EPOCHS.c.windows)
-        )
-        return set(self.connection.scalars(statement))
 
     def _records(self, statement: Select[Any]) -> Sequence[WindowRecord]:
         return [to_window_record(row) for row in self.connection.execute(statement)]
+
+
+def _listed(section: str) -> tuple[ColumnElement[bool], ...]:
+    return DUE.c.stage == DueStage.ALIGNMENT.value, DUE.c.section == section
+
+
+def _of_listed(section: str, after: tuple[int, str]) -> Select[Any]:
+    """Return the statement of the next listed windows of a section, as they are stored and as epochs hold them."""
+    held = [MEMBERS.c[name].label(f"held_{name}") for name in HELD]
+    key = (DUE.c.start_ns, DUE.c.wheelset)
+    of_due = (WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
+    members = (MEMBERS.c.wheelset == DUE.c.wheelset, MEMBERS.c.start_ns == DUE.c.start_ns)
+    return (
+        select(DUE.c.start_ns.label("due_start_ns"), DUE.c.wheelset.label("due_wheelset"), *WINDOWS.columns, *held)
+        .select_from(DUE.outerjoin(WINDOWS, and_(*of_due)).outerjoin(MEMBERS, and_(*members)))
+        .where(*_listed(section), tuple_(*key) > tuple_(*after))
+        .order_by(*key)
+        .limit(LISTED_AT_ONCE)
+    )
 
 
 def _values(epoch: TrackEpoch) -> dict[str, Any]:
@@ -359,6 +370,7 @@ def _values(epoch: TrackEpoch) -> dict[str, Any]:
         "horizon_ns": epoch.horizon_ns,
         "windows": epoch.windows,
         "waits": epoch.waits,
+        "stale": False,
         "version": epoch.after.version,
         "same_since": epoch.after.same_since,
         "estimated_on": epoch.estimated_on,
@@ -383,4 +395,5 @@ def _epoch(row: Any) -> TrackEpoch:  # noqa: ANN401 - a row of EPOCHS
         estimated_on=row.estimated_on,
         report=row.report,
         recorded_ns=row.recorded_ns,
+        stale=row.stale,
     )

@@ -25,7 +25,6 @@ from estimation.values.track import (
     TrackSectionRecord,
 )
 from estimation.values.windows import WindowKey, WindowPosition
-from fleet_db.changes import Changes
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.read_once import ReadOnce
@@ -34,7 +33,8 @@ from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, 
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
-from fleet_db.stores.window_positions import positions_of
+from fleet_db.stores.window_positions import forget_positions, positions_of, put_positions
+from fleet_db.subjects import Subjects
 from fleet_db.tables import (
     TrackAlignmentRow,
     TrackEpochRow,
@@ -74,7 +74,7 @@ class TrackStore:
     """Implements ``estimation.storage.Tracks``."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
     once: ReadOnce = field(default_factory=ReadOnce)
 
     def sections(self) -> Sequence[TrackSectionRecord]:
@@ -115,7 +115,7 @@ class TrackStore:
         was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
         line = None if record.line is None else [list(point) for point in record.line]  # as JSON has it
         if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}):
-            history = RegistryHistoryStore(self.connection, self.changes)
+            history = RegistryHistoryStore(self.connection, self.subjects)
             before = None if was is None or was["number"] <= 0 else was
             key, decision = RecordKey(RecordKind.SECTION, record.code), Decision(recorded_ns=recorded_ns)
             history.note_change(key, before, None, decision)
@@ -177,7 +177,7 @@ class TrackStore:
         if recorded_ns is not None:
             version_values = _version_values(alignment, version if same_since is None else same_since, recorded_ns)
             self.connection.execute(insert(VERSIONS).values(**values, **version_values))
-        self.changes.subjects.raised(SubjectKind.SECTION, alignment.section, Facet.ALIGNMENT)
+        self.subjects.raised(SubjectKind.SECTION, alignment.section, Facet.ALIGNMENT)
         return version
 
     def in_force(self, section: str) -> AlignmentRecord | None:
@@ -237,7 +237,7 @@ class TrackStore:
         gone = (VERSIONS.c.section == section, STANDS, VERSIONS.c.version.not_in(sorted(kept)))
         count = int(self.connection.execute(update(VERSIONS).where(*gone).values(superseded_ns=recorded_ns)).rowcount)
         if count:
-            self.changes.subjects.raised(SubjectKind.SECTION, section, Facet.ALIGNMENT)
+            self.subjects.raised(SubjectKind.SECTION, section, Facet.ALIGNMENT)
         return count
 
     def versions(self, section: str, after: int | None, limit: int) -> Sequence[AlignmentRecord]:
@@ -283,23 +283,23 @@ class TrackStore:
 
     def put_position(self, position: WindowPosition) -> bool:
         """Store where a window was, in the place of what was known; return whether that has changed."""
-        return upsert(self.connection, POSITIONS, asdict(position) | reason_columns(position.reason))
+        return bool(self.put_positions([position]))
 
-    def forget_position(self, wheelset: str, start_ns: int) -> None:
-        """Forget where a window was."""
-        of_window = (WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-        for section in self.connection.scalars(select(WINDOWS.c.track_section).where(*of_window)):
-            self.changes.on_section(section)
-        self.connection.execute(
-            delete(POSITIONS).where(POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
-        )
+    def put_positions(self, positions: Sequence[WindowPosition]) -> frozenset[WindowKey]:
+        """Store where windows were as :meth:`put_position` does; return those of which that has changed."""
+        return put_positions(self.connection, positions)
+
+    def forget_positions_of(self, keys: Sequence[WindowKey]) -> None:
+        """Forget where some windows were."""
+        for section in forget_positions(self.connection, keys):
+            self.subjects.places(section)
 
     def forget_positions(self, section: str) -> int:
         """Forget where the windows of a section were, so that they are looked at again; return of how many.
 
         Its epochs are computed again from the first.
         """
-        EpochStore(self.connection, self.changes).start_again(section)
+        EpochStore(self.connection, self.subjects).start_again(section)
         of_section = exists().where(
             WINDOWS.c.wheelset == POSITIONS.c.wheelset,
             WINDOWS.c.start_ns == POSITIONS.c.start_ns,
@@ -330,7 +330,7 @@ class TrackStore:
         self.section(layout.section)
         before, version = self.layout_version(layout.section), store_layout(self.connection, layout)
         if version != before:
-            self.changes.subjects.section_on_file(layout.section)
+            self.subjects.section_on_file(layout.section)
         return version
 
     def _sections(self, statement: Select[Any]) -> Sequence[TrackSectionRecord]:

@@ -23,9 +23,9 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError
 from estimation.values.windows import DueStage, PassedOver, WindowKey, WindowMark, WindowState
-from fleet_db.changes import Changes
 from fleet_db.due import estimated, list_due
 from fleet_db.rows import reason_columns, replace_all, table_of
+from fleet_db.subjects import Subjects
 from fleet_db.tables import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
@@ -41,7 +41,7 @@ def keys_given(table: Any) -> ColumnElement[bool]:  # noqa: ANN401 - a table wit
     return tuple_(table.c.wheelset, table.c.start_ns).in_(bindparam("keys", expanding=True))
 
 
-def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMark]) -> list[WindowMark]:
+def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowMark]) -> list[WindowMark]:
     """Set states of windows; those that are refused lose their bin tables. Return those that have their states now.
 
     A window whose samples have been purged stays as it is; that it was to change is noted.
@@ -60,25 +60,25 @@ def mark_all(connection: Connection, changes: Changes, marks: Sequence[WindowMar
         if not same and before.samples_purged_ns is not None:
             this = and_(WINDOWS.c.wheelset == mark.wheelset, WINDOWS.c.start_ns == mark.start_ns)
             if pass_over(connection, this, PassedOver.SUPERSEDED):
-                changes.note(mark.wheelset)
+                subjects.tables(mark.wheelset)
             continue
         held.append(mark)
         if not same:
-            changes.on_section(before.track_section)
+            subjects.places(before.track_section)
             changed.append({"wheelset": mark.wheelset, "start_ns": mark.start_ns, **after})
             if mark.state is WindowState.REFUSED:
                 gone.append(mark.key)
             if before.state != mark.state.value:
-                changes.note(mark.wheelset)
+                subjects.tables(mark.wheelset)
             if WindowState.REFUSED.value in {before.state, mark.state.value}:  # else the newest usable one stays
-                changes.subjects.windows(mark.wheelset)
+                subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)
     estimated(connection, [mark.key for mark in held if mark.state is WindowState.ESTIMATED])
-    remove_tables(connection, changes, gone)
+    remove_tables(connection, subjects, gone)
     return held
 
 
-def remove_tables(connection: Connection, changes: Changes, keys: Sequence[WindowKey]) -> None:
+def remove_tables(connection: Connection, subjects: Subjects, keys: Sequence[WindowKey]) -> None:
     """Remove the bin tables of some windows, where there are any."""
     for first in range(0, len(keys), BATCH):
         tabled = [
@@ -88,7 +88,7 @@ def remove_tables(connection: Connection, changes: Changes, keys: Sequence[Windo
         if tabled:
             connection.execute(delete(TABLES).where(keys_given(TABLES)), {"keys": tabled})
         for wheelset, _ in tabled:
-            changes.note(wheelset)
+            subjects.tables(wheelset)
 
 
 def list_for_sums(connection: Connection, keys: Sequence[WindowKey]) -> None:

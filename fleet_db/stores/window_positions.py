@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import cache
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select
+from sqlalchemy import Connection, Row, Select, delete, select
 
 from estimation.values.windows import WindowKey, WindowPosition
-from fleet_db.rows import stored_reason, table_of
+from fleet_db.rows import insert_all_new, reason_columns, replace_all, stored_reason, table_of
 from fleet_db.stores.window_marks import BATCH, keys_given
-from fleet_db.tables import WindowPositionRow
+from fleet_db.tables import WindowPositionRow, WindowRow
 
-POSITIONS = table_of(WindowPositionRow)
+POSITIONS, WINDOWS = table_of(WindowPositionRow), table_of(WindowRow)
 
 
 def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[WindowKey, WindowPosition]:
@@ -23,6 +24,30 @@ def positions_of(connection: Connection, keys: Sequence[WindowKey]) -> Mapping[W
         for row in connection.execute(_positions(), {"keys": keys[first : first + BATCH]}):
             found[row.wheelset, row.start_ns] = _position(row)
     return found
+
+
+def put_positions(connection: Connection, positions: Sequence[WindowPosition]) -> frozenset[WindowKey]:
+    """Store where windows were, in the place of what was known; return those of which that has changed."""
+    before = positions_of(connection, [(one.wheelset, one.start_ns) for one in positions])
+    changed = {
+        (one.wheelset, one.start_ns): asdict(one) | reason_columns(one.reason)
+        for one in positions
+        if before.get((one.wheelset, one.start_ns)) != one
+    }
+    rows = [changed[key] for key in sorted(changed)]
+    if insert_all_new(connection, POSITIONS, rows) < len(rows):
+        replace_all(connection, POSITIONS, rows)
+    return frozenset(changed)
+
+
+def forget_positions(connection: Connection, keys: Sequence[WindowKey]) -> set[str | None]:
+    """Forget where some windows were; return the sections that they are on."""
+    sections: set[str | None] = set()
+    for first in range(0, len(keys), BATCH):
+        given = {"keys": keys[first : first + BATCH]}
+        sections.update(connection.scalars(select(WINDOWS.c.track_section).where(keys_given(WINDOWS)), given))
+        connection.execute(delete(POSITIONS).where(keys_given(POSITIONS)), given)
+    return sections
 
 
 @cache

@@ -38,7 +38,7 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
-from fleet_db.changes import Changes
+from fleet_db import alignment_due
 from fleet_db.due import samples_changed
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import (
@@ -55,6 +55,7 @@ from fleet_db.rows import (
     table_of,
 )
 from fleet_db.stores.window_marks import BATCH, keys_given, list_for_sums, mark_all, pass_over, remove_tables
+from fleet_db.subjects import Subjects
 from fleet_db.tables import MountingRow, WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.tables.windows import PENDING
 from fleet_db.telemetry import WindowFiles, window_digest
@@ -96,7 +97,7 @@ class WindowStore:
     """Implements ``estimation.storage.Windows``."""
 
     connection: Connection
-    changes: Changes
+    subjects: Subjects
     files: WindowFiles
     once: ReadOnce = field(default_factory=ReadOnce)
 
@@ -129,18 +130,23 @@ class WindowStore:
             "samples_purged_ns": None,
             "passed_over": None,
         }
+        key = (window.wheelset, window.start_ns)
         hunts = max(window.quality.hunting.share, found.hunting_share or 0.0) >= HUNTING_SHARE
-        self.changes.subjects.windows(window.wheelset, window.vehicle if hunts else None)
-        self.changes.on_section(window.track_section)
+        self.subjects.windows(window.wheelset, window.vehicle if hunts else None)
+        self.subjects.places(window.track_section)
         if found.content_digest is None:
             if not insert_new(self.connection, WINDOWS, values):  # another transaction has stored it meanwhile
                 return self.put(window, mileage_km, recorded_ns)
-            samples_changed(self.connection, [(window.wheelset, window.start_ns)])
+            samples_changed(self.connection, [key])
+            alignment_due.come(self.subjects, {key: window.track_section})
             return True
         replace(self.connection, WINDOWS, values)
-        samples_changed(self.connection, [(window.wheelset, window.start_ns)])
-        self.changes.on_section(found.track_section)
-        remove_tables(self.connection, self.changes, [(window.wheelset, window.start_ns)])
+        samples_changed(self.connection, [key])
+        alignment_due.come(self.subjects, {key: window.track_section})
+        if window.track_section != found.track_section:
+            alignment_due.left(self.subjects, [key])
+        self.subjects.places(found.track_section)
+        remove_tables(self.connection, self.subjects, [key])
         return True
 
     def ready(
@@ -230,11 +236,12 @@ class WindowStore:
             STANDING, key_of(WINDOWS, {"wheelset": wheelset, "start_ns": start_ns})
         ).one()
         same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
-        self.changes.on_section(standing.track_section)
+        self.subjects.places(standing.track_section)
         samples_changed(self.connection, [(wheelset, start_ns)])
         if standing.state == WindowState.ESTIMATED.value:
             damaged = POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value
-            self.connection.execute(delete(POSITIONS).where(*same, damaged))
+            if self.connection.scalar(select(POSITIONS.c.wheelset).where(*same, damaged)) is not None:
+                self._forget_position(wheelset, start_ns)
             return
         self._forget_position(wheelset, start_ns)
         if standing.state == WindowState.REFUSED.value:
@@ -285,12 +292,12 @@ class WindowStore:
         Raises:
             NotFoundError: There is no such window.
         """
-        return mark_all(self.connection, self.changes, marks)
+        return mark_all(self.connection, self.subjects, marks)
 
     def pass_over(self, wheelset: str, start_ns: int, what: PassedOver) -> None:
         """Note what would have changed a window that stays as it is; that its table is wrong stands before the rest."""
         if pass_over(self.connection, and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns), what):
-            self.changes.note(wheelset)
+            self.subjects.tables(wheelset)
 
     def passed_over(self, wheelset: str) -> Sequence[tuple[int, PassedOver]]:
         """Return start and cause of the estimated windows of a wheelset that stay as they are, oldest first."""
@@ -380,6 +387,7 @@ class WindowStore:
         return row
 
     def _forget_position(self, wheelset: str, start_ns: int) -> None:
+        alignment_due.unplaced(self.subjects, [(wheelset, start_ns)])
         same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
         self.connection.execute(delete(POSITIONS).where(*same))
 
@@ -387,7 +395,7 @@ class WindowStore:
         """Let a window wait again, its position too; return whether it does."""
         waits = self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
         if waits:
-            self.changes.on_section(record.track_section)
+            self.subjects.places(record.track_section)
             self._forget_position(record.wheelset, record.start_ns)
         return waits
 
@@ -400,9 +408,10 @@ class WindowStore:
         values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km, "judged": False}
         replace(self.connection, WINDOWS, values)
         list_for_sums(self.connection, [(window.wheelset, window.start_ns)])
-        self.changes.note(window.wheelset)
-        self.changes.subjects.windows(window.wheelset)
-        self.changes.on_section(found.track_section)
+        alignment_due.come(self.subjects, {(window.wheelset, window.start_ns): found.track_section})
+        self.subjects.tables(window.wheelset)
+        self.subjects.windows(window.wheelset)
+        self.subjects.places(found.track_section)
         return True
 
     def _records(self, statement: Select[Any]) -> builtins.list[WindowRecord]:

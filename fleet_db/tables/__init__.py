@@ -13,8 +13,6 @@ from fleet_db.tables.alerts import (
 from fleet_db.tables.base import Base
 from fleet_db.tables.jobs import (
     JobRunRow,
-    SectionChangeRow,
-    SectionLookRow,
     StageMarkRow,
     StoredSettingRow,
     SubjectVersionRow,
@@ -97,8 +95,6 @@ __all__ = [
     "RollUpStateRow",
     "RollingSumsRow",
     "SectionAdhesionRow",
-    "SectionChangeRow",
-    "SectionLookRow",
     "SensorChangeRow",
     "StageMarkRow",
     "StaleSpanRow",

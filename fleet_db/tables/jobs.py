@@ -97,29 +97,6 @@ class StageMarkRow(Base):
     again_ns: Mapped[Nanoseconds | None]
 
 
-class SectionChangeRow(Base):
-    """How often something has happened to windows, positions or epochs of a section.
-
-    ``section`` is empty for windows that are on none.
-    """
-
-    __tablename__ = "section_changes"
-
-    section: Mapped[str] = mapped_column(String(64), primary_key=True)
-    touched: Mapped[Count]
-
-
-class SectionLookRow(Base):
-    """Everything that a job's last look at a section was made from, where it found nothing to do."""
-
-    __tablename__ = "section_looks"
-
-    stage: Mapped[str] = mapped_column(String(32), primary_key=True)
-    section: Mapped[str] = mapped_column(String(64), primary_key=True)
-    inputs: Mapped[Digest]
-    touched: Mapped[Count]
-
-
 class StoredSettingRow(Base):
     """One setting, as text, since the first recording was received with it."""
 

@@ -136,7 +136,10 @@ class TrackLayoutRow(Base):
 
 
 class TrackEpochRow(Base):
-    """One epoch of a section as it was computed last, in vehicle time; replaced when its windows change."""
+    """One epoch of a section as it was computed last, in vehicle time; replaced when its windows change.
+
+    ``stale``: one of its windows has gone since, or where that was has been forgotten.
+    """
 
     __tablename__ = "track_epochs"
     __table_args__ = (CheckConstraint("number > 0", name="number_positive"),)
@@ -148,6 +151,7 @@ class TrackEpochRow(Base):
     horizon_ns: Mapped[Nanoseconds]
     windows: Mapped[Count]
     waits: Mapped[bool]
+    stale: Mapped[bool]
     version: Mapped[int | None]
     same_since: Mapped[int | None]
     estimated_on: Mapped[int | None]
@@ -178,7 +182,6 @@ class TrackEpochWindowRow(Base):
     mileage_km: Mapped[Real]
     context: Mapped[Digest]
     assumed: Mapped[Digest]
-    placed: Mapped[bool]
     estimated_version: Mapped[int | None]
 
 

@@ -131,7 +131,9 @@ def test_a_run_that_is_stopped_stores_nothing_half_and_the_next_does_the_rest(sq
     storage = sqlite_storage
     register(storage)
     put(storage, range(6))
-    stopped = run(storage, "refresh_alignment", stop_after=5)  # a checkpoint before each run, of two windows
+    stopped = run(
+        storage, "refresh_alignment", stop_after=6
+    )  # a checkpoint before each run, of two windows, and one before all
     assert (stopped.outcome, stopped.counts) == ("abandoned", {"done": 10, "total": 12})
     with storage.read() as unit:
         assert unit.tracks.in_force("S1") is None

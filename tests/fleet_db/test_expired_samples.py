@@ -112,7 +112,7 @@ def test_a_window_without_samples_is_no_window_of_an_epoch_that_is_computed_agai
     with fleet.read() as unit:
         later = make.window(5).start_ns
         assert [one.start_ns for one in unit.epochs.remaining(SECTION, 1, 9)] == [later]
-        assert unit.epochs.news(SECTION).from_ns == later
+        assert unit.epochs.purged_until(SECTION) == make.START
     with fleet.write() as unit:
         (record,) = unit.windows.list("WS-1", later)
         epoch = TrackEpoch(
@@ -132,7 +132,7 @@ def test_a_window_without_samples_is_no_window_of_an_epoch_that_is_computed_agai
     assert purged(fleet).items == 1
     put(fleet, 3)  # so late that later ones have no samples
     with fleet.read() as unit:
-        assert unit.epochs.news(SECTION).from_ns is None
+        assert unit.epochs.purged_until(SECTION) == later
         assert [one.start_ns for one in unit.epochs.remaining(SECTION, 2, 9)] == [make.window(3).start_ns]
 
 

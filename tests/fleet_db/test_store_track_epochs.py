@@ -9,8 +9,8 @@ import pytest
 import stored_values as make
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.track import OPEN_NS, EpochMember, EpochNews, FoldState, FoundOfVehicles, TrackEpoch
-from estimation.values.windows import WindowPosition, WindowState
+from estimation.values.track import OPEN_NS, EpochMember, FoldState, FoundOfVehicles, TrackEpoch
+from estimation.values.windows import DueStage, WindowPosition, WindowState
 from fleet_db.storage import SqlStorage
 
 OF_THE_ALIGNMENT = (
@@ -21,7 +21,7 @@ OF_THE_ALIGNMENT = (
     ReasonCode.IN_CURVES,
     ReasonCode.OUTSIDE_BINS,
 )
-NOTHING = EpochNews(None, frozenset())
+NOTHING = ([], [])
 FIRST, SECOND, THIRD = (make.START + number * make.LENGTH for number in range(3))
 
 
@@ -53,25 +53,27 @@ def epochs(fleet: SqlStorage) -> SqlStorage:
             unit.tracks.put_position(WindowPosition("WS-1", record.start_ns, record.content_digest, 1))
     put_epoch(fleet, 1, (FIRST, SECOND), 1, 1)
     put_epoch(fleet, 2, (THIRD,), 2, 1)
+    with fleet.write() as unit:
+        unit.due.settle_all(DueStage.ALIGNMENT, unit.due.of_section(DueStage.ALIGNMENT, "S-7"))
     return fleet
 
 
-def news(storage: SqlStorage) -> EpochNews:
+def news(storage: SqlStorage, section: str = "S-7") -> tuple[list[int], list[int]]:
+    """Return the starts of the windows that are listed, and the epochs that are stale."""
     with storage.read() as unit:
-        return unit.epochs.news("S-7")
+        starts = [one.start_ns for one in unit.epochs.listed(section)]
+        return starts, [one.number for one in unit.epochs.list(section) if one.stale]
 
 
 def test_nothing_is_new_while_nothing_changes(epochs: SqlStorage) -> None:
-    assert news(epochs) == NOTHING
-    with epochs.read() as unit:
-        assert unit.epochs.news("S-8") == NOTHING
+    assert news(epochs) == news(epochs, "S-8") == NOTHING
 
 
 def test_a_window_that_comes_is_news_from_its_start(epochs: SqlStorage) -> None:
     with epochs.write() as unit:
         unit.windows.put(make.window(4), 10.0, 2)
         unit.windows.put(make.window(3, track_section=None), 10.0, 2)  # of no section
-    assert news(epochs) == EpochNews(make.START + 4 * make.LENGTH, frozenset())
+    assert news(epochs) == ([make.START + 4 * make.LENGTH], [])
 
 
 @pytest.mark.parametrize(("seed", "mileage_km", "vehicle"), [(1, 10.0, "V-1"), (0, 11.0, "V-1"), (0, 10.0, "V-2")])
@@ -80,7 +82,13 @@ def test_a_window_with_other_content_mileage_or_vehicle_is_news(
 ) -> None:
     with epochs.write() as unit:
         unit.windows.put(make.window(1, seed=seed, vehicle=vehicle), mileage_km, 2)
-    assert news(epochs).from_ns == SECOND
+    assert news(epochs) == ([SECOND], [])
+    with epochs.read() as unit:
+        (listed,) = unit.epochs.listed("S-7")
+        assert listed.record is not None
+        assert listed.held is not None
+        assert (listed.record.mileage_km, listed.held.mileage_km) == (mileage_km, 10.0)
+        assert (listed.held.section, listed.held.epoch, listed.held.vehicle) == ("S-7", 1, "V-1")
 
 
 @pytest.mark.parametrize("change", [{"track_section": "S-8"}, {"track_section": None}])
@@ -90,19 +98,32 @@ def test_a_window_that_is_of_another_section_now_is_news_of_the_one_that_had_it(
     with epochs.write() as unit:
         unit.tracks.add_section(replace(make.SECTION, code="S-8", number=8))
         unit.windows.put(make.window(1, **change), 10.0, 2)
-    assert news(epochs).from_ns == SECOND
+    assert news(epochs) == ([], [1])
+    assert news(epochs, "S-8")[0] == [SECOND][: change["track_section"] is not None]
 
 
 def test_epochs_whose_positions_were_forgotten_are_named(epochs: SqlStorage) -> None:
     with epochs.write() as unit:
-        unit.tracks.forget_position("WS-1", SECOND)
-        unit.tracks.forget_position("WS-1", THIRD)  # had none
-    assert news(epochs) == EpochNews(None, frozenset({1}))
+        unit.assembled.forget_positions([("WS-1", THIRD)])  # had none
+    assert news(epochs) == NOTHING
+    with epochs.write() as unit:
+        unit.assembled.forget_positions([("WS-1", SECOND)])
+    assert news(epochs) == ([], [1])
 
 
 def test_epochs_that_have_lost_a_window_to_another_are_named(epochs: SqlStorage) -> None:
     put_epoch(epochs, 2, (SECOND, THIRD), 2, 1)
-    assert news(epochs) == EpochNews(None, frozenset({1}))
+    assert news(epochs) == ([], [1])
+    put_epoch(epochs, 1, (FIRST,), 1, 1)
+    assert news(epochs) == NOTHING
+
+
+def test_windows_that_an_epoch_lets_go_are_listed(epochs: SqlStorage) -> None:
+    put_epoch(epochs, 1, (FIRST,), 1, 1)
+    assert news(epochs) == ([SECOND], [])
+    with epochs.write() as unit:
+        unit.epochs.start_again("S-7")
+    assert news(epochs) == ([FIRST, SECOND, THIRD], [])
 
 
 def estimated(storage: SqlStorage, start_ns: int, version: int | None) -> None:

@@ -39,7 +39,7 @@ class Hesitant(SqlStorage):
             yield unit
             if threading.current_thread() is not threading.main_thread():
                 return  # the lease is prolonged as time passes, which is none of the job's commits
-            unit.changes.flush()
+            unit.subjects.flush()
             print("not committed", flush=True)  # noqa: T201 - what the test waits for
             time.sleep(0.3)
 

@@ -93,7 +93,7 @@ from_campaign = 3
 """
 WINDOW_S = 30.0
 HOUR_NS = 3_600_000_000_000
-BOOK_KEEPING = ("job_runs", "section_looks", "stage_marks")
+BOOK_KEEPING = ("job_runs", "stage_marks")
 
 
 @dataclass(frozen=True)

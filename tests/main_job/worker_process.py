@@ -39,7 +39,7 @@ class BeforeCommit(SqlStorage):
         with super().write() as unit:
             yield unit
             if self.lease is not None:
-                unit.changes.flush()
+                unit.subjects.flush()
                 hesitate()
 
 

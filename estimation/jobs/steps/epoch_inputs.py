@@ -43,6 +43,18 @@ class FileLookup:
     settings: JobSettings
     classes: ClassLookup
     _known: dict[tuple[str, str], OnFile] = field(default_factory=dict)
+    _mountings: dict[str, Sequence[Mounting]] = field(default_factory=dict)
+    _unmeasured: set[str] = field(default_factory=set)
+
+    def look_up(self, records: Sequence[WindowRecord]) -> None:
+        """Look up the wheelsets and vehicles of windows together."""
+        serials = {record.wheelset for record in records} - self._mountings.keys()
+        if not serials:
+            return
+        self.classes.look_up(sorted(serials), {record.vehicle for record in records})
+        mountings = self.unit.registry.mountings_of(serials)
+        self._mountings.update({serial: mountings.get(serial, ()) for serial in serials})
+        self._unmeasured.update(serials - self.unit.registry.newest_measurement_of(serials).keys())
 
     def of(self, vehicle: str, wheelset: str) -> OnFile:
         """Return what is on file of a wheelset on a vehicle."""
@@ -69,11 +81,11 @@ class FileLookup:
         return EpochMember(record, found.digest, _digest(text))
 
     def _look_up(self, vehicle: str, wheelset: str) -> OnFile:
-        registry = self.unit.registry
+        mountings = self._mountings.get(wheelset)
         return OnFile(
-            registry.wheelset(wheelset),
-            registry.mountings(wheelset),
-            _measured(self.unit, wheelset),
+            self.classes.wheelset(wheelset),
+            self.unit.registry.mountings(wheelset) if mountings is None else mountings,
+            () if wheelset in self._unmeasured else _measured(self.unit, wheelset),
             self.classes.digest(vehicle, wheelset),
         )
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.failures import code_of_error, first_line
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.load_window import load_window
+from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
+from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.motion.checks import gate
 from estimation.motion.usable_samples import straight_part
-from estimation.storage import UnitOfWork
 from estimation.track.examination import examine, following, joined
 from estimation.track.gridded_pass import resampled
 from estimation.track.partition import Entry
@@ -25,6 +25,9 @@ from estimation.values.windows import Window, WindowRecord
 
 WindowKey = tuple[str, int]  # wheelset, start
 _Found = tuple[tuple[WindowKey, ...], Sequence[Pass], Reason | None]  # windows, their passes, why there is none
+
+IN_MEMORY = 16
+"""Windows, of a megabyte each, whose samples are read together."""
 
 _log = logging.getLogger(__name__)
 
@@ -60,47 +63,95 @@ def epoch_passes(context: JobContext, chosen: Sequence[Entry]) -> EpochPasses:
             refused[record.wheelset, record.start_ns] = gated
     keys = [((r.vehicle, r.axle, name), r.start_ns, r.start_ns + r.length_ns) for r, name in clean]
     done = len(refused)
-    for group in following(clean, keys):
-        context.checkpoint(done, len(chosen))
-        done += len(group)
-        for serials, made, reason in _examined(context, [record for record, _ in group], settings):
-            found += [resampled(item, group[0][1], step) for item in made]
-            members[serials[0]] = serials
-            if not made and reason is not None:
-                refused |= dict.fromkeys(serials, reason)
+    for groups in _together(following(clean, keys)):
+        for group, run in zip(groups, _runs(context, groups), strict=True):
+            context.checkpoint(done, len(chosen))
+            done += len(group)
+            for serials, made, reason in _examined(run):
+                found += [resampled(item, group[0][1], step) for item in made]
+                members[serials[0]] = serials
+                if not made and reason is not None:
+                    refused |= dict.fromkeys(serials, reason)
     return EpochPasses(found, members, refused)
 
 
-def _examined(context: JobContext, records: Sequence[WindowRecord], settings: EstimationSettings) -> list[_Found]:
-    """Return windows that follow each other, their passes, and why there is none."""
-    windows: list[Window] = []
-    found: list[_Found] = []
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """The windows of a run with their samples.
+
+    Attributes:
+        windows: As they are examined.
+        refused: Of the others, why there is none.
+        assumed: What they are looked at with; why they are not.
+        turned: Whether the wheelset is mounted the other way round.
+    """
+
+    windows: Sequence[Window]
+    refused: Sequence[_Found]
+    assumed: Assumed | Reason
+    turned: bool
+
+
+def _together(groups: Iterable[Sequence[Entry]]) -> Iterator[list[Sequence[Entry]]]:
+    """Yield runs whose samples are read in one transaction."""
+    together: list[Sequence[Entry]] = []
+    for group in groups:
+        if together and sum(map(len, together)) + len(group) > IN_MEMORY:
+            yield together
+            together = []
+        together.append(group)
+    if together:
+        yield together
+
+
+def _runs(context: JobContext, groups: Sequence[Sequence[Entry]]) -> list[_Run]:
+    """Read the samples of runs."""
+    records = [record for group in groups for record, _ in group]
+    settings = context.settings.estimation
     with context.storage.read() as unit:
-        assumed = ClassLookup(unit, settings).assumed(records[0].vehicle, records[0].wheelset)
-        if isinstance(assumed, Reason):
-            return [(((record.wheelset, record.start_ns),), (), assumed) for record in records]
-        mounting = unit.registry.mounting_at(records[0].vehicle, records[0].axle, records[0].start_ns)
+        classes, vehicles = ClassLookup(unit, settings), VehicleLookup(unit)
+        classes.look_up([record.wheelset for record in records], {record.vehicle for record in records})
+        known = {record.key: record for record in unit.windows.several([record.key for record in records])}
+        loader = WindowLoader(unit, vehicles, known)
         section = records[0].track_section
         layout = unit.tracks.layout(section) if section is not None else None
-        for record in records:
-            window = _loaded(unit, record, assumed, layout, settings)
-            if isinstance(window, Reason):
-                found.append((((record.wheelset, record.start_ns),), (), window))
-            else:
-                windows.append(window)
-    turned = mounting is not None and mounting.reversed
-    keys = [((w.sample_interval_s, w.backwards), w.start_ns, w.start_ns + w.length_ns) for w in windows]
-    for group in following(windows, keys):
-        found += _passes_of(group, assumed, mounted_reversed=turned)
+
+        def run_of(group: Sequence[Entry]) -> _Run:
+            own = [record for record, _ in group]
+            first = own[0]
+            assumed = classes.assumed(first.vehicle, first.wheelset)
+            if isinstance(assumed, Reason):
+                return _Run((), [((record.key,), (), assumed) for record in own], assumed, turned=False)
+            mounting = vehicles.mounting_at(first.vehicle, first.axle, first.start_ns)
+            loaded = [(record, _loaded(loader, record, assumed, layout, settings)) for record in own]
+            windows = [one for _, one in loaded if not isinstance(one, Reason)]
+            refused = [((record.key,), (), one) for record, one in loaded if isinstance(one, Reason)]
+            return _Run(windows, refused, assumed, turned=mounting is not None and mounting.reversed)
+
+        return [run_of(group) for group in groups]
+
+
+def _examined(run: _Run) -> list[_Found]:
+    """Return windows that follow each other, their passes, and why there is none."""
+    found = list(run.refused)
+    if isinstance(run.assumed, Reason):
+        return found
+    keys = [((w.sample_interval_s, w.backwards), w.start_ns, w.start_ns + w.length_ns) for w in run.windows]
+    for group in following(run.windows, keys):
+        found += _passes_of(group, run.assumed, mounted_reversed=run.turned)
     return found
 
 
 def _loaded(
-    unit: UnitOfWork, record: WindowRecord, assumed: Assumed, layout: TrackLayout | None, settings: EstimationSettings
+    loader: WindowLoader,
+    record: WindowRecord,
+    assumed: Assumed,
+    layout: TrackLayout | None,
+    settings: EstimationSettings,
 ) -> Window | Reason:
     """Return the part of a window that is examined, or why there is none; whatever fails, the other windows go on."""
     try:
-        window = load_window(unit, record, assumed.windows.vehicle_class)
+        window = loader.load(record, assumed.windows.vehicle_class)
         return window if isinstance(window, Reason) else straight_part(window, layout, settings.signals)
     except Exception as error:
         if not fails_alone(error):

@@ -13,6 +13,7 @@ from estimation.storage import UnitOfWork
 from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
 from estimation.track.passes import ProfileLife
 from estimation.values.reasons import Reason
+from estimation.values.registry import WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import WindowRecord
 
@@ -42,9 +43,12 @@ def measured(
     """
     curves: dict[ProfileLife, MeasuredCurve] = {}
     notes: list[str] = []
+    on_file = unit.registry.newest_measurement_of({record.wheelset for record in records})
     for life, record in {life: record for record, life in zip(records, lives, strict=True)}.items():
+        if record.wheelset not in on_file:
+            continue
         try:
-            found = _newest(unit, record, within_km)
+            found = _newest(unit, record, classes.wheelset(record.wheelset), within_km)
         except DamagedError as error:  # the others go on
             notes.append(str(error))
             continue
@@ -58,9 +62,11 @@ def measured(
     return Measured(curves, tuple(dict.fromkeys(notes)))
 
 
-def _newest(unit: UnitOfWork, record: WindowRecord, within_km: float) -> MeasuredProfiles | None:
+def _newest(
+    unit: UnitOfWork, record: WindowRecord, wheelset: WheelsetRecord, within_km: float
+) -> MeasuredProfiles | None:
     """Return the last measurement of a wheelset with the profiles that it had in a window."""
-    turned = [item.at_ns for item in unit.registry.wheelset(record.wheelset).reprofilings]
+    turned = [item.at_ns for item in wheelset.reprofilings]
     near = [
         item
         for item in unit.registry.measured_profiles(record.wheelset)

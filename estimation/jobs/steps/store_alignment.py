@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from estimation.errors import ConflictError
 from estimation.jobs.job import JobContext
+from estimation.jobs.steps.due_epoch import Due
 from estimation.jobs.steps.epoch_inputs import given
 from estimation.jobs.steps.lost_windows import assemble_if_lost
 from estimation.jobs.steps.suspension import store_suspension
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_positions import Placing, Solved, place_windows
 from estimation.storage import UnitOfWork
-from estimation.track.partition import Entry
 from estimation.track.passes import Journey
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import AlignmentUpdate
@@ -21,44 +22,16 @@ from estimation.values.json_value import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.track import (
     Correction,
-    EpochMember,
     FoldState,
     FoundOfVehicles,
     TrackAlignment,
     TrackEpoch,
     TrackReport,
-    TrackSectionRecord,
 )
 from estimation.values.windows import WindowRecord
 from estimation.vehicle.vehicle_class import ClassOnFile
 
 _UNDECIDED = {None, ReasonCode.SURVEY_NOT_ASSESSABLE, ReasonCode.MODEL_CONTRADICTED}  # a survey is judged again
-
-
-@dataclass(frozen=True, slots=True)
-class Due:
-    """An epoch that has to be looked at, with the epochs as they were read.
-
-    Without windows of its own it and those behind it have none left. ``same`` is set where it rests on what it did,
-    and ``later`` where it stays as it is for now, and a later run looks at it although nothing has changed.
-    """
-
-    section: TrackSectionRecord
-    number: int
-    stored: Sequence[TrackEpoch]
-    before: FoldState
-    basis: str  # digest of what all epochs rest on
-    own: Sequence[EpochMember] = ()
-    entries: Sequence[Entry] = ()  # its own windows and those that wait
-    digest: str = ""
-    horizon_ns: int = 0
-    same: TrackEpoch | None = None
-    later: bool = False
-
-    @property
-    def old(self) -> TrackEpoch | None:
-        """The epoch as it was computed last."""
-        return self.stored[self.number - 1] if self.number <= len(self.stored) else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,17 +62,18 @@ def survey_checked(survey: Reason | None) -> bool:
     return code_of(survey) not in _UNDECIDED
 
 
-def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
-    """Store what an epoch makes of a section, unless what it rests on has changed since it was read.
+def store_epoch(unit: UnitOfWork, computed: Computed, context: JobContext) -> None:
+    """Store what an epoch makes of a section.
 
-    Windows of an epoch that identified nothing are left for the next, but for those that hold no pass.
+    Windows of an epoch that identified nothing are left for the next, but for those that hold no pass: it is computed
+    again with them.
 
-    Returns:
-        bool: Whether it was stored.
+    Raises:
+        ConflictError: What it rests on has changed since it was read.
     """
     due, section = computed.due, computed.due.section.code
     if _changed(unit, computed, context):
-        return False
+        raise ConflictError("what the epoch rests on has changed", kind="track section", key=section)
     after = _after(unit, computed, context)
     found = _report(unit, computed, after.version, context)
     epoch = TrackEpoch(
@@ -116,7 +90,7 @@ def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
         recorded_ns=context.clock.now_ns(),
     )
     behind = due.old is None or due.old.after != after  # the epochs behind it start from something else
-    if behind:
+    if behind and due.number < len(due.stored):
         unit.epochs.start_again(section, due.number)
     _supersede(unit, due, after, context, kept=0 if behind else due.number)
     unit.suspensions.forget(section, due.number, behind=behind)
@@ -130,7 +104,8 @@ def store(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
     of_vehicles = _of_vehicles(unit, computed, after, context.settings.alignment)
     unit.epochs.put(epoch, due.own)
     unit.epochs.put_found(section, due.number, of_vehicles)
-    return True
+    if epoch.waits and not behind and due.number < len(due.stored):
+        unit.epochs.stale(section, due.number + 1)
 
 
 def cut(unit: UnitOfWork, due: Due, context: JobContext) -> None:
@@ -142,8 +117,6 @@ def cut(unit: UnitOfWork, due: Due, context: JobContext) -> None:
 
 def _changed(unit: UnitOfWork, computed: Computed, context: JobContext) -> bool:
     due = computed.due
-    if unit.epochs.list(due.section.code)[: due.number] != due.stored[: due.number]:
-        return True
     if given(unit, due.section, context.settings)[0] != due.basis:
         return True
     records = [record for record, _ in due.entries]
@@ -252,7 +225,9 @@ def _report(unit: UnitOfWork, computed: Computed, version: int | None, context: 
 
 def classes_of(classes: ClassLookup, records: Sequence[WindowRecord]) -> dict[str, ClassOnFile]:
     """Return the class of each vehicle of windows, where it is on file."""
-    found = {vehicle: classes.of_vehicle(vehicle) for vehicle in sorted({record.vehicle for record in records})}
+    vehicles = sorted({record.vehicle for record in records})
+    classes.look_up((), vehicles)
+    found = {vehicle: classes.of_vehicle(vehicle) for vehicle in vehicles}
     return {vehicle: one for vehicle, one in found.items() if not isinstance(one, Reason)}
 
 

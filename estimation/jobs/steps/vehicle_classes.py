@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 from estimation.jobs.settings import EstimationSettings
@@ -50,22 +50,25 @@ class ClassLookup:
             self._wheelsets[serial] = self.unit.registry.wheelset(serial)
         return self._wheelsets[serial]
 
-    def look_up(self, serials: Sequence[str]) -> None:
-        """Look up several wheelsets together.
+    def look_up(self, serials: Sequence[str], vehicles: Collection[str] = ()) -> None:
+        """Look up several wheelsets, and the classes of vehicles, together.
 
         Args:
-            serials: Those that are not on file are looked up again when they are asked for.
+            serials, vehicles: Those that are not on file are looked up again when they are asked for.
         """
         missing = sorted(set(serials) - self._wheelsets.keys())
         if missing:
             self._wheelsets.update({one.serial: one for one in self.unit.registry.wheelsets_of(missing)})
+        codes = sorted(set(vehicles) - self._classes.keys())
+        on_file = self.unit.registry.vehicles_of(codes) if codes else {}
+        by_class = {one.vehicle_class: self._of_class(one.vehicle_class) for one in on_file.values()}
+        self._classes.update({code: by_class[one.vehicle_class] for code, one in on_file.items()})
 
     def of_vehicle(self, vehicle: str) -> ClassOnFile | Reason:
         """Return the class of a vehicle, or that it is not on file."""
         if vehicle not in self._classes:
             code = self.unit.registry.vehicle(vehicle).vehicle_class
-            found = self.unit.registry.vehicle_class(code)
-            self._classes[vehicle] = class_unknown(code) if found is None else found
+            self._classes[vehicle] = self._of_class(code)
         return self._classes[vehicle]
 
     def assumed(self, vehicle: str, wheelset: str) -> Assumed | Reason:
@@ -84,6 +87,10 @@ class ClassLookup:
         """Return the digest of what is assumed; empty where the class is not on file."""
         found = self.assumed(vehicle, wheelset)
         return "" if isinstance(found, Reason) else found.digest
+
+    def _of_class(self, code: str) -> ClassOnFile | Reason:
+        found = self.unit.registry.vehicle_class(code)
+        return class_unknown(code) if found is None else found
 
     def _look_up(self, vehicle: str, wheelset: str) -> Assumed | Reason:
         on_file = self.of_vehicle(vehicle)

@@ -12,7 +12,7 @@ from estimation.track.screening.screen import PassStatus
 from estimation.track.update import AlignmentUpdate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction
-from estimation.values.windows import WindowPosition, WindowRecord, WindowState
+from estimation.values.windows import WindowMark, WindowPosition, WindowRecord, WindowState
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +35,22 @@ class Placing:
 
 
 def place_windows(unit: UnitOfWork, placing: Placing) -> None:
-    """Store where windows were; what was known of the others is forgotten."""
+    """Store where windows were; what was known of the others is forgotten. Those that were elsewhere wait again."""
     found = _positions(placing)
-    for position in found:
-        _place(unit, position)
-    placed = {(position.wheelset, position.start_ns) for position in found}
-    for record in placing.part.records:
-        if (record.wheelset, record.start_ns) not in placed:
-            unit.tracks.forget_position(record.wheelset, record.start_ns)
+    keys = [(position.wheelset, position.start_ns) for position in found]
+    before = unit.tracks.positions(keys)
+    changed = unit.tracks.put_positions(found)
+    placed = {key: position for key, position in zip(keys, found, strict=True) if key in changed}
+    moved = [key for key, position in placed.items() if _moves(position, before.get(key))]
+    estimated = [one.key for one in unit.windows.several(moved) if one.state is not WindowState.PENDING]
+    unit.windows.mark_all([WindowMark(*key, WindowState.PENDING) for key in estimated])
+    unit.tracks.forget_positions_of([record.key for record in placing.part.records if record.key not in set(keys)])
+
+
+def _moves(position: WindowPosition, before: WindowPosition | None) -> bool:
+    """Return whether a window is elsewhere than it was; one that was nowhere was where its vehicle says."""
+    was = (before.offset_m, before.scale, before.reason) if before is not None else (0.0, 0.0, None)
+    return (position.offset_m, position.scale, position.reason) != was
 
 
 def _positions(placing: Placing) -> Sequence[WindowPosition]:
@@ -98,15 +106,3 @@ def _uncertain(why: str = "") -> Reason:
 
 def _moved(uncorrected: WindowPosition, correction: Correction) -> WindowPosition:
     return replace(uncorrected, offset_m=correction.offset, scale=correction.scale, middle_m=correction.middle)
-
-
-def _place(unit: UnitOfWork, position: WindowPosition) -> None:
-    """Store where a window was; one that had been estimated elsewhere waits again."""
-    before = unit.tracks.position(position.wheelset, position.start_ns)
-    if not unit.tracks.put_position(position):
-        return
-    now = (position.offset_m, position.scale, position.reason)
-    was = (before.offset_m, before.scale, before.reason) if before is not None else (0.0, 0.0, None)
-    window = unit.windows.get(position.wheelset, position.start_ns)
-    if now != was and window is not None and window.state is not WindowState.PENDING:
-        unit.windows.mark(position.wheelset, position.start_ns, WindowState.PENDING)

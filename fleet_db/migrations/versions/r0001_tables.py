@@ -527,20 +527,6 @@ sa.Table(
     required("version", BIG),
 )
 sa.Table(
-    "section_changes",
-    TABLES,
-    sa.Column("section", CODE, primary_key=True),
-    required("touched", BIG),
-)
-sa.Table(
-    "section_looks",
-    TABLES,
-    sa.Column("stage", sa.String(32), primary_key=True),
-    sa.Column("section", CODE, primary_key=True),
-    required("inputs", CODE),
-    required("touched", BIG),
-)
-sa.Table(
     "sensor_changes",
     TABLES,
     sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
@@ -616,6 +602,7 @@ sa.Table(
     required("horizon_ns", BIG),
     required("windows", BIG),
     required("waits", FLAG),
+    required("stale", FLAG),
     sa.Column("version", INTEGER),
     sa.Column("same_since", INTEGER),
     sa.Column("estimated_on", INTEGER),
@@ -637,7 +624,6 @@ sa.Table(
     required("mileage_km", REAL),
     required("context", CODE),
     required("assumed", CODE),
-    required("placed", FLAG),
     sa.Column("estimated_version", INTEGER),
     sa.ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
     sa.Index(None, "section", "epoch"),

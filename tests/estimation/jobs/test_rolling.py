@@ -183,7 +183,7 @@ def by_the_book(storage: SqlStorage) -> dict[tuple[int, int], tuple[BinTable, Bi
 def made_again(storage: SqlStorage) -> None:
     with storage.write() as unit:
         unit.roll_ups.put_states({"W1": RollUpState("", {})})
-        unit.changes.note("W1")
+        unit.subjects.tables("W1")
 
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 6))])

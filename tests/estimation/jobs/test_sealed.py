@@ -19,7 +19,7 @@ from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 from estimation.values.roll_up import RolledPart
-from estimation.values.track import EpochMember, EpochNews, FoldState, TrackEpoch
+from estimation.values.track import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import PassedOver, WindowPosition, WindowState
 from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.purge import purge
@@ -104,7 +104,7 @@ def test_sums_without_tables_give_the_same_geometry_bit_for_bit(life: Life) -> N
         one for one in check_deep(sqlite_storage, raw_of(sqlite_storage), lambda *_: None).findings if not one.harmless
     ]
     with sqlite_storage.write() as unit:
-        unit.changes.note("W1")
+        unit.subjects.tables("W1")
     assert refresh(sqlite_storage) == 0
     made_again(sqlite_storage)
     assert refresh(sqlite_storage) == 0
@@ -112,7 +112,7 @@ def test_sums_without_tables_give_the_same_geometry_bit_for_bit(life: Life) -> N
     assert [value[1:] for value in found.values()] == [value[1:] for value in sums.values()]
     with sqlite_storage.write() as unit:
         unit.geometries.put(replace(before[0], input_digest="0" * 64))
-        unit.changes.note("W1")
+        unit.subjects.tables("W1")
     assert refresh(sqlite_storage) == 1
     assert pack_geometry(geometries(sqlite_storage)[0].geometry) == pack_geometry(before[0].geometry)
 
@@ -240,7 +240,7 @@ def test_a_correction_that_comes_too_late_leaves_no_wrong_number(
     current = found[None].geometry.reason
     assert current is None or current.code is not ReasonCode.SAMPLES_PURGED or happens is turned_round
     with sqlite_storage.write() as unit:
-        unit.changes.note("W1")
+        unit.subjects.tables("W1")
     assert refresh(sqlite_storage) == 0
     with sqlite_storage.write() as unit:
         life.put(unit, 130)
@@ -278,7 +278,7 @@ def test_other_lengths_of_intervals_keep_sums_that_are_there(life: Life) -> None
     for length_km in (40.0, 10.0, 20.0):
         other = replace(SETTINGS, estimation=replace(SETTINGS.estimation, interval_km=length_km))
         with sqlite_storage.write() as unit:
-            unit.changes.note("W1")
+            unit.subjects.tables("W1")
         counts(sqlite_storage, "refresh_geometry", other)
         with sqlite_storage.read() as unit:
             assert sum(one.windows for one in unit.roll_ups.of("W1")) == 130
@@ -376,7 +376,7 @@ def test_where_sealed_windows_were_is_forgotten(life: Life) -> None:
     assert purged(sqlite_storage) == {"window_samples": 50, "window_bin_tables": 49}  # of the epoch that is over
     with sqlite_storage.read() as unit:
         assert [one.windows for one in unit.epochs.list("S1")] == [0, 50, 30]
-        assert unit.epochs.news("S1") == EpochNews(None, frozenset())
+        assert [one.stale for one in unit.epochs.list("S1")] == [False] * 3
         there = [step for step in range(130) if unit.tracks.position("W1", step * MINUTE) is not None]
     assert there == list(range(50, 130))
     assert len(life.there) == 130
