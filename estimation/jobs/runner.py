@@ -81,7 +81,7 @@ def work_of(stage: AnyStage) -> Work:
 
 
 def _handed_out(stage: AnyStage, context: JobContext, ready: Sequence[str], total: int) -> Counter[str]:
-    size = unit_size(context, len(ready), CLAIMED_TOGETHER * stage.at_once)
+    size = unit_size(context, len(ready), CLAIMED_TOGETHER * stage.batch(context))
     done = total - len(ready)
 
     def progress(more: int) -> None:
@@ -96,7 +96,7 @@ def _handed_out(stage: AnyStage, context: JobContext, ready: Sequence[str], tota
 def _work(stage: AnyStage, context: JobContext, subjects: Sequence[str]) -> Mapping[str, int]:
     """Do subjects that are claimed, some in a transaction."""
     working = _Working(stage, context, stage.inputs(context), Isolation(context, stage.job))
-    for batch in _batches(subjects, stage.at_once):
+    for batch in _batches(subjects, stage.batch(context)):
         working.do(batch)
     working.counts["quarantined"] = working.isolation.quarantined
     return working.counts
@@ -109,7 +109,8 @@ def _set_aside(stage: AnyStage, context: JobContext, subject: str, error: Treadw
         _list_again(context, inputs)
     with context.storage.read() as unit:
         due = unit.marks.due(inputs, context.clock.now_ns(), [subject])
-    Isolation(context, stage.job).keep(stage.kind, subject, _tried(inputs, due.get(subject, Due(0))), error)
+    working = _Working(stage, context, inputs, Isolation(context, stage.job))
+    working.keep(subject, due.get(subject, Due(0)), error)
 
 
 @dataclass(slots=True)
@@ -139,7 +140,7 @@ class _Working:
                 for subject in subjects:
                     self.do([subject])
             elif not isinstance(error, ConflictError):  # with a conflict it is still due
-                self._keep(subjects[0], due.get(subjects[0], Due(0)), error)
+                self.keep(subjects[0], due.get(subjects[0], Due(0)), error)
 
     def _computed(self, due: Mapping[str, Due], loaded: Mapping[str, object]) -> dict[str, _Made]:
         """Return what was computed of each subject that did not fail; None where its inputs are those of before."""
@@ -152,7 +153,7 @@ class _Working:
             except Exception as error:
                 if not fails_alone(error):
                     raise
-                self._keep(subject, state, error)
+                self.keep(subject, state, error)
         return made
 
     def _one(self, state: Due, inputs: object | None) -> _Made:
@@ -222,8 +223,12 @@ class _Working:
             if name is not None and subject not in changed:
                 self.counts[name] += 1
 
-    def _keep(self, subject: str, state: Due, error: Exception) -> None:
+    def keep(self, subject: str, state: Due, error: Exception) -> None:
+        """Keep a subject in quarantine at which something failed."""
         self.isolation.keep(self.stage.kind, subject, _tried(self.inputs, state), error)
+        if self.stage.failed is not None:
+            with self.context.storage.write() as unit:
+                self.stage.failed(unit, subject, error)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS
 from estimation.jobs.compare_suspensions import SUSPENSIONS
+from estimation.jobs.estimate_windows import TABLES
 from estimation.jobs.evaluate_alerts import ALERTS
 from estimation.jobs.refresh_adhesion import FIRST, OF_SECTIONS, OF_VEHICLES
 from estimation.jobs.refresh_adhesion import OF_WINDOWS as CREEP
@@ -13,10 +14,13 @@ from estimation.jobs.refresh_rails import OF_WHEELSETS as CELLS
 from estimation.jobs.refresh_signatures import OF_ALL as ANSWERS
 from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.stage import AnyStage
+from estimation.jobs.steps.plausibility import JUDGE
 from estimation.jobs.steps.signature_windows import ASSUMED, OF_WINDOWS
 from estimation.jobs.worklist_rows import WORKLIST
 
 ALL_STAGES: tuple[AnyStage, ...] = (
+    JUDGE,
+    TABLES,
     GEOMETRY,
     FIRST,
     CREEP,

@@ -6,13 +6,15 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select, update
+from sqlalchemy import Connection, Row, Select, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.windows import DueStage
 from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
 from fleet_db.changes import Changes
+from fleet_db.due import list_due
 from fleet_db.locks import Subject, serialise
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
@@ -244,7 +246,7 @@ class RegistryStore:
         if upsert(self.connection, VEHICLES, values):
             self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
         if was is not None and was.max_speed_m_s != record.max_speed_m_s:  # mileages are judged by it
-            self.connection.execute(update(WINDOWS).where(WINDOWS.c.vehicle == record.code).values(judged=False))
+            list_due(self.connection, DueStage.MILEAGES, WINDOWS.c.vehicle == record.code)
         if was is None or _assembled_with(was) != _assembled_with(record):
             cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
@@ -326,7 +328,7 @@ class RegistryStore:
         """Let follow what rests on a mounting that has changed; None is one that there is not."""
         record = now or was
         assert record is not None
-        self.connection.execute(update(WINDOWS).where(WINDOWS.c.wheelset == record.wheelset).values(judged=False))
+        list_due(self.connection, DueStage.MILEAGES, WINDOWS.c.wheelset == record.wheelset)
         for vehicle, from_ns, to_ns in changed_spans(was, now):
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
             # windows that stay as they are may be of a mounting with another way round now

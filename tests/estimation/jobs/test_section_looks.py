@@ -66,7 +66,7 @@ def _mark(unit: SqlUnitOfWork) -> None:
 
 
 def _forget(unit: SqlUnitOfWork) -> None:
-    unit.assembled.forget_positions([first_window(unit)])
+    unit.tracks.forget_position(*first_window(unit))
 
 
 def _remove(unit: SqlUnitOfWork) -> None:
@@ -86,7 +86,7 @@ def _rename(unit: SqlUnitOfWork) -> None:
 
 
 def _wait(unit: SqlUnitOfWork) -> None:
-    unit.windows.requeue_axle("V0", 1, first_window(unit)[1])
+    unit.windows.look_again([first_window(unit)])
 
 
 def _move_axle(unit: SqlUnitOfWork) -> None:
