@@ -9,7 +9,8 @@ import numpy as np
 
 from estimation.contact.profiles import wheel_profile
 from ingest.simulator.drawn_fleet import with_seed
-from ingest.simulator.scenario import ProfilePair, Scenario
+from ingest.simulator.drawn_plan import ProfilePair
+from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 
 SMOOTH, JUMPS = "smooth", "P8/113A"
@@ -33,7 +34,7 @@ def fleet(family: str, seed: int, vehicles: int, wheels: Path) -> Scenario:
     pair = next(item for item in drawn.pairs if item.name == JUMPS)
     if family == SMOOTH:
         pair = _smooth_pair(pair, 4 * vehicles, wheels)
-    plan = replace(drawn, vehicles=vehicles, pairs=(pair,))
+    plan = replace(drawn, given_vehicles=vehicles, pairs=(pair,))
     running = replace(scenario.running, contact_step=STEP)
     return with_seed(replace(scenario, name=f"rivals {family}", drawn=plan, running=running), seed)
 

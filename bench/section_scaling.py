@@ -43,7 +43,7 @@ def sized(wheelsets: int, campaigns: int) -> Scenario:
     """Return the scenario with as many wheelsets, spread over the wear, and campaigns."""
     scenario = load_scenario(ROW)
     assert scenario.drawn is not None
-    drawn = replace(scenario.drawn, vehicles=VEHICLES, wheelsets=wheelsets // VEHICLES)
+    drawn = replace(scenario.drawn, given_vehicles=VEHICLES, wheelsets=wheelsets // VEHICLES)
     return with_seed(replace(scenario, drawn=drawn, sessions=replace(scenario.sessions, campaigns=campaigns)), 0)
 
 

@@ -41,5 +41,5 @@ def test_entries_of_fleets_that_are_not_seen_are_not_named(service: Service) -> 
     assert [one.wheelset for one in seen.used_entries] == ["WS-002"]
     assert "WS-001" not in seen.model_dump_json()
     with service.storage.seen_by(frozenset({"alpha"})).read() as unit:
-        visible = {one.serial for one in unit.registry.wheelsets_of([one.wheelset for one in record.answer.used])}
+        visible = {one.serial for one in unit.registry.wheelsets_of([one.wheelset for one in record.value.answer.used])}
     assert len(visible) == 1

@@ -15,7 +15,7 @@ def test_a_small_row_runs_through_the_product(tmp_path: Path) -> None:
     assert whole.drawn is not None
     assert whole.section.recipe is not None
     short = replace(whole.section, recipe=replace(whole.section.recipe, length=2000.0))
-    drawn = replace(whole.drawn, vehicles=1, wheelsets=2)
+    drawn = replace(whole.drawn, given_vehicles=1, wheelsets=2)
     scenario = with_seed(replace(whole, section=short, drawn=drawn, sessions=replace(whole.sessions, campaigns=2)), 1)
     found = score(scenario, tmp_path / "recordings", tmp_path / "data")
     assert (found.row, found.pair, found.status, found.alignment) == ("known", "S1002/60E1", "recorded", None)

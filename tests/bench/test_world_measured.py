@@ -41,7 +41,9 @@ def small(row: str, seed: int) -> Scenario:
     scenario = load_scenario(SCENARIOS / f"{row}.toml")
     assert scenario.drawn is not None
     sessions = replace(scenario.sessions, campaigns=1, duration=30.0)
-    return with_seed(replace(scenario, drawn=replace(scenario.drawn, vehicles=1, wheelsets=2), sessions=sessions), seed)
+    return with_seed(
+        replace(scenario, drawn=replace(scenario.drawn, given_vehicles=1, wheelsets=2), sessions=sessions), seed
+    )
 
 
 def test_wheels_become_wheelsets_and_what_cannot_run_is_left_out_with_its_reason(tmp_path: Path) -> None:

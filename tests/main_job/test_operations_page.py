@@ -26,6 +26,7 @@ ELSEWHERE = {
     "estimate --job NAME",  # below, for each job
     "schedule",  # these as services of docker-compose.yml: tests/compose
     "schedule &",
+    "schedule --wait",
     "serve",
     "worker",  # test_dask_workers.py
 }

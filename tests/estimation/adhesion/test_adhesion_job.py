@@ -195,6 +195,18 @@ def test_one_run_leaves_certainly_low_friction_out_and_a_second_one_changes_noth
     assert (run.error, run.counts["windows"], run.counts["sections"]) == (None, 0, 0)
 
 
+def test_friction_follows_another_rule(deployed: Deployed) -> None:
+    """Also where no window is new: it is found with the limits of the rule."""
+    other = RuleBook().with_rules(LowAdhesionRule(raise_friction=0.05))
+    strict = replace(deployed.context, settings=replace(deployed.context.settings, rules=other))
+    before = section_of(deployed)
+    assert run_job(refresh_adhesion.JOB, strict, JobTrigger.CLI).counts["sections"] >= 1
+    assert section_of(deployed).low_stretches != before.low_stretches
+    assert run_job(refresh_adhesion.JOB, strict, JobTrigger.CLI).counts["sections"] == 0
+    assert run_job(refresh_adhesion.JOB, deployed.context, JobTrigger.CLI).counts["sections"] >= 1
+    assert section_of(deployed) == before
+
+
 def test_every_time_stays_in_some_hours_and_few_are_kept(deployed: Deployed) -> None:
     found = section_of(deployed)
     with deployed.storage.write() as unit:
@@ -265,13 +277,3 @@ def test_the_stds_of_the_class_on_file_are_those_of_the_friction(deployed: Deplo
     assert on_file is not None
     assert found.file == FileErrors.of([on_file.vehicle_class])
     assert (found.low, found.likely) == (0.2, 0.7)
-
-
-def test_friction_follows_another_rule(deployed: Deployed) -> None:
-    """Also where no window is new: it is found with the limits of the rule."""
-    other = RuleBook().with_rules(LowAdhesionRule(raise_friction=0.05))
-    strict = replace(deployed.context, settings=replace(deployed.context.settings, rules=other))
-    before = section_of(deployed)
-    assert run_job(refresh_adhesion.JOB, strict, JobTrigger.CLI).counts["sections"] >= 1
-    assert section_of(deployed).low_stretches != before.low_stretches
-    assert run_job(refresh_adhesion.JOB, strict, JobTrigger.CLI).counts["sections"] == 0
