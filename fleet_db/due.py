@@ -112,7 +112,7 @@ class WindowDueStore:
         """Remove windows that are of the versions that were seen."""
         names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
         if seen:
-            given = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in seen.items()]
+            given = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in sorted(seen.items())]
             self.connection.execute(_settled(), given)
 
     def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
@@ -156,10 +156,7 @@ class WindowDueStore:
 
     def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
         """Remove windows that a stage has seen, but those that were listed again since."""
-        names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
-        seen = [(inputs.stage, *key_of_text(key), mark.seen) for key, mark in marks.items()]
-        if seen:
-            self.connection.execute(_settled(), [dict(zip(names, one, strict=True)) for one in seen])
+        self.settle_all(inputs.stage, {key_of_text(key): mark.seen for key, mark in marks.items()})
 
 
 def list_due(connection: Connection, stage: str, chosen: ColumnElement[bool], **given: Any) -> None:  # noqa: ANN401

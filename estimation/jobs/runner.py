@@ -81,7 +81,9 @@ def work_of(stage: AnyStage) -> Work:
 
 
 def _handed_out(stage: AnyStage, context: JobContext, ready: Sequence[str], total: int) -> Counter[str]:
-    size = unit_size(context, len(ready), CLAIMED_TOGETHER * stage.batch(context))
+    # of a large batch by itself: a stop is looked for between units
+    batches = 1 if stage.at_once is None else CLAIMED_TOGETHER
+    size = unit_size(context, len(ready), batches * stage.batch(context))
     done = total - len(ready)
 
     def progress(more: int) -> None:

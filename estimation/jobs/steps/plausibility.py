@@ -71,12 +71,14 @@ def store_verdicts(
 ) -> Mapping[str, int]:
     """Store which windows are believed; return how many have another verdict."""
     verdicts: dict[WindowKey, Reason | None] = {}
+    seen: dict[WindowKey, int] = {}
     for inputs, outcome in made.values():
+        seen.update({} if inputs is None else inputs.seen)
         for part in outcome.parts:
             verdicts.update(part.value or {})
-        if inputs is not None:
-            unit.due.settle_all(DueStage.MILEAGES, inputs.seen)
-    return {"mileages_judged": unit.plausibility.judge(verdicts)}
+    changed = unit.plausibility.judge(verdicts)
+    unit.due.settle_all(DueStage.MILEAGES, seen)
+    return {"mileages_judged": changed}
 
 
 def _mounted(unit: UnitOfWork, serials: Sequence[str]) -> Mapping[str, tuple[Mounted, ...]]:
