@@ -34,7 +34,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.adhesion import CREEP
 from estimation.values.quantities import Status
-from estimation.values.runs import TRIED_AGAIN
+from estimation.values.runs import FAILED
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.subjects import Due, Mark, StageInputs
 from estimation.values.track import AlignmentSource
@@ -71,9 +71,6 @@ BATCH = 500  # keys in a statement
 OF_SAMPLES = (SIGNATURES, DueStage.TABLES, DueStage.MILEAGES)
 """Stages that read samples, or what is stored with them."""
 POSITIONS, ALIGNMENTS, VERSIONS = table_of(WindowPositionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
-FAILED = and_(
-    WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code.in_([code.value for code in TRIED_AGAIN])
-)
 IS_PENDING = and_(PENDING)  # word for word that of the index: a parameter would keep SQLite from it
 PLACED = exists().where(
     POSITIONS.c.wheelset == WINDOWS.c.wheelset,
@@ -186,7 +183,8 @@ def list_for_settings(connection: Connection, stage: str) -> None:
     A bin table carries what it was made with: those that wait are listed, and those at which the estimation failed.
     """
     if stage == DueStage.TABLES:
-        _let_wait(connection, and_(FAILED, WINDOWS.c.samples_purged_ns.is_(None)))
+        failed = and_(WINDOWS.c.reason_code.in_([code.value for code in FAILED]), is_due(DueStage.TABLES, WINDOWS))
+        _let_wait(connection, and_(failed, WINDOWS.c.samples_purged_ns.is_(None)))
         list_due(connection, stage, IS_PENDING)
     else:
         list_due(connection, stage, WINDOWS.c.samples_purged_ns.is_(None))

@@ -36,7 +36,7 @@ from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.roll_up import RollingSums, WindowRollingSums
-from estimation.values.runs import TRIED_AGAIN, SubjectKind
+from estimation.values.runs import FAILED, TRIED_AGAIN, SubjectKind
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import (
     DueStage,
@@ -98,7 +98,7 @@ Made = tuple[TableInputs, Estimated | Reason]
 def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> Mapping[str, TableInputs | Unreadable]:
     """Return windows that wait or failed, with what they are estimated with; the others are left out."""
     standing = unit.windows.several([key_of_text(key) for key in keys])
-    waiting = (one for one in standing if one.state is WindowState.PENDING or code_of(one.reason) in TRIED_AGAIN)
+    waiting = (one for one in standing if one.state is WindowState.PENDING or code_of(one.reason) in FAILED)
     records = sorted(waiting, key=_running_order)
     if not records:
         return {}
