@@ -129,8 +129,11 @@ def simulated_windows() -> list[Window]:
         for recording in report.recordings:
             receiver.receive_file(recording.path, recording.vehicle)
         with storage.read() as unit:
-            records = unit.windows.ready(10_000, [])
-            windows = [unit.windows.load(record.wheelset, record.start_ns) for record in records]
+            windows = [
+                unit.windows.load(record.wheelset, record.start_ns)
+                for wheelset in unit.registry.wheelsets()
+                for record in unit.windows.list(wheelset.serial)
+            ]
         storage.close()
     return windows
 

@@ -20,20 +20,37 @@ from sqlalchemy import (
     and_,
     bindparam,
     delete,
+    exists,
     func,
     literal,
+    or_,
     select,
+    true,
     tuple_,
+    union_all,
+    update,
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.adhesion import CREEP
+from estimation.values.quantities import Status
+from estimation.values.runs import FAILED
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
 from estimation.values.subjects import Due, Mark, StageInputs
+from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
 from fleet_db.read_once import ReadOnce
-from fleet_db.rows import by_wheelset, table_of
-from fleet_db.tables import WearSignatureRow, WindowAdhesionRow, WindowDueRow, WindowRow
+from fleet_db.rows import by_wheelset, reason_columns, table_of
+from fleet_db.tables import (
+    TrackAlignmentRow,
+    TrackVersionRow,
+    WearSignatureRow,
+    WindowAdhesionRow,
+    WindowDueRow,
+    WindowPositionRow,
+    WindowRow,
+)
+from fleet_db.tables.windows import PENDING
 
 DUE, WINDOWS = table_of(WindowDueRow), table_of(WindowRow)
 OF_WINDOWS = table_of(WearSignatureRow)
@@ -52,6 +69,16 @@ NOT_LOOKED_AT = and_(
 )
 """Condition on estimated windows on a section whose creep, of these samples, has not been looked at."""
 BATCH = 500  # keys in a statement
+OF_SAMPLES = (SIGNATURES, DueStage.TABLES, DueStage.MILEAGES)
+"""Stages that read samples, or what is stored with them."""
+POSITIONS, ALIGNMENTS, VERSIONS = table_of(WindowPositionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
+IS_PENDING = and_(PENDING)  # word for word that of the index: a parameter would keep SQLite from it
+PLACED = exists().where(
+    POSITIONS.c.wheelset == WINDOWS.c.wheelset,
+    POSITIONS.c.start_ns == WINDOWS.c.start_ns,
+    POSITIONS.c.content_digest == WINDOWS.c.content_digest,
+)
+"""Condition that the position of a window was found from its samples."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +113,7 @@ class WindowDueStore:
         """Remove windows that are of the versions that were seen: those that were listed again since stay due."""
         names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
         if seen:
-            given = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in seen.items()]
+            given = [dict(zip(names, (stage, *key, version), strict=True)) for key, version in sorted(seen.items())]
             self.connection.execute(_settled(), given)
 
     def due(self, inputs: StageInputs, keys: Collection[str] | None = None) -> Mapping[str, Due]:
@@ -96,18 +123,41 @@ class WindowDueStore:
             keys: Only of these; None is all.
         """
         statement = select(DUE).where(DUE.c.stage == inputs.stage)
+        if inputs.stage == DueStage.TABLES:
+            is_same = and_(WINDOWS.c.wheelset == DUE.c.wheelset, WINDOWS.c.start_ns == DUE.c.start_ns)
+            ready = or_(DUE.c.section.not_in(_aligned_by_fleet()), PLACED, WINDOWS.c.state.is_(None))
+            statement = statement.outerjoin(WINDOWS, is_same).where(ready)
         if keys is not None:
             own = tuple_(DUE.c.wheelset, DUE.c.start_ns)
             statement = statement.where(own.in_([key_of_text(key) for key in keys]))
         rows = self.connection.execute(statement.order_by(DUE.c.vehicle, DUE.c.start_ns, DUE.c.wheelset))
         return {text_of_key(row.wheelset, row.start_ns): Due(row.version) for row in rows}
 
+    def wheelsets(self, inputs: StageInputs, serials: Collection[str] | None = None) -> Mapping[str, Due]:
+        """Return the wheelsets with windows that are due, by serial.
+
+        Args:
+            serials: Only of these; None is all.
+        """
+        statement = select(DUE.c.wheelset, func.sum(DUE.c.version).label("seen")).where(DUE.c.stage == inputs.stage)
+        if serials is not None:
+            statement = statement.where(DUE.c.wheelset.in_(serials))
+        rows = self.connection.execute(statement.group_by(DUE.c.wheelset).order_by(DUE.c.wheelset))
+        return {row.wheelset: Due(int(row.seen)) for row in rows}
+
+    def of_wheelsets(self, stage: str, serials: Collection[str]) -> Mapping[WindowKey, int]:
+        """Return the due windows of some wheelsets with their versions, by wheelset and start."""
+        statement = select(DUE).where(DUE.c.stage == stage, DUE.c.wheelset.in_(serials))
+        rows = self.connection.execute(statement.order_by(DUE.c.wheelset, DUE.c.start_ns))
+        return {(row.wheelset, row.start_ns): row.version for row in rows}
+
+    def list_again(self, stage: str, keys: Sequence[WindowKey]) -> None:
+        """Let windows be due still that a stage is about to settle."""
+        _list_keys(self.connection, (stage,), keys)
+
     def note(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:
         """Remove windows that a stage has seen, but those that were listed again since."""
-        names = ("of_stage", "of_wheelset", "of_start_ns", "of_version")
-        seen = [(inputs.stage, *key_of_text(key), mark.seen) for key, mark in marks.items()]
-        if seen:
-            self.connection.execute(_settled(), [dict(zip(names, one, strict=True)) for one in seen])
+        self.settle_all(inputs.stage, {key_of_text(key): mark.seen for key, mark in marks.items()})
 
 
 def list_due(connection: Connection, stage: str, chosen: ColumnElement[bool], **given: Any) -> None:  # noqa: ANN401
@@ -117,14 +167,58 @@ def list_due(connection: Connection, stage: str, chosen: ColumnElement[bool], **
         chosen: Condition on the table of windows.
         given: Parameters of the condition.
     """
-    connection.execute(_listed(connection.dialect.name, stage, chosen), given)
+    connection.execute(_listed(connection.dialect.name, (stage,), chosen), given)
 
 
-def samples_changed(connection: Connection, keys: Sequence[WindowKey]) -> None:
+def list_to_estimate(connection: Connection, chosen: ColumnElement[bool]) -> None:
+    """Let windows with samples wait to be estimated again.
+
+    Args:
+        chosen: Condition on the table of windows, but for their states.
+    """
+    waits = and_(chosen, WINDOWS.c.samples_purged_ns.is_(None))
+    _let_wait(connection, waits)
+    list_due(connection, DueStage.TABLES, waits)
+
+
+def list_for_settings(connection: Connection, stage: str) -> None:
+    """Let a stage that works window by window look at the windows with samples that other settings concern.
+
+    A bin table carries what it was made with: those that wait are listed, and those at which the estimation failed.
+    """
+    if stage == DueStage.TABLES:
+        failed = and_(WINDOWS.c.reason_code.in_([code.value for code in FAILED]), is_due(DueStage.TABLES, WINDOWS))
+        _let_wait(connection, and_(failed, WINDOWS.c.samples_purged_ns.is_(None)))
+        list_due(connection, stage, IS_PENDING)
+    else:
+        list_due(connection, stage, WINDOWS.c.samples_purged_ns.is_(None))
+
+
+def list_waiting(connection: Connection, keys: Sequence[WindowKey]) -> None:
+    """List windows whose state says now that they wait to be estimated.
+
+    Those that are listed keep their version: what has failed is tried again when its time has come.
+    """
+    _list_keys(connection, (DueStage.TABLES,), keys, raised=False)
+
+
+def windows_changed(connection: Connection, keys: Sequence[WindowKey], stages: Sequence[str] = OF_SAMPLES) -> None:
     """List windows that are new, or have other samples, for the stages that read these."""
+    _list_keys(connection, stages, keys)
+
+
+def _let_wait(connection: Connection, chosen: ColumnElement[bool]) -> None:
+    pending = {"state": WindowState.PENDING.value, **reason_columns(None)}
+    connection.execute(update(WINDOWS).where(chosen, WINDOWS.c.state != WindowState.PENDING.value).values(pending))
+
+
+def _list_keys(
+    connection: Connection, stages: Sequence[str], keys: Sequence[WindowKey], *, raised: bool = True
+) -> None:
     for first in range(0, len(keys), BATCH):
         own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(keys[first : first + BATCH])
-        list_due(connection, SIGNATURES, and_(own, WINDOWS.c.samples_purged_ns.is_(None)))
+        chosen = and_(own, WINDOWS.c.samples_purged_ns.is_(None))
+        connection.execute(_listed(connection.dialect.name, stages, chosen, raised=raised))
 
 
 def estimated(connection: Connection, keys: Sequence[WindowKey]) -> None:
@@ -147,27 +241,46 @@ def is_due(stage: DueStage, table: Any) -> ColumnElement[bool]:  # noqa: ANN401 
     return select(DUE.c.version).where(DUE.c.stage == stage.value, *same).exists()
 
 
-def _listed(dialect: str, stage: str, chosen: ColumnElement[bool]) -> Insert:
+def _listed(dialect: str, stages: Sequence[str], chosen: ColumnElement[bool], *, raised: bool = True) -> Insert:
     columns = ("stage", "wheelset", "start_ns", "vehicle", "section", "version")
+    named = union_all(*(select(literal(str(stage)).label("stage")) for stage in stages)).subquery("stages")
     windows: Select[Any] = (
         select(
-            literal(str(stage)),
+            named.c.stage,
             WINDOWS.c.wheelset,
             WINDOWS.c.start_ns,
             WINDOWS.c.vehicle,
             func.coalesce(WINDOWS.c.track_section, ""),
             literal(1),
         )
+        .select_from(WINDOWS.join(named, true()))
         .where(chosen)
-        .order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns)  # one order of row locks
+        .order_by(named.c.stage, WINDOWS.c.wheelset, WINDOWS.c.start_ns)  # one order of row locks
     )
     new = (postgresql.insert if dialect == "postgresql" else sqlite.insert)(DUE).from_select(columns, windows)
+    if not raised:
+        return new.on_conflict_do_nothing(index_elements=list(DUE.primary_key))
     again = {
         "version": DUE.c.version + 1,
         "vehicle": new.excluded.vehicle,
         "section": new.excluded.section,
     }
     return new.on_conflict_do_update(index_elements=list(DUE.primary_key), set_=again)
+
+
+@cache
+def _aligned_by_fleet() -> Select[Any]:
+    """Return the sections whose alignment in force came from the fleet: windows wait until they are placed.
+
+    Where nothing is known any more, as after a survey that was wrong, they are refused, with the reason.
+    """
+    same = and_(VERSIONS.c.section == ALIGNMENTS.c.section, VERSIONS.c.version == ALIGNMENTS.c.version)
+    newest = select(ALIGNMENTS.c.section, func.max(ALIGNMENTS.c.version).label("version"))
+    newest = newest.select_from(ALIGNMENTS.outerjoin(VERSIONS, same)).where(VERSIONS.c.superseded_ns.is_(None))
+    in_force = newest.group_by(ALIGNMENTS.c.section).subquery()
+    is_in_force = and_(in_force.c.section == ALIGNMENTS.c.section, in_force.c.version == ALIGNMENTS.c.version)
+    of_fleet = (ALIGNMENTS.c.status == Status.ESTIMATED.value, VERSIONS.c.source == AlignmentSource.FLEET.value)
+    return select(ALIGNMENTS.c.section).join(VERSIONS, same).join(in_force, is_in_force).where(*of_fleet)
 
 
 @cache

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from estimation.values.reasons import ReasonCode
@@ -100,7 +100,8 @@ def commit(unit: SqlUnitOfWork, assembly: SpanAssembly, recorded_ns: int, *, ver
         changes += made
         others += [each] if is_other else []
     touched += [(each.window.axle, each.window.start_ns) for each in others]
-    _requeue_partners(unit, assembly.vehicle, found, touched, {_key(each.window) for each in replaced})
+    gone_keys = {record.key for record in removed}
+    _look_at_partners(unit, assembly.vehicle, [one for one in found if one.record.key not in gone_keys], touched)
     return changes
 
 
@@ -161,23 +162,19 @@ def _put(
     assert after is not None
     same = before is not None and before.content_digest == after.content_digest
     if same and (lost or refused):
-        unit.windows.wait_again(window.wheelset, window.start_ns)
+        unit.windows.healed([(window.wheelset, window.start_ns)])
         return SpanChanges(healed=1), True
     if same:
         return (SpanChanges(changed=1) if stored else NO_CHANGES), False
     return (SpanChanges(new=1) if before is None else SpanChanges(changed=1)), True
 
 
-def _requeue_partners(
-    unit: SqlUnitOfWork,
-    vehicle: str,
-    stored: Iterable[StoredWindow],
-    touched: Iterable[tuple[int, int]],
-    waiting: Collection[WindowKey],
+def _look_at_partners(
+    unit: SqlUnitOfWork, vehicle: str, stored: Iterable[StoredWindow], touched: Iterable[tuple[int, int]]
 ) -> None:
-    """Let windows that were stored wait again whose partner in the bogie, axle and start, is another now.
+    """Let windows that are still stored wait again whose partner in the bogie, axle and start, is another now.
 
-    They are estimated with the signals of both. Those in ``waiting`` wait already.
+    They are estimated with the signals of both.
     """
     there = {
         (one.record.axle, one.record.start_ns): _key(one.record) for one in stored if one.record.vehicle == vehicle
@@ -185,15 +182,7 @@ def _requeue_partners(
     starts = {start_ns for _, start_ns in there}
     touched = [place for place in dict.fromkeys(touched) if place[1] in starts]
     on_file = unit.registry.vehicle_class(unit.registry.vehicle(vehicle).vehicle_class) if touched else None
-    if on_file is None:
-        return
-    positions: list[WindowKey] = []
-    for axle, start_ns in touched:
-        partner = on_file.vehicle_class.partner(axle)
-        if partner is None or (partner, start_ns) not in there:
-            continue
-        if there[partner, start_ns] in waiting:
-            positions.append(there[partner, start_ns])
-        else:
-            unit.windows.requeue_axle(vehicle, partner, start_ns)
-    unit.assembled.forget_positions(positions)
+    if on_file is not None:
+        partners = ((on_file.vehicle_class.partner(axle), start_ns) for axle, start_ns in touched)
+        beside = (there.get((axle, start_ns)) for axle, start_ns in partners if axle is not None)
+        unit.windows.look_again(sorted({key for key in beside if key is not None}))

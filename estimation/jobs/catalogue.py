@@ -31,7 +31,7 @@ ALL_JOBS: tuple[Job, ...] = (
     refresh_signatures.JOB,
 )
 
-STAGES = (estimate_windows.STAGE, *map(work_of, ALL_STAGES))
+STAGES = tuple(map(work_of, ALL_STAGES))
 """Work that is done in units, by other processes where there are some."""
 
 

@@ -104,7 +104,9 @@ def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
 def _handed_out(
     stage: AnyStage, context: JobContext, ready: Sequence[str], total: int, isolation: Isolation
 ) -> Counter[str]:
-    size = unit_size(context, len(ready), CLAIMED_TOGETHER * stage.at_once)
+    # of a large batch by itself: a stop is looked for between units
+    batches = 1 if stage.at_once is None else CLAIMED_TOGETHER
+    size = unit_size(context, len(ready), batches * stage.batch(context))
     done = total - len(ready)
 
     def progress(more: int) -> None:
@@ -120,7 +122,7 @@ def _work(stage: AnyStage, of_run: Isolation | None, context: JobContext, subjec
     """Do subjects that are claimed, some in a transaction."""
     isolation = Isolation(context, stage.job) if of_run is None else of_run.of_claims(context)
     working = _Working(stage, context, stage.inputs(context), isolation)
-    for batch in _batches(subjects, stage.at_once):
+    for batch in _batches(subjects, stage.batch(context)):
         working.do(batch)
     working.counts["quarantined"] = working.isolation.quarantined
     return working.counts
@@ -131,7 +133,8 @@ def _set_aside(stage: AnyStage, context: JobContext, subject: str, error: Treadw
     inputs = stage.inputs(context)
     with context.storage.read() as unit:
         due = unit.marks.due(inputs, context.clock.now_ns(), [subject])
-    Isolation(context, stage.job).keep(stage.kind, subject, _tried(inputs, due.get(subject, Due(0))), error)
+    working = _Working(stage, context, inputs, Isolation(context, stage.job))
+    working.keep(subject, due.get(subject, Due(0)), error)
 
 
 @dataclass(slots=True)
@@ -175,7 +178,7 @@ class _Working:
                 for subject in subjects:
                     self.do([subject])
             elif not isinstance(error, ConflictError):  # with a conflict it is still due
-                self._keep(subjects[0], due.get(subjects[0], Due(0)), error)
+                self.keep(subjects[0], due.get(subjects[0], Due(0)), error)
             elif CHANGED in self.stage.counted.names:
                 self.counts[CHANGED] += 1
         return ()
@@ -191,7 +194,7 @@ class _Working:
             except Exception as error:
                 if not fails_alone(error):
                     raise
-                self._keep(subject, state, error)
+                self.keep(subject, state, error)
         return made
 
     def _one(self, state: Due, inputs: object | None) -> _Made:
@@ -262,8 +265,12 @@ class _Working:
             if name is not None and subject not in changed and not (name == names.same and subject in self._stored):
                 self.counts[name] += 1
 
-    def _keep(self, subject: str, state: Due, error: Exception) -> None:
+    def keep(self, subject: str, state: Due, error: Exception) -> None:
+        """Keep a subject in quarantine at which something failed."""
         self.isolation.keep(self.stage.kind, subject, _tried(self.inputs, state), error)
+        if self.stage.failed is not None:
+            with self.context.storage.write() as unit:
+                self.stage.failed(unit, subject, error)
 
 
 @dataclass(frozen=True, slots=True)

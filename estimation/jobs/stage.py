@@ -110,14 +110,16 @@ class Stage(Generic[I, V]):
     Attributes:
         name: Of the stage; its results are a facet of this name.
         job: Name of the job that runs it, under which failures are kept.
-        facets: What of its subjects it is made from: base facts, and names of stages whose results it reads.
+        facets: What of its subjects it is made from: base facts, and names of stages whose results it reads; none of a
+            stage that goes by the windows that are due.
         settings: Returns what of the settings it is made from; with others all subjects are due.
         load: Reads the inputs of some subjects, few statements for all; a subject that is left out has nothing to
             compute from. The digest of its inputs (``made_from``) decides whether it is computed.
         compute: Gets the inputs and nothing else. A part that it does not return keeps its former result.
         results: How what it computes is stored; None where ``store`` does all.
         store: Stores what is more than results, in the same transaction; returns what it counted.
-        at_once: Subjects that are loaded and stored in one transaction.
+        failed: Stores what a failure says of a subject, beside the quarantine.
+        at_once: Subjects that are loaded and stored in one transaction; None is as many as the settings say.
         together: Whether it looks at all subjects together, of whatever kind a facet is; its one subject is
             ``EVERYTHING``.
         frozen: Facets that it reads and that do not make it due.
@@ -135,10 +137,15 @@ class Stage(Generic[I, V]):
     counted: Counted
     results: ResultKind[V] | None = None
     store: Callable[[UnitOfWork, JobContext, Mapping[str, tuple[I, Outcome[V]]]], Mapping[str, int]] | None = None
-    at_once: int = 16
+    failed: Callable[[UnitOfWork, str, Exception], None] | None = None
+    at_once: int | None = 16
     together: bool = False
     frozen: tuple[str, ...] = ()
     inline: bool = False
+
+    def batch(self, context: JobContext) -> int:
+        """Return how many subjects are loaded and stored in one transaction."""
+        return context.settings.estimation.batch if self.at_once is None else self.at_once
 
     def inputs(self, context: JobContext) -> StageInputs:
         """Return what the stage is made from, with these settings and this version of the numerics."""

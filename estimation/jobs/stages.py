@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS
 from estimation.jobs.compare_suspensions import SUSPENSIONS
+from estimation.jobs.estimate_windows import TABLES
 from estimation.jobs.evaluate_alerts import ALERTS
 from estimation.jobs.refresh_adhesion import FIRST, OF_SECTIONS, OF_VEHICLES
 from estimation.jobs.refresh_adhesion import OF_WINDOWS as CREEP
@@ -18,12 +19,15 @@ from estimation.jobs.refresh_signatures import OF_ALL as ANSWERS
 from estimation.jobs.refresh_trends import TREND
 from estimation.jobs.stage import AnyStage
 from estimation.jobs.steps.outdated_windows import OUTDATED
+from estimation.jobs.steps.plausibility import JUDGE
 from estimation.jobs.steps.signature_windows import ASSUMED, OF_WINDOWS
 from estimation.jobs.worklist_rows import WORKLIST
 
 ALL_STAGES: tuple[AnyStage, ...] = (
     ALIGNMENT,
+    JUDGE,
     OUTDATED,
+    TABLES,
     GEOMETRY,
     FIRST,
     CREEP,

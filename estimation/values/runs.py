@@ -85,6 +85,9 @@ PASSING = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.
 TRIED_AGAIN = (*PASSING, ReasonCode.CONFLICT, ReasonCode.PROCESSING_FAILED, ReasonCode.WORKERS_ENDED)
 """Codes of what is tried again after a while, though nothing has changed."""
 
+FAILED = (*TRIED_AGAIN, ReasonCode.FILE_DAMAGED)
+"""Codes of windows that were refused because the estimation failed at them; such a window is due still."""
+
 AT_ONCE = (ReasonCode.WAITS_FOR_STORAGE, ReasonCode.WAITS_FOR_EXTRA, ReasonCode.CONFLICT)
 """Codes of which the first retry is the next run: it costs little, and the fault has often gone by then."""
 

@@ -34,7 +34,8 @@ class StageInputs:
     """What a stage declares that it is made from.
 
     Attributes:
-        facets: Of its subjects; none of a stage that works window by window (``fleet_db.due``).
+        facets: Of its subjects; none of a stage that goes by the windows that are due (``fleet_db.due``): of such a
+            stage of wheelsets those are due that have some, and it settles what it has seen itself.
         common: Digest of what is the same for all subjects: settings and numerics.
         together: Whether it looks at all subjects together, of whatever kind a facet is.
         inline: Whether only other settings make it due: what is raised is followed by the transaction that raises it.

@@ -129,6 +129,8 @@ class PassedOver(StrEnum):
 class DueStage(StrEnum):
     """Stages that list the windows that they have not made from what these are now."""
 
+    MILEAGES = "mileages"
+    TABLES = "tables"
     SUMS = "sums"
     ALIGNMENT = "alignment"
 
@@ -202,6 +204,10 @@ class WindowMark:
     def key(self) -> WindowKey:
         """Wheelset and start."""
         return self.wheelset, self.start_ns
+
+
+ReadingSpan = tuple[str, int, int]
+"""Wheelset, first start and last start of windows, ns."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, and_, case, delete, exists, func, select, tup
 from estimation.errors import DamagedError
 from estimation.values.windows import HUNTING_SHARE, PassedOver, Window, WindowKey, WindowRecord
 from fleet_db import alignment_due
-from fleet_db.due import samples_changed
+from fleet_db.due import windows_changed
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.window_marks import list_for_sums, pass_over
@@ -104,29 +104,21 @@ class AssembledWindowStore:
         """
         rows = [self._row(each, recorded_ns) for each in windows]
         count = insert_all_new(self.connection, WINDOWS, rows)
-        samples_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
+        windows_changed(self.connection, [(each.window.wheelset, each.window.start_ns) for each in windows])
         alignment_due.come(self.subjects, _sections(windows))
         return count == len(rows)
 
     def replace(self, windows: Sequence[AssembledWindow], recorded_ns: int) -> None:
         """Replace windows without bin tables by what they are now; they wait to be estimated."""
-        not_purged = {"judged": False, "samples_purged_ns": None, "passed_over": None}
+        not_purged = {"samples_purged_ns": None, "passed_over": None}
         rows = [self._row(each, recorded_ns) | not_purged for each in windows]
         if rows:
             keys = [(each.window.wheelset, each.window.start_ns) for each in windows]
             self._touch(keys)
             replace_all(self.connection, WINDOWS, rows)
-            samples_changed(self.connection, keys)
+            windows_changed(self.connection, keys)
             alignment_due.come(self.subjects, _sections(windows))
             alignment_due.left(self.subjects, keys)
-
-    def forget_positions(self, keys: Sequence[WindowKey]) -> None:
-        """Let it be found again where windows were."""
-        if keys:
-            self._touch(keys)
-            alignment_due.unplaced(self.subjects, keys)
-            same = tuple_(POSITIONS.c.wheelset, POSITIONS.c.start_ns).in_(keys)
-            self.connection.execute(delete(POSITIONS).where(same))
 
     def _touch(self, keys: Sequence[WindowKey]) -> None:
         """Let jobs look again at the sections that windows are on as they are stored, and at who hunts in them."""

@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, and_, delete, exists, func, select, update
+from sqlalchemy import ColumnElement, Connection, and_, delete, exists, func, select
 
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment
-from estimation.values.windows import PassedOver, WindowState
+from estimation.values.windows import PassedOver
 from estimation.vehicle.vehicle_class import ClassOnFile, same_motion
 from fleet_db import alignment_due
+from fleet_db.due import list_to_estimate
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
-from fleet_db.rows import reason_columns, table_of
+from fleet_db.rows import table_of
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.window_marks import pass_over
@@ -116,10 +117,7 @@ class Again:
         with_samples = WINDOWS.c.samples_purged_ns.is_(None)
         alignment_due.unplaced_where(self.subjects, and_(chosen, with_samples))
         self.connection.execute(delete(POSITIONS).where(exists().where(OF_WINDOW, chosen, with_samples)))
-        pending = {"state": WindowState.PENDING.value, **reason_columns(None)}
-        self.connection.execute(
-            update(WINDOWS).where(chosen, with_samples, WINDOWS.c.state != WindowState.PENDING.value).values(**pending)
-        )
+        list_to_estimate(self.connection, chosen)
         pass_over(self.connection, and_(chosen, ~with_samples), what)
 
     def _note(self, chosen: ColumnElement[bool]) -> None:

@@ -2,20 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import Connection, exists, func, select, update
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Connection,
+    Row,
+    Select,
+    String,
+    and_,
+    exists,
+    func,
+    literal,
+    select,
+    union_all,
+    update,
+)
 
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.windows import MileageReading, PassedOver, WindowMark, WindowState
+from estimation.values.windows import (
+    DueStage,
+    MileageReading,
+    PassedOver,
+    ReadingSpan,
+    WindowKey,
+    WindowMark,
+    WindowState,
+)
+from fleet_db.due import is_due, list_due
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import replace_all, table_of
+from fleet_db.stores.window_marks import BATCH, keys_given
 from fleet_db.stores.windows import WindowStore, implausible_reason
 from fleet_db.tables import ChunkRow, WheelsetRow, WindowRow
 
 WINDOWS, CHUNKS, WHEELSETS = table_of(WindowRow), table_of(ChunkRow), table_of(WheelsetRow)
 READING = (WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m, WINDOWS.c.off_line_m)
+DOUBTED = WINDOWS.c.implausible_code.is_not(None)  # word for word that of the index
+SPANS = 100  # of readings, in a statement
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,26 +54,17 @@ class PlausibilityStore:
 
     def note_odometer(self, wheelset: str, start_ns: int, excess_m: float) -> None:
         """Store by how much the odometer of a window differs from its speed, beyond what it may, m."""
-        self.connection.execute(
-            update(WINDOWS)
-            .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-            .where(WINDOWS.c.odometer_excess_m != excess_m)
-            .values(odometer_excess_m=excess_m, judged=False)
-        )
+        self._note(wheelset, start_ns, WINDOWS.c.odometer_excess_m, excess_m)
 
     def note_place(self, wheelset: str, start_ns: int, off_line_m: float) -> None:
         """Store how far from its section's line the vehicle was in a window by GNSS, m; 0 within the limit."""
-        self.connection.execute(
-            update(WINDOWS)
-            .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
-            .where(WINDOWS.c.off_line_m != off_line_m)
-            .values(off_line_m=off_line_m, judged=False)
-        )
+        self._note(wheelset, start_ns, WINDOWS.c.off_line_m, off_line_m)
 
-    def unjudged(self) -> Sequence[str]:
-        """Return the wheelsets with windows that were stored, or have another mileage, since they were judged."""
-        statement = select(WINDOWS.c.wheelset).where(~WINDOWS.c.judged).distinct().order_by(WINDOWS.c.wheelset)
-        return list(self.connection.scalars(statement))
+    def _note(self, wheelset: str, start_ns: int, column: ColumnElement[float], value: float) -> None:
+        this = and_(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns == start_ns)
+        noted = update(WINDOWS).where(this, column != value).values({column: value})
+        if self.connection.execute(noted.execution_options(preserve_rowcount=True)).rowcount:
+            list_due(self.connection, DueStage.MILEAGES, this)
 
     def readings(self, wheelset: str) -> Sequence[MileageReading]:
         """Return the mileages of all windows of a wheelset, oldest first."""
@@ -54,57 +72,66 @@ class PlausibilityStore:
         rows = self.connection.execute(statement.order_by(WINDOWS.c.start_ns))
         return [MileageReading(*row) for row in rows]
 
-    def new_readings(self, wheelset: str) -> Sequence[MileageReading]:
-        """Return the mileages of the windows of a wheelset that were not judged as they are, oldest first."""
-        statement = select(*READING).where(WINDOWS.c.wheelset == wheelset, ~WINDOWS.c.judged)
-        return [MileageReading(*row) for row in self.connection.execute(statement.order_by(WINDOWS.c.start_ns))]
+    def new_readings(self, wheelsets: Collection[str]) -> Mapping[str, Sequence[MileageReading]]:
+        """Return by serial the mileages of the windows that were not judged as they are, oldest first."""
+        statement = select(WINDOWS.c.wheelset, *READING).where(WINDOWS.c.wheelset.in_(wheelsets))
+        statement = statement.where(is_due(DueStage.MILEAGES, WINDOWS))
+        found: dict[str, list[MileageReading]] = {}
+        for wheelset, *reading in self.connection.execute(statement.order_by(WINDOWS.c.wheelset, WINDOWS.c.start_ns)):
+            found.setdefault(wheelset, []).append(MileageReading(*reading))
+        return found
 
-    def readings_around(self, wheelset: str, from_ns: int, to_ns: int) -> Sequence[MileageReading]:
-        """Return the mileages of the windows from one start to another, with one before and one after, oldest first."""
-        own = select(*READING).where(WINDOWS.c.wheelset == wheelset)
-        before = own.where(WINDOWS.c.start_ns < from_ns).order_by(WINDOWS.c.start_ns.desc()).limit(1)
-        rest = own.where(WINDOWS.c.start_ns >= from_ns).order_by(WINDOWS.c.start_ns)
-        within = self.connection.execute(rest.where(WINDOWS.c.start_ns <= to_ns)).all()
-        after = self.connection.execute(rest.where(WINDOWS.c.start_ns > to_ns).limit(1)).all()
-        return [MileageReading(*row) for row in (*self.connection.execute(before), *within, *after)]
-
-    def mileages_doubted(self, wheelset: str) -> bool:
-        """Return whether the mileage of a window of a wheelset is not believed."""
-        doubted = WINDOWS.c.implausible_code == ReasonCode.ODOMETER_IMPLAUSIBLE.value
-        found = select(WINDOWS.c.start_ns).where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.implausible.is_not(None))
-        return self.connection.execute(found.where(doubted).limit(1)).first() is not None
-
-    def judge(self, wheelset: str, implausible: Mapping[int, Reason], *, new_only: bool = False) -> int:
-        """Store which windows of a wheelset have a mileage that is not believed, by start; return how many changed.
-
-        They are refused; those that are believed again wait to be estimated. What has no samples any more stays.
+    def readings_around(self, spans: Sequence[ReadingSpan]) -> Mapping[ReadingSpan, Sequence[MileageReading]]:
+        """Return the mileages of windows in spans, with one before and one after each, oldest first.
 
         Args:
-            implausible: Why a window is not believed, by its start.
-            new_only: Whether the windows judged before keep their verdict.
+            spans: Wheelset, first start and last start.
         """
-        names = ("start_ns", "implausible", "implausible_code", "judged", "samples_purged_ns")
-        standing = select(*(WINDOWS.c[name] for name in names))
-        standing = standing.where(WINDOWS.c.wheelset == wheelset)
+        found: dict[ReadingSpan, list[MileageReading]] = {span: [] for span in spans}
+        for first in range(0, len(spans), SPANS):
+            for *span, start_ns, mileage_km, excess_m, off_line_m in self.connection.execute(
+                _around(spans[first : first + SPANS])
+            ):
+                wheelset, from_ns, to_ns = span
+                reading = MileageReading(start_ns, mileage_km, excess_m, off_line_m)
+                found[wheelset, from_ns, to_ns].append(reading)
+        return found
+
+    def doubted(self, wheelsets: Collection[str]) -> frozenset[str]:
+        """Return of which wheelsets the mileage of a window is not believed."""
+        doubted = (WINDOWS.c.implausible_code == ReasonCode.ODOMETER_IMPLAUSIBLE.value, DOUBTED)
+        statement = select(WINDOWS.c.wheelset).where(WINDOWS.c.wheelset.in_(wheelsets), *doubted)
+        return frozenset(self.connection.scalars(statement.distinct()))
+
+    def judge(self, verdicts: Mapping[WindowKey, Reason | None]) -> int:
+        """Store which windows have a mileage or place that is not believed; return how many changed.
+
+        They are refused; those that are believed again wait to be estimated. What has no samples any more stays.
+        """
         rows, marks = [], []
-        for row in self.connection.execute(standing.where(~WINDOWS.c.judged) if new_only else standing).all():
-            reason, before = implausible.get(row.start_ns), implausible_reason(row)
-            if row.judged and reason == before:
+        for row in self._standing(sorted(verdicts)):
+            key = (row.wheelset, row.start_ns)
+            reason = verdicts[key]
+            if reason == implausible_reason(row):
                 continue
-            if row.samples_purged_ns is not None and reason != before:
-                self.windows.pass_over(wheelset, row.start_ns, PassedOver.SUPERSEDED)
-                reason = before
+            if row.samples_purged_ns is not None:
+                self.windows.pass_over(*key, PassedOver.SUPERSEDED)
+                continue
             text, code = (None, None) if reason is None else (reason.text, reason.code.value)
-            key = {"wheelset": wheelset, "start_ns": row.start_ns}
-            rows.append({**key, "implausible": text, "implausible_code": code, "judged": True})
-            if reason != before:
-                state = WindowState.PENDING if reason is None else WindowState.REFUSED
-                marks.append(WindowMark(wheelset, row.start_ns, state, reason))
+            rows.append({"wheelset": key[0], "start_ns": key[1], "implausible": text, "implausible_code": code})
+            state = WindowState.PENDING if reason is None else WindowState.REFUSED
+            marks.append(WindowMark(*key, state, reason))
         replace_all(self.connection, WINDOWS, rows)
-        if marks:
-            self.windows.mark_all(marks)
+        self.windows.mark_all(marks)
+        for wheelset in {mark.wheelset for mark in marks}:
             self.windows.subjects.windows(wheelset)
         return len(marks)
+
+    def _standing(self, keys: Sequence[WindowKey]) -> Iterator[Row[Any]]:
+        names = ("wheelset", "start_ns", "implausible", "implausible_code", "samples_purged_ns")
+        standing = select(*(WINDOWS.c[name] for name in names)).where(keys_given(WINDOWS))
+        for first in range(0, len(keys), BATCH):
+            yield from self.connection.execute(standing, {"keys": keys[first : first + BATCH]}).all()
 
     def left_out(self, wheelset: str, from_ns: int) -> Mapping[ReasonCode, int]:
         """Return how many windows of a wheelset that start at or after a time are not believed, by code."""
@@ -135,3 +162,28 @@ class PlausibilityStore:
         for vehicle, code, count in self.connection.execute(statement.group_by(*columns).order_by(*columns)):
             found.setdefault(vehicle, {})[code] = int(count)
         return found
+
+
+def _around(spans: Sequence[ReadingSpan]) -> Select[Any]:
+    """Return the statement for the readings of spans, with one before and one after each."""
+    named = union_all(
+        *(
+            select(
+                literal(wheelset, String).label("wheelset"),
+                literal(from_ns, BigInteger).label("from_ns"),
+                literal(to_ns, BigInteger).label("to_ns"),
+            )
+            for wheelset, from_ns, to_ns in spans
+        )
+    ).subquery("spans")
+    beside = WINDOWS.alias("beside")
+    own = beside.c.wheelset == named.c.wheelset
+    before = select(func.max(beside.c.start_ns)).where(own, beside.c.start_ns < named.c.from_ns)
+    after = select(func.min(beside.c.start_ns)).where(own, beside.c.start_ns > named.c.to_ns)
+    within = (
+        WINDOWS.c.wheelset == named.c.wheelset,
+        WINDOWS.c.start_ns >= func.coalesce(before.correlate(named).scalar_subquery(), named.c.from_ns),
+        WINDOWS.c.start_ns <= func.coalesce(after.correlate(named).scalar_subquery(), named.c.to_ns),
+    )
+    statement = select(*named.columns, *READING).where(*within)
+    return statement.order_by(WINDOWS.c.wheelset, named.c.from_ns, WINDOWS.c.start_ns)

@@ -7,12 +7,14 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select, update
+from sqlalchemy import Connection, Row, Select, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
+from estimation.values.windows import DueStage
 from estimation.vehicle.vehicle_class import SHIPPED_VERSION, ClassOnFile, VehicleClass, class_document
+from fleet_db.due import list_due
 from fleet_db.locks import Subject, serialise
 from fleet_db.read_once import ReadOnce
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
@@ -262,12 +264,17 @@ class RegistryStore:
         RegistryHistoryStore(self.connection, self.subjects).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
             self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
-        if was is not None and was.max_speed_m_s != record.max_speed_m_s:  # mileages are judged by it
-            self.connection.execute(update(WINDOWS).where(WINDOWS.c.vehicle == record.code).values(judged=False))
         if was is None or _assembled_with(was) != _assembled_with(record):
             cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
-        if was is None or was.vehicle_class == record.vehicle_class:
+        again = NOTHING_AGAIN if was is None else self._of_class(was, record, recorded_ns)
+        if was is not None and was.max_speed_m_s != record.max_speed_m_s:  # mileages are judged by it
+            list_due(self.connection, DueStage.MILEAGES, WINDOWS.c.vehicle == record.code)
+        return again
+
+    def _of_class(self, was: VehicleRecord, record: VehicleRecord, recorded_ns: int | None) -> EstimatedAgain:
+        """Let follow what rests on the class of a vehicle, where that is another now."""
+        if was.vehicle_class == record.vehicle_class:
             return NOTHING_AGAIN
         chunks = ChunkStore(self.connection, self.subjects)
         decode_undecoded(chunks, record.code, f"vehicle {record.code} is of another class now", recorded_ns or 0)
@@ -345,12 +352,12 @@ class RegistryStore:
         """Let follow what rests on a mounting that has changed; None is one that there is not."""
         record = now or was
         assert record is not None
-        self.connection.execute(update(WINDOWS).where(WINDOWS.c.wheelset == record.wheelset).values(judged=False))
         for vehicle, from_ns, to_ns in changed_spans(was, now):
             StaleSpanStore(self.connection).add(vehicle, from_ns, to_ns, f"mounting of wheelset {record.wheelset}")
             # windows that stay as they are may be of a mounting with another way round now
             there = _still_there(was, now, from_ns, to_ns)
             Again(self.connection, self.subjects, recorded_ns).mounting(record.wheelset, from_ns, to_ns, there=there)
+        list_due(self.connection, DueStage.MILEAGES, WINDOWS.c.wheelset == record.wheelset)
         if now is not None:
             key = RecordKey(RecordKind.MOUNTING, now.wheelset, now.from_ns)
             self._note(key, None if was is None else asdict(was), asdict(now), recorded_ns)

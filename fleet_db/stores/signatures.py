@@ -13,7 +13,7 @@ from estimation.values.runs import SubjectKind
 from estimation.values.signatures import OF_OTHERS, KnownSignatures, MadeOf, StoredSignatures, WindowSignatures
 from estimation.values.signatures import SIGNATURES as STAGE
 from estimation.values.windows import WindowKey
-from fleet_db.due import list_due, samples_changed
+from fleet_db.due import list_due, windows_changed
 from fleet_db.packed_signatures import pack_signatures, unpack_signatures
 from fleet_db.rows import insert_all_new, reason_columns, replace_all, stored_reason, table_of
 from fleet_db.subjects import Subjects
@@ -98,7 +98,7 @@ class SignatureStore:
         if keys:
             own = tuple_(SIGNATURES.c.wheelset, SIGNATURES.c.start_ns).in_(keys)
             self.connection.execute(delete(SIGNATURES).where(own))
-            samples_changed(self.connection, keys)
+            windows_changed(self.connection, keys, (STAGE,))
 
 
 def _values(one: WindowSignatures) -> dict[str, object]:

@@ -29,12 +29,12 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import EVERYTHING, Due, Look, Mark, StageInputs
-from fleet_db.due import DUE, WindowDueStore, list_due
+from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import table_of
 from fleet_db.subjects import VERSIONS, Subjects
-from fleet_db.tables import StageMarkRow, WindowRow
+from fleet_db.tables import StageMarkRow
 
-MARKS, WINDOWS = table_of(StageMarkRow), table_of(WindowRow)
+MARKS = table_of(StageMarkRow)
 SUM = func.sum(VERSIONS.c.version)
 
 
@@ -57,6 +57,8 @@ class StageMarkStore:
         self.subjects.flush()
         if inputs.kind is SubjectKind.WINDOW:
             return self.windows.due(inputs, subjects)
+        if not inputs.facets:
+            return self.windows.wheelsets(inputs, subjects)
         rows = self.connection.execute(_due(inputs, now_ns, subjects))
         return {
             row.subject: Due(
@@ -86,16 +88,16 @@ class StageMarkStore:
         """Note what a stage has seen of subjects; what this transaction raises of its inputs is seen where it rests."""
         if inputs.kind is SubjectKind.WINDOW:
             self.windows.note(inputs, marks)
-            return
-        self._put(inputs, marks)
+        elif inputs.facets:
+            self._put(inputs, marks)
 
     def has_settings(self, inputs: StageInputs) -> bool:
         """Return whether a stage that works window by window has looked at all windows with these settings."""
         return self.connection.execute(_with_settings(inputs)).first() is not None
 
     def list_again(self, inputs: StageInputs) -> None:
-        """Let a stage look at all windows with samples."""
-        list_due(self.connection, inputs.stage, WINDOWS.c.samples_purged_ns.is_(None))
+        """Let a stage look at the windows that its settings concern."""
+        list_for_settings(self.connection, inputs.stage)
         self._put(inputs, {EVERYTHING: Mark(0, "", rests=False)})
 
     def _put(self, inputs: StageInputs, marks: Mapping[str, Mark]) -> None:

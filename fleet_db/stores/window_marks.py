@@ -23,7 +23,7 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError
 from estimation.values.windows import DueStage, PassedOver, WindowKey, WindowMark, WindowState
-from fleet_db.due import estimated, list_due
+from fleet_db.due import estimated, list_due, list_waiting
 from fleet_db.rows import reason_columns, replace_all, table_of
 from fleet_db.subjects import Subjects
 from fleet_db.tables import WindowBinTableRow, WindowRow
@@ -73,6 +73,7 @@ def mark_all(connection: Connection, subjects: Subjects, marks: Sequence[WindowM
             if WindowState.REFUSED.value in {before.state, mark.state.value}:  # else the newest usable one stays
                 subjects.windows(mark.wheelset)
     replace_all(connection, WINDOWS, changed)
+    list_waiting(connection, [mark.key for mark in held if mark.state is WindowState.PENDING])
     estimated(connection, [mark.key for mark in held if mark.state is WindowState.ESTIMATED])
     remove_tables(connection, subjects, gone)
     return held

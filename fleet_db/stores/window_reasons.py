@@ -11,8 +11,8 @@ from sqlalchemy import ColumnElement, Connection, Select, Subquery, bindparam, c
 
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowState
+from fleet_db.due import IS_PENDING, PLACED
 from fleet_db.rows import stored_reason, table_of
-from fleet_db.stores.windows import IS_PENDING, PLACED
 from fleet_db.tables import WindowRow
 
 WINDOWS = table_of(WindowRow)

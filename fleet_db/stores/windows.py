@@ -9,13 +9,13 @@ from functools import cache
 from typing import Any
 
 from sqlalchemy import (
+    ColumnElement,
     Connection,
     Row,
     Select,
     and_,
     bindparam,
     delete,
-    exists,
     func,
     or_,
     select,
@@ -24,10 +24,12 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError, PurgedError
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.signatures import SIGNATURES
 from estimation.values.windows import (
     HUNTING_SHARE,
     NO_BLOWS,
     NOT_HUNTING,
+    DueStage,
     Hunting,
     PassedOver,
     TurnBlows,
@@ -39,7 +41,7 @@ from estimation.values.windows import (
     WindowState,
 )
 from fleet_db import alignment_due
-from fleet_db.due import samples_changed
+from fleet_db.due import list_due, windows_changed
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import (
     by_wheelset,
@@ -57,16 +59,10 @@ from fleet_db.rows import (
 from fleet_db.stores.window_marks import BATCH, keys_given, list_for_sums, mark_all, pass_over, remove_tables
 from fleet_db.subjects import Subjects
 from fleet_db.tables import MountingRow, WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
-from fleet_db.tables.windows import PENDING
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)
 POSITIONS, MOUNTINGS = table_of(WindowPositionRow), table_of(MountingRow)
-PLACED = exists().where(
-    POSITIONS.c.wheelset == WINDOWS.c.wheelset,
-    POSITIONS.c.start_ns == WINDOWS.c.start_ns,
-    POSITIONS.c.content_digest == WINDOWS.c.content_digest,
-)
 PURGED = ("samples_purged_ns", "table_purged_ns")
 NOT_PASSED_OVER = or_(WINDOWS.c.samples_purged_ns.is_(None), WINDOWS.c.passed_over.is_(None))
 SAME = and_(WINDOWS.c.wheelset == WHEELSETS.c.serial, WINDOWS.c.start_ns == bindparam("start_ns"))
@@ -76,10 +72,6 @@ STORED = (
     .select_from(WHEELSETS.outerjoin(WINDOWS, SAME))
     .where(WHEELSETS.c.serial == bindparam("wheelset"))
 )
-STANDING = select(
-    *(WINDOWS.c[name] for name in ("state", "reason", "reason_code", "samples_purged_ns", "track_section"))
-).where(key_given(WINDOWS))
-IS_PENDING = and_(PENDING)  # word for word that of the index: a parameter would keep SQLite from it
 DIGEST = select(*(WINDOWS.c[name] for name in ("content_digest", "samples_purged_ns"))).where(key_given(WINDOWS))
 REALS = (
     "coverage",
@@ -117,7 +109,7 @@ class WindowStore:
         if found.content_digest == digest:
             if found.samples_purged_ns is None and not self.files.has(digest, found.sample_bytes):
                 self.files.save(window, digest)
-                self.wait_again(window.wheelset, window.start_ns)
+                self.healed([(window.wheelset, window.start_ns)])
             return self._set_mileage(window, found, mileage_km)
         if found.table_purged_ns is not None:
             self.pass_over(window.wheelset, window.start_ns, PassedOver.SUPERSEDED)
@@ -126,7 +118,6 @@ class WindowStore:
             "content_digest": digest,
             "sample_bytes": self.files.save(window, digest),
             "recorded_ns": recorded_ns,
-            "judged": False,
             "samples_purged_ns": None,
             "passed_over": None,
         }
@@ -137,41 +128,17 @@ class WindowStore:
         if found.content_digest is None:
             if not insert_new(self.connection, WINDOWS, values):  # another transaction has stored it meanwhile
                 return self.put(window, mileage_km, recorded_ns)
-            samples_changed(self.connection, [key])
+            windows_changed(self.connection, [key])
             alignment_due.come(self.subjects, {key: window.track_section})
             return True
         replace(self.connection, WINDOWS, values)
-        samples_changed(self.connection, [key])
+        windows_changed(self.connection, [key])
         alignment_due.come(self.subjects, {key: window.track_section})
         if window.track_section != found.track_section:
             alignment_due.left(self.subjects, [key])
         self.subjects.places(found.track_section)
         remove_tables(self.connection, self.subjects, [key])
         return True
-
-    def ready(
-        self, limit: int, waiting_sections: Sequence[str], after: WindowKey | None = None
-    ) -> Sequence[WindowRecord]:
-        """Return windows that wait to be estimated, by wheelset and start.
-
-        Args:
-            waiting_sections: Sections whose windows are skipped until their positions have been found.
-            after: Key behind which they are.
-        """
-        key = (WINDOWS.c.wheelset, WINDOWS.c.start_ns)
-        statement = select(WINDOWS).where(IS_PENDING)
-        if waiting_sections:
-            elsewhere = func.coalesce(WINDOWS.c.track_section, "").not_in(waiting_sections)
-            statement = statement.where(or_(elsewhere, PLACED))
-        if after is not None:
-            statement = statement.where(tuple_(*key) > tuple_(*after))
-        return self._records(statement.order_by(*key).limit(limit))
-
-    def pending(self, keys: Sequence[WindowKey]) -> Sequence[WindowRecord]:
-        """Return those of some windows that wait to be estimated, by wheelset and start."""
-        key = (WINDOWS.c.wheelset, WINDOWS.c.start_ns)
-        wanted = (tuple_(*key).in_(keys), WINDOWS.c.state == WindowState.PENDING.value)
-        return self._records(select(WINDOWS).where(*wanted).order_by(*key))
 
     def several(self, keys: Sequence[WindowKey], *, held: bool = False) -> Sequence[WindowRecord]:
         """Return the records of some windows, by wheelset and start; those that are not there are left out.
@@ -220,32 +187,23 @@ class WindowStore:
         """
         refused = (WINDOWS.c.state == WindowState.REFUSED.value, WINDOWS.c.reason_code == code.value)
         found = self._records(select(WINDOWS).where(WINDOWS.c.vehicle == vehicle, *refused))
-        return sum(self._wait_from_begin(record) for record in found)
+        return len(self.look_again([record.key for record in found]))
 
-    def requeue_axle(self, vehicle: str, axle: int, start_ns: int) -> int:
-        """Let the window of an axle that starts at a time wait again, its position too; return how many do."""
-        same = (WINDOWS.c.vehicle == vehicle, WINDOWS.c.axle == axle, WINDOWS.c.start_ns == start_ns)
-        return sum(self._wait_from_begin(record) for record in self._records(select(WINDOWS).where(*same)))
+    def look_again(self, keys: Sequence[WindowKey]) -> Sequence[WindowKey]:
+        """Let windows wait again, their positions too; return those that do."""
+        waiting = [mark.key for mark in self.mark_all([WindowMark(*key, WindowState.PENDING) for key in keys])]
+        self._forget_positions(waiting)
+        return waiting
 
-    def wait_again(self, wheelset: str, start_ns: int) -> None:
-        """Let a window whose file had been lost or damaged wait again, unless it is estimated already.
+    def healed(self, keys: Sequence[WindowKey]) -> None:
+        """Let windows whose file had been lost or damaged wait again, unless they are estimated already.
 
-        Where it was is looked for again, if that was done without its samples.
+        Where they were is looked for again, if that was done without their samples.
         """
-        standing = self.connection.execute(
-            STANDING, key_of(WINDOWS, {"wheelset": wheelset, "start_ns": start_ns})
-        ).one()
-        same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
-        self.subjects.places(standing.track_section)
-        samples_changed(self.connection, [(wheelset, start_ns)])
-        if standing.state == WindowState.ESTIMATED.value:
-            damaged = POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value
-            if self.connection.scalar(select(POSITIONS.c.wheelset).where(*same, damaged)) is not None:
-                self._forget_position(wheelset, start_ns)
-            return
-        self._forget_position(wheelset, start_ns)
-        if standing.state == WindowState.REFUSED.value:
-            self.mark(wheelset, start_ns, WindowState.PENDING)
+        estimated = [one.key for one in self.several(keys) if one.state is WindowState.ESTIMATED]
+        self._forget_positions(estimated, POSITIONS.c.reason_code == ReasonCode.FILE_DAMAGED.value)
+        self.look_again([key for key in keys if key not in estimated])
+        windows_changed(self.connection, keys, (SIGNATURES, DueStage.TABLES))
 
     def requeue_section(self, track_section: str) -> int:
         """Set every window of a section to pending; return how many were not."""
@@ -368,10 +326,6 @@ class WindowStore:
             statement = statement.where(WINDOWS.c.start_ns > after_start_ns)
         return self._records(statement.order_by(WINDOWS.c.start_ns).limit(limit))
 
-    def pending_count(self) -> int:
-        """Return how many windows wait to be estimated."""
-        return self.connection.scalar(select(func.count()).select_from(WINDOWS).where(IS_PENDING)) or 0
-
     def counts(self) -> Mapping[str, int]:
         """Return how many windows are in each state."""
         statement = select(WINDOWS.c.state, func.count()).group_by(WINDOWS.c.state)
@@ -386,18 +340,16 @@ class WindowStore:
             raise NotFoundError("wheelset", wheelset)
         return row
 
-    def _forget_position(self, wheelset: str, start_ns: int) -> None:
-        alignment_due.unplaced(self.subjects, [(wheelset, start_ns)])
-        same = (POSITIONS.c.wheelset == wheelset, POSITIONS.c.start_ns == start_ns)
-        self.connection.execute(delete(POSITIONS).where(*same))
-
-    def _wait_from_begin(self, record: WindowRecord) -> bool:
-        """Let a window wait again, its position too; return whether it does."""
-        waits = self.mark(record.wheelset, record.start_ns, WindowState.PENDING)
-        if waits:
-            self.subjects.places(record.track_section)
-            self._forget_position(record.wheelset, record.start_ns)
-        return waits
+    def _forget_positions(self, keys: Sequence[WindowKey], *chosen: ColumnElement[bool]) -> None:
+        """Let it be found again where windows were: their sections are looked at."""
+        for first in range(0, len(keys), BATCH):
+            given = {"keys": keys[first : first + BATCH]}
+            on = select(WINDOWS.c.track_section).where(keys_given(WINDOWS)).distinct()
+            for section in self.connection.scalars(on, given):
+                self.subjects.places(section)
+            own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(given["keys"])
+            alignment_due.unplaced_where(self.subjects, and_(own, *chosen))
+            self.connection.execute(delete(POSITIONS).where(keys_given(POSITIONS), *chosen), given)
 
     def _set_mileage(self, window: Window, found: Row[Any, Any, Any], mileage_km: float) -> bool:
         if found.mileage_km == mileage_km:
@@ -405,8 +357,9 @@ class WindowStore:
         if found.table_purged_ns is not None:
             self.pass_over(window.wheelset, window.start_ns, PassedOver.RECORD_CHANGED)
             return False
-        values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km, "judged": False}
+        values = {"wheelset": window.wheelset, "start_ns": window.start_ns, "mileage_km": mileage_km}
         replace(self.connection, WINDOWS, values)
+        list_due(self.connection, DueStage.MILEAGES, key_given(WINDOWS), **key_of(WINDOWS, values))
         list_for_sums(self.connection, [(window.wheelset, window.start_ns)])
         alignment_due.come(self.subjects, {(window.wheelset, window.start_ns): found.track_section})
         self.subjects.tables(window.wheelset)

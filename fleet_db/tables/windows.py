@@ -33,16 +33,14 @@ from fleet_db.tables.base import (
 
 PENDING = text("state = 'pending'")
 REFUSED, DOUBTED = text("reason_code IS NOT NULL"), text("implausible_code IS NOT NULL")
-UNJUDGED = text("judged = 0")
-UNJUDGED_POSTGRESQL = text("NOT judged")
 WITH_SAMPLES, PASSED_OVER = text("samples_purged_ns IS NULL"), text("passed_over IS NOT NULL")
 
 
 class WindowRow(Base):
     """One window. A quality number that is not known is null; the samples are in the file of ``content_digest``.
 
-    ``implausible`` is why its mileage is not believed; ``judged`` whether that was looked at since it was stored. Where
-    samples or bin table have been purged it stays as it is: ``passed_over`` says what would have changed it since.
+    ``implausible`` is why its mileage is not believed. Where samples or bin table have been purged it stays as it is:
+    ``passed_over`` says what would have changed it since.
     """
 
     __tablename__ = "windows"
@@ -56,7 +54,6 @@ class WindowRow(Base):
         Index("ix_windows_implausible", "wheelset", "start_ns", sqlite_where=DOUBTED, postgresql_where=DOUBTED),
         Index("ix_windows_with_samples", "start_ns", sqlite_where=WITH_SAMPLES, postgresql_where=WITH_SAMPLES),
         Index("ix_windows_passed_over", "wheelset", "start_ns", sqlite_where=PASSED_OVER, postgresql_where=PASSED_OVER),
-        Index("ix_windows_unjudged", "wheelset", sqlite_where=UNJUDGED, postgresql_where=UNJUDGED_POSTGRESQL),
     )
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
@@ -92,7 +89,6 @@ class WindowRow(Base):
     off_line_m: Mapped[Real] = mapped_column(server_default=text("0"))
     implausible: Mapped[Name | None]
     implausible_code: Mapped[ReasonCodeColumn | None]
-    judged: Mapped[bool] = mapped_column(server_default=false())
     samples_purged_ns: Mapped[Nanoseconds | None]
     table_purged_ns: Mapped[Nanoseconds | None]
     passed_over: Mapped[str | None] = mapped_column(String(16))

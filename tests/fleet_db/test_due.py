@@ -5,7 +5,10 @@ from __future__ import annotations
 import sqlalchemy
 import stored_values as make
 
-from estimation.values.windows import DueStage
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.runs import SubjectKind
+from estimation.values.subjects import Due, StageInputs
+from estimation.values.windows import DueStage, WindowState
 from fleet_db.due import WINDOWS, is_due, list_due
 from fleet_db.storage import SqlStorage
 
@@ -41,6 +44,40 @@ def test_a_window_stays_due_until_its_newest_version_has_been_seen(fleet: SqlSto
         statement = sqlalchemy.select(WINDOWS.c.start_ns).where(is_due(SUMS, WINDOWS)).order_by(WINDOWS.c.start_ns)
         starts = list(unit.connection.scalars(statement))
     assert starts == [make.window(index).start_ns for index in (1, 2)]
+
+
+def test_wheelsets_are_due_by_their_windows(fleet: SqlStorage) -> None:
+    inputs = StageInputs(DueStage.MILEAGES, SubjectKind.WHEELSET, (), "")
+    with fleet.write() as unit:
+        for index in range(2):
+            unit.windows.put(make.window(index), 10.0 + index, 50)
+        unit.windows.put(make.window(0), 11.0, 60)
+    with fleet.read() as unit:
+        assert unit.marks.due(inputs, 0) == {"WS-1": Due(3)}
+        assert unit.marks.due(inputs, 0, ["WS-2"]) == {}
+        seen = unit.due.of_wheelsets(DueStage.MILEAGES, ["WS-1"])
+    with fleet.write() as unit:
+        unit.due.settle_all(DueStage.MILEAGES, seen)
+        assert unit.marks.due(inputs, 0) == {}
+
+
+def test_what_waits_is_listed_and_what_failed_keeps_its_version(fleet: SqlStorage) -> None:
+    failed = Reason(ReasonCode.PROCESSING_FAILED, "failed")
+    with fleet.write() as unit:
+        for index in range(3):
+            unit.windows.put(make.window(index), 10.0 + index, 50)
+        keys = [(one.wheelset, one.start_ns) for one in unit.windows.list("WS-1")]
+        unit.windows.mark(*keys[0], WindowState.REFUSED, failed)
+        unit.windows.mark(*keys[1], WindowState.ESTIMATED)
+        unit.due.settle_all(DueStage.TABLES, {keys[1]: 1})
+        assert unit.windows.look_again(keys[:2]) == keys[:2]
+        assert unit.due.of_wheelset(DueStage.TABLES, "WS-1") == {start_ns: 1 for _, start_ns in keys}
+        unit.windows.mark(*keys[0], WindowState.REFUSED, failed)
+        unit.windows.mark(*keys[1], WindowState.ESTIMATED)
+        unit.marks.list_again(StageInputs(DueStage.TABLES, SubjectKind.WINDOW, (), "other settings"))
+        states = [one.state for one in unit.windows.list("WS-1")]
+        assert states == [WindowState.PENDING, WindowState.ESTIMATED, WindowState.PENDING]
+        assert list(unit.due.of_wheelset(DueStage.TABLES, "WS-1").values()) == [2, 1, 2]
 
 
 def test_a_window_that_is_removed_stays_due(fleet: SqlStorage) -> None:

@@ -146,8 +146,8 @@ def test_nothing_queues_it_again(fleet: SqlStorage) -> None:
         assert unit.windows.requeue_section(SECTION) == 0
         assert unit.windows.requeue(SECTION, ReasonCode.IN_CURVES) == 0
         assert unit.windows.requeue_vehicle("V-1", ReasonCode.IN_CURVES) == 0
-        assert unit.windows.requeue_axle("V-1", make.window(0).axle, make.START) == 0
-        assert unit.plausibility.judge("WS-1", {make.START: Reason(ReasonCode.ODOMETER_IMPLAUSIBLE, "no")}) == 0
+        assert unit.windows.look_again([("WS-1", make.START)]) == []
+        assert unit.plausibility.judge({("WS-1", make.START): Reason(ReasonCode.ODOMETER_IMPLAUSIBLE, "no")}) == 0
         assert unit.windows.passed_over("WS-1") == [(make.START, PassedOver.SUPERSEDED)]
         (record,) = unit.windows.list("WS-1", None, make.START + 1)
         assert unit.assembled.intact(record, verify=True)

@@ -104,10 +104,10 @@ def test_a_window_that_is_of_another_section_now_is_news_of_the_one_that_had_it(
 
 def test_epochs_whose_positions_were_forgotten_are_named(epochs: SqlStorage) -> None:
     with epochs.write() as unit:
-        unit.assembled.forget_positions([("WS-1", THIRD)])  # had none
+        unit.windows.look_again([("WS-1", THIRD)])  # had none
     assert news(epochs) == NOTHING
     with epochs.write() as unit:
-        unit.assembled.forget_positions([("WS-1", SECOND)])
+        unit.windows.look_again([("WS-1", SECOND)])
     assert news(epochs) == ([], [1])
 
 

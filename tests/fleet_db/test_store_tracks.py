@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import stored_values as make
+from waiting_windows import waiting_windows
 
 from estimation.errors import ConflictError
 from estimation.values.geometry import TableKey
@@ -146,9 +147,10 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
     with fleet.write() as unit:
         for window in (*windows, elsewhere):
             unit.windows.put(window, 1.0, 1)
-        records = {record.start_ns: record for record in unit.windows.ready(10, [])}
-        assert len(unit.windows.ready(10, [])) == len(unit.windows.ready(10, ["S-8"])) == 4
-        assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [elsewhere.start_ns]
+        records = {record.start_ns: record for record in waiting_windows(unit)}
+        assert len(records) == 4
+        unit.tracks.add_alignment(of_fleet(1), recorded_ns=1)
+        assert [one.start_ns for one in waiting_windows(unit)] == [elsewhere.start_ns]
         digest = records[windows[0].start_ns].content_digest
         position = WindowPosition("WS-1", windows[0].start_ns, digest, None, 12.5, -1e-3, 6000.0)
         assert unit.tracks.position("WS-1", windows[0].start_ns) is None
@@ -157,10 +159,10 @@ def test_windows_wait_until_it_has_been_looked_at_where_they_were(fleet: SqlStor
         assert unit.tracks.put_position(replace(position, offset_m=12.25))
     with fleet.read() as unit:
         assert unit.tracks.position("WS-1", windows[0].start_ns) == replace(position, offset_m=12.25)
-        assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [windows[0].start_ns, elsewhere.start_ns]
+        assert [one.start_ns for one in waiting_windows(unit)] == [windows[0].start_ns, elsewhere.start_ns]
     with fleet.write() as unit:  # other samples: not estimated yet
         unit.windows.put(make.window(0, seed=5), 1.0, 2)
-        assert [one.start_ns for one in unit.windows.ready(10, ["S-7"])] == [elsewhere.start_ns]
+        assert [one.start_ns for one in waiting_windows(unit)] == [elsewhere.start_ns]
     with pytest.raises(ConflictError), fleet.write() as unit:
         unit.tracks.put_position(replace(position, start_ns=5))
 
@@ -170,7 +172,7 @@ def test_where_windows_of_a_section_were_can_be_forgotten(fleet: SqlStorage) -> 
     with fleet.write() as unit:
         for window in windows:
             unit.windows.put(window, 1.0, 1)
-        for record in unit.windows.ready(10, []):
+        for record in waiting_windows(unit):
             unit.tracks.put_position(WindowPosition(record.wheelset, record.start_ns, record.content_digest, None))
         assert unit.tracks.forget_positions("S-8") == 0
         assert unit.tracks.forget_positions("S-7") == 1

@@ -10,6 +10,7 @@ import pytest
 import stored_values as make
 from due_geometries import due_geometries, see_geometries
 from same_values import same_values
+from waiting_windows import waiting_windows
 
 from api.schemas import windows
 from estimation.errors import ConflictError, NotFoundError, StorageError
@@ -110,7 +111,7 @@ def test_other_content_is_pending_again_without_a_bin_table(fleet: SqlStorage) -
     with fleet.write() as unit:
         assert unit.windows.put(other, 10.0, 99)
     with fleet.read() as unit:
-        (record,) = unit.windows.ready(10, [])
+        (record,) = waiting_windows(unit)
         assert (record.content_digest, record.recorded_ns) == (window_digest(other), 99)
         assert list(unit.tables.stream("WS-1", 0, None)) == []
         assert same_values(unit.windows.load("WS-1", make.START), other)
@@ -150,14 +151,13 @@ def test_lists_and_pages_in_the_order_of_time(fleet: SqlStorage) -> None:
         assert [one.start_ns for one in windows.list("WS-1", starts[1], starts[3])] == starts[1:3]
         assert [one.start_ns for one in windows.page("WS-1", None, 3)] == starts[:3]
         assert [one.start_ns for one in windows.page("WS-1", starts[2], 3)] == starts[3:]
-        assert [one.start_ns for one in windows.ready(2, [])] == starts[:2]
         assert windows.counts() == {"pending": 4, "estimated": 0, "refused": 0}
     with fleet.write() as unit:
         unit.windows.mark("WS-1", starts[0], WindowState.REFUSED, SLOW)
     with fleet.read() as unit:
         assert unit.windows.counts() == {"pending": 3, "estimated": 0, "refused": 1}
         assert unit.windows.list("WS-1")[0].reason == SLOW
-        assert [one.start_ns for one in unit.windows.ready(9, [])] == starts[1:]
+        assert [one.start_ns for one in waiting_windows(unit)] == starts[1:]
 
 
 def test_bin_tables_stream_in_the_order_of_time(fleet: SqlStorage) -> None:

@@ -123,7 +123,7 @@ class Happening:
 
     def judge(self, unit: SqlUnitOfWork) -> None:
         reason = Reason(ReasonCode.ODOMETER_IMPLAUSIBLE, "no vehicle is as fast")
-        unit.plausibility.judge(self.serial, {self.windows[-1].start_ns: reason} if self.windows else {})
+        unit.plausibility.judge({(self.serial, self.windows[-1].start_ns): reason} if self.windows else {})
 
     def alert(self, unit: SqlUnitOfWork) -> None:
         kind = KINDS[self.random.integers(len(KINDS))]

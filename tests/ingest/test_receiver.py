@@ -14,6 +14,7 @@ import sqlalchemy
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from vehicle_bus import INTERVAL_NS, SECOND_NS, START_NS, VEHICLE, Run, register
+from waiting_windows import waiting_windows
 
 from estimation.errors import ConflictError, LogFileError, NotFoundError
 from estimation.storage import UnitOfWork
@@ -224,7 +225,7 @@ def test_a_late_piece_makes_only_its_windows_pending_again(registered: SqlStorag
     assert receipt.windows_changed == 2
     with registered.read() as unit:
         after = content(unit)
-        pending = {(r.wheelset, r.start_ns) for r in unit.windows.ready(100, [])}
+        pending = {(r.wheelset, r.start_ns) for r in waiting_windows(unit)}
     assert pending == {key for key in after if after[key] != before[key]}
     assert pending == {(f"WS-{axle}", START_NS + 27 * SECOND_NS) for axle in (1, 2)}
 
@@ -245,7 +246,7 @@ def test_a_late_piece_of_one_axle_lets_the_other_axle_of_its_bogie_wait_too(
             unit.windows.mark(*key, WindowState.ESTIMATED)
     receiver.receive_file(paths[1], VEHICLE)
     with registered.read() as unit:
-        assert {(r.wheelset, r.start_ns) for r in unit.windows.ready(100, [])} == {
+        assert {(r.wheelset, r.start_ns) for r in waiting_windows(unit)} == {
             (serial, START_NS + 27 * SECOND_NS) for serial in again
         }
 

@@ -70,7 +70,7 @@ def test_windows_that_are_not_believed_contradict_nobody(measured: SqlStorage, t
     put(measured, [(110, 9e6)])
     with measured.write() as unit:
         reason = Reason(ReasonCode.PROCESSING_FAILED, "odometer")
-        unit.plausibility.judge("W-1", {MOUNTED_NS + 110 * DAY_NS: reason})
+        unit.plausibility.judge({("W-1", MOUNTED_NS + 110 * DAY_NS): reason})
     load(measured, written(tmp_path, reprofiling(120, 95_000.0)))
 
 

@@ -15,8 +15,9 @@ from vehicle_bus import CATALOGUE, SECOND_NS, SECTION, START_NS, VEHICLE, Run, r
 
 from estimation.errors import InputError
 from estimation.jobs.job import JobContext
+from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.plausibility import judge_mileages
+from estimation.jobs.steps.plausibility import JUDGE
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine, TrackSectionRecord
@@ -190,7 +191,7 @@ def at(run: Run, aside: float) -> Run:
 
 def refused(storage: SqlStorage) -> list[int]:
     """Judge what is new; return the starts of the windows whose place is not believed."""
-    judge_mileages(JobContext(storage, CountingClock(), "test", JobSettings()))
+    run(JUDGE, JobContext(storage, CountingClock(), "test", JobSettings()))
     with storage.read() as unit:
         windows = unit.windows.list("WS-1")
         assert unit.plausibility.left_out("WS-1", 0) == (

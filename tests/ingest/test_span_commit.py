@@ -11,6 +11,7 @@ import sqlalchemy
 from executed_statements import executed_statements
 from test_receiver import CountingClock, content, files_of
 from vehicle_bus import SECOND_NS, START_NS, VEHICLE, Run, register
+from waiting_windows import waiting_windows
 
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.raw_files import FileRawStore
@@ -70,7 +71,7 @@ def test_more_frames_of_windows_without_bin_tables_replace_them_in_one_statement
     with registered.read() as unit:
         after = content(unit)
         assert {key for key in after if after[key] != before[key]} == changed
-        assert {(r.wheelset, r.start_ns) for r in unit.windows.ready(100, [])} == changed
+        assert {(r.wheelset, r.start_ns) for r in waiting_windows(unit)} == changed
         assert {key for key in before if unit.tracks.position(*key) is None} == changed, "their partners are others too"
 
 

@@ -893,7 +893,6 @@ sa.Table(
     required("off_line_m", REAL, server_default=sa.text("0")),
     sa.Column("implausible", TEXT),
     sa.Column("implausible_code", CODE),
-    required("judged", FLAG, server_default=sa.false()),
     sa.Column("samples_purged_ns", BIG),
     sa.Column("table_purged_ns", BIG),
     sa.Column("passed_over", sa.String(16)),
@@ -904,9 +903,6 @@ sa.Table(
     sa.Index("ix_windows_pending", "wheelset", "start_ns", **where("state = 'pending'")),
     sa.Index("ix_windows_refused", "wheelset", "reason_code", **where("reason_code IS NOT NULL")),
     sa.Index(None, "track_section", "start_ns"),
-    sa.Index(
-        "ix_windows_unjudged", "wheelset", sqlite_where=sa.text("judged = 0"), postgresql_where=sa.text("NOT judged")
-    ),
     sa.Index(None, "vehicle", "start_ns"),
     sa.Index("ix_windows_with_samples", "start_ns", **where("samples_purged_ns IS NULL")),
 )

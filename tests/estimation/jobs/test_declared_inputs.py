@@ -29,7 +29,6 @@ from estimation.values.quantities import with_interval
 from estimation.values.rails import CELLS
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
 from estimation.values.results import Result
-from estimation.values.runs import SubjectKind
 from estimation.values.signatures import ANSWERS, SIGNATURES
 from estimation.values.subjects import EVERYTHING, Facet, Mark
 from estimation.values.track import TrackSectionRecord
@@ -107,7 +106,7 @@ READS: Mapping[str, str] = {
 """The facet that is raised with what a method reads; a stage calls no other."""
 
 WHEELSETS = ("W1", "W2", "W3")
-STAGES = [stage for stage in ALL_STAGES if stage.kind is not SubjectKind.WINDOW]  # those go by the windows that are due
+STAGES = [stage for stage in ALL_STAGES if stage.facets]  # the others go by the windows that are due
 BY_NAME = {stage.name: stage for stage in STAGES}
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,9 +20,11 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
 from estimation.values.runs import JobTrigger, QuarantineState, SubjectKind, delay_s
 from estimation.values.track import TrackSectionRecord
-from estimation.values.windows import WindowRecord, WindowState
+from estimation.values.windows import DueStage, WindowKey, WindowPosition, WindowRecord, WindowState
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
+from fleet_db.stores.tracks import TrackStore
+from fleet_db.stores.windows import WindowStore
 from fleet_db.tables import ResultRow, TrackAlignmentRow, WindowBinTableRow, WindowRow
 
 NAMES = ("W0", "W1", "W2")
@@ -97,6 +99,63 @@ def test_one_window_that_cannot_be_read_waits_alone_and_is_tried_again(
     assert (found["estimated"], found["quarantined"]) == (1, 0)
     with fleet.read() as unit:
         assert unit.quarantine.held() == []
+
+
+def test_a_window_that_fails_is_tried_ever_more_rarely_until_it_is_another_or_gone(
+    fleet: SqlStorage, clock: SetClock, tmp_path: Path
+) -> None:
+    victim = of(fleet, "W0")[0]
+    (path,) = tmp_path.rglob(f"{victim.content_digest}.window")
+    path.unlink()
+    path.mkdir()
+    attempts = []
+    for minutes in (0, 0, 0, 1, 1, 2):
+        clock.at_ns += minutes * MINUTE_NS
+        assert counts(fleet, clock, "estimate_windows")["quarantined"] == 1
+        assert of(fleet, "W0")[0].state is WindowState.REFUSED
+        with fleet.read() as unit:
+            attempts += [item.attempts for item in unit.quarantine.held("estimate_windows")]
+    assert attempts == [1, 2, 2, 3, 3, 4]
+    with fleet.write() as unit:  # other samples: tried at once
+        other = replace(windows(1)[0], wheelset="W0", vehicle="W0", track_section="S1", start_ns=victim.start_ns)
+        unit.windows.put(other, 10.0, 2)
+    found = counts(fleet, clock, "estimate_windows")
+    assert (found["estimated"], found["quarantined"]) == (1, 0)
+    with fleet.read() as unit:
+        assert unit.quarantine.held() == []
+
+
+def test_a_window_that_failed_and_is_gone_is_forgotten(fleet: SqlStorage, clock: SetClock, tmp_path: Path) -> None:
+    victim = of(fleet, "W0")[0]
+    (path,) = tmp_path.rglob(f"{victim.content_digest}.window")
+    path.unlink()
+    path.mkdir()
+    counts(fleet, clock, "estimate_windows")
+    with fleet.write() as unit:
+        unit.assembled.remove([victim])
+    assert counts(fleet, clock, "estimate_windows")["quarantined"] == 0
+    with fleet.read() as unit:
+        assert (unit.quarantine.held(), unit.due.of_wheelset(DueStage.TABLES, "W0")) == ([], {})
+
+
+def test_a_window_that_is_another_when_it_is_stored_is_estimated_again_in_the_same_run(
+    fleet: SqlStorage, clock: SetClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    victim, several, changes = of(fleet, "W1")[0], WindowStore.several, []
+
+    def turned_meanwhile(
+        store: WindowStore, keys: Sequence[WindowKey], *, held: bool = False
+    ) -> Sequence[WindowRecord]:
+        if held and not changes:
+            position = WindowPosition(*victim.key, victim.content_digest, 1, 2.5)
+            changes.append(TrackStore(store.connection, store.subjects).put_position(position))
+        return several(store, keys, held=held)
+
+    monkeypatch.setattr(WindowStore, "several", turned_meanwhile)
+    found = counts(fleet, clock, "estimate_windows")
+    assert (changes, found["estimated"], found["changed_meanwhile"]) == ([True], 6, 1)
+    with fleet.read() as unit:
+        assert unit.due.of_wheelset(DueStage.TABLES, "W1") == {}
 
 
 def test_a_mileage_that_nothing_can_be_computed_with_leaves_the_other_wheelsets_their_geometry(

@@ -95,7 +95,7 @@ def _mark(unit: SqlUnitOfWork) -> None:
 
 
 def _forget(unit: SqlUnitOfWork) -> None:
-    unit.assembled.forget_positions([first_window(unit)])
+    unit.windows.look_again([first_window(unit)])
 
 
 def _remove(unit: SqlUnitOfWork) -> None:
@@ -112,10 +112,6 @@ def _survey(unit: SqlUnitOfWork) -> None:
 
 def _rename(unit: SqlUnitOfWork) -> None:
     unit.tracks.add_section(replace(unit.tracks.section("S1"), name="other"))
-
-
-def _wait(unit: SqlUnitOfWork) -> None:
-    unit.windows.requeue_axle("V0", 1, first_window(unit)[1])
 
 
 def _move_axle(unit: SqlUnitOfWork) -> None:
@@ -176,7 +172,6 @@ CHANGES = (
     _survey,
     _layout,
     _rename,
-    _wait,
     _put_epoch,
     _put_found,
     _put_table,
@@ -310,7 +305,7 @@ def test_another_version_of_the_numerics_looks_at_all(at_rest: SqlStorage) -> No
 
 def test_a_change_during_a_look_is_looked_at_again(at_rest: SqlStorage) -> None:
     with at_rest.write() as unit:
-        _wait(unit)
+        _forget(unit)
     inputs = OUTDATED.inputs(context_of(at_rest))
     with at_rest.read() as unit:
         seen = unit.marks.due(inputs, 0)["S1"].seen
