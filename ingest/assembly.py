@@ -54,13 +54,11 @@ class SpanAssembly:
     """The windows of a vehicle that overlap a span of its clock, and everything that went into them.
 
     Attributes:
-        from_ns, to_ns: Start of the first window of the span, end of its last.
         windows: All that recordings and registry give in the span, but for those of ``kept``.
         kept: Spans in which a recording cannot be read any more: what is stored of them stays.
         lost: Receipts of those whose raw file is lost or damaged, and was not purged.
         again: Receipts of recordings that the vehicle's bus, another one now, places elsewhere than when they were
             decoded, or cannot read.
-        counts: What was left out.
     """
 
     vehicle: str
@@ -80,11 +78,7 @@ class SpanAssembly:
 
 
 def registry_lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, to_ns: int) -> RegistryLookup:
-    """Return what the registry contains of a vehicle over a span of its clock.
-
-    Args:
-        from_ns, to_ns: The span, its end excluded.
-    """
+    """Return what the registry contains of a vehicle over a span of its clock."""
     sections = unit.tracks.sections()
     return RegistryLookup(
         vehicle,
@@ -105,9 +99,6 @@ def needed_range(first_ns: int, last_ns: int, length_ns: int) -> tuple[int, int,
 
     ``first`` and ``last`` bound the windows that these frames can change; recordings in ``[from, to)`` are needed to
     assemble those windows.
-
-    Args:
-        first_ns, last_ns: First and last frame.
     """
     first, last = first_ns - CONTEXT_NS, last_ns + CONTEXT_NS
     from_ns = first // length_ns * length_ns - CONTEXT_NS
@@ -140,11 +131,7 @@ class Assembler:
         return tuple(_receipt_after(*each, _span(each[1], aligned)) for each in coming)
 
     def check_no_logs(self, unit: SqlUnitOfWork, vehicle: str, span: Span) -> None:
-        """Raise where logs are in the windows that an exchange of this span of the vehicle's clock touches.
-
-        Raises:
-            ConflictError: There are.
-        """
+        """Raise where logs are in the windows that an exchange of this span of the vehicle's clock touches."""
         _, _, from_ns, to_ns = needed_range(*span, self.length_ns)
         _check_one_kind(vehicle, EXCHANGE_SUFFIX, unit.chunks.overlapping(vehicle, from_ns, to_ns))
 
@@ -152,9 +139,6 @@ class Assembler:
         """Raise where logs of a bus and exchanges would share a window with a recording that was just placed.
 
         Two exchanges may share a window, but no instant.
-
-        Raises:
-            ConflictError: They would.
         """
         if record.first_ns is not None and record.last_ns is not None:
             _, _, from_ns, to_ns = needed_range(record.first_ns, record.last_ns, self.length_ns)
@@ -177,7 +161,6 @@ class Assembler:
         """Return the receipts of all recordings that the windows of a vehicle in a span depend on.
 
         Args:
-            span: ``[from, to)`` of its clock, at the edges of windows.
             coming: Receipts of recordings that are about to be decoded, with their place.
         """
         decoded = unit.chunks.overlapping(vehicle, span[0] - CONTEXT_NS, span[1] + CONTEXT_NS)
@@ -200,13 +183,10 @@ class Assembler:
         """Assemble all windows of a vehicle that overlap a span of its clock.
 
         Args:
-            span: ``[from, to)``, ns.
-            coming: Receipts of recordings that are about to be decoded, with their place.
             keep_unreadable: Whether what is stored of a recording that cannot be read any more stays, and the others go
                 on.
 
         Raises:
-            NotFoundError: The registry does not know the vehicle.
             StorageError: A recording that is needed cannot be read any more.
         """
         on_file = unit.registry.vehicle(vehicle)
@@ -290,7 +270,6 @@ def _by_kind(sources: Iterable[ChunkRecord], loaded: Mapping[str, Recording]) ->
 
 
 def _starts(samples: VehicleSamples, span: Span, length_ns: int) -> list[int]:
-    """Return the starts of the windows of a span that any wheelset has samples in."""
     found: set[int] = set()
     for node in samples.nodes.values():
         low, high = np.searchsorted(node.block.t_ns, span)
@@ -302,7 +281,6 @@ def _starts(samples: VehicleSamples, span: Span, length_ns: int) -> list[int]:
 def _samples(
     vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues], span: Span
 ) -> tuple[VehicleSamples, AlignCounts]:
-    """Return the samples of a vehicle that windows of a span can be made of, and counts of what is near it."""
     near = values_near(messages, span, catalogue.sample_interval_ns)
     if isinstance(catalogue, OwnBus):
         return own_samples(vehicle, catalogue, near)
@@ -335,7 +313,6 @@ def _span(recording: Recording, aligned: Iterable[AlignedFrames]) -> Span | None
 
 
 def _receipt_after(record: ChunkRecord, recording: Recording, span: Span | None) -> ChunkRecord:
-    """Return the receipt of a recording that was just placed at ``span`` on the vehicle's clock, or not at all."""
     first, last = recording.recorder_ns
     counts = {
         "frames": 0,

@@ -28,7 +28,6 @@ def read_text_within(
 
     Args:
         most: Bytes that it may have.
-        encoding, errors: As of ``bytes.decode``.
 
     Raises:
         InputError: As ``error_type``: the file cannot be read, is too large, or no text.

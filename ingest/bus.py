@@ -91,13 +91,6 @@ def send(
     """Send frames at the pace of their time stamps, the first at once; return how many were sent.
 
     The frames of a cycle go out right behind their SYNC: a pause between them could grow beyond the cycle.
-
-    Args:
-        batch: Frames in the order of time.
-        stop: Ends the sending when set, within a frame.
-
-    Raises:
-        ConflictError: The bus refused a frame.
     """
     if len(batch) == 0:
         return 0

@@ -77,11 +77,7 @@ class MessagePlan:
     signals: tuple[SignalPlan, ...]
 
     def signal(self, name: str) -> SignalPlan:
-        """Return the plan of one signal.
-
-        Raises:
-            CatalogueError: The message has no such signal.
-        """
+        """Return the plan of one signal."""
         for plan in self.signals:
             if plan.name == name:
                 return plan
@@ -111,11 +107,7 @@ class Catalogue:
         return tuple(sorted(p.node for p in self.messages.values() if p.kind == ACCELERATION and p.node is not None))
 
     def find(self, kind: str, node: int | None = None) -> MessagePlan:
-        """Return the message of a kind and node.
-
-        Raises:
-            CatalogueError: There is none.
-        """
+        """Return the message of a kind and node."""
         for plan in self.messages.values():
             if plan.kind == kind and plan.node == node:
                 return plan
@@ -146,11 +138,7 @@ def default_catalogue() -> Catalogue:
 
 
 def parse_dbc(path: Path) -> Any:  # noqa: ANN401 - cantools is untyped
-    """Return a DBC file as cantools reads it.
-
-    Raises:
-        CatalogueError: The file cannot be read, or is no DBC file.
-    """
+    """Return a DBC file as cantools reads it."""
     import cantools  # noqa: PLC0415 - a slow import, needed only to read a catalogue
 
     try:

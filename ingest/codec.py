@@ -64,12 +64,6 @@ def gather_by_identifier(
     """Return positions and payload words of the good frames, by identifier, each in the order of the batch.
 
     ``starts`` is the cumulative sum of what :func:`count_by_identifier` returns.
-
-    Args:
-        arbitration_id, dlc: (n,) as in a batch.
-        lengths: (2048,) bytes that a frame must have, -1 for unknown identifiers.
-        words: (n,) payloads.
-        starts: (2049,) cumulative sum of what :func:`count_by_identifier` returns.
     """
     place = starts.copy()
     index = np.empty(starts[-1], np.int64)
@@ -88,13 +82,7 @@ def gather_by_identifier(
 def scaled(
     raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray, scale: FloatArray, offset: FloatArray
 ) -> FloatArray:
-    """Return ``raw * scale + offset`` (n, m), NaN where ``raw`` is outside ``low..high`` (each (m,)).
-
-    Args:
-        raw: (n, m) raw values.
-        low, high: (m,) limits of each signal.
-        scale, offset: (m,) conversion of each signal.
-    """
+    """Return ``raw * scale + offset`` (n, m), NaN where ``raw`` is outside ``low..high`` (each (m,))."""
     n, m = raw.shape
     values = np.empty((n, m))
     for i in range(n):
@@ -106,12 +94,7 @@ def scaled(
 
 @compiled(nogil=True)
 def count_within(raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: IntArray) -> int:
-    """Count the raw values (n, m) inside ``low..high`` (each (m,)).
-
-    Args:
-        raw: (n, m) raw values.
-        low, high: (m,) limits of each signal.
-    """
+    """Count the raw values (n, m) inside ``low..high`` (each (m,))."""
     n, m = raw.shape
     count = 0
     for i in range(n):
@@ -200,11 +183,7 @@ class Decoded:
 
 
 def raw_limits(plan: MessagePlan, *, with_clipped: bool) -> tuple[IntArray, IntArray]:
-    """Return the lowest and highest raw values (m,) that are values, with or without those that stand for clipping.
-
-    Args:
-        with_clipped: Whether a value that stands for clipping is inside.
-    """
+    """Return the lowest and highest raw values (m,) that are values, with or without those that stand for clipping."""
     low = [s.raw_minimum + (s.clips and s.signed and not with_clipped) for s in plan.signals]
     high = [s.raw_maximum - (s.clips and not with_clipped) for s in plan.signals]
     return np.array(low, dtype=np.int64), np.array(high, dtype=np.int64)
@@ -215,9 +194,6 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
 
     Frames that are no data frames with an 11-bit identifier of the catalogue and the length it gives are counted by
     reason and left out.
-
-    Args:
-        batch: Frames in any order.
     """
     lengths = np.full(STANDARD_IDENTIFIERS, -1, dtype=np.int16)
     for arbitration_id, plan in catalogue.messages.items():
@@ -249,7 +225,6 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
 
 
 def _count_strange(arbitration_id: npt.NDArray[np.uint32], count: int) -> tuple[int, int, int]:
-    """Return how many error, remote and extended data frames are among the ``count`` without 11-bit identifier."""
     if count == 0:
         return 0, 0, 0
     error = (arbitration_id & ERROR_FLAG) != 0
@@ -259,7 +234,6 @@ def _count_strange(arbitration_id: npt.NDArray[np.uint32], count: int) -> tuple[
 
 
 def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:
-    """Return how many values are invalid, and how many clipped."""
     total = valid = within = 0
     for values in messages.values():
         inside = count_within(values.raw, *raw_limits(values.plan, with_clipped=False))
@@ -273,11 +247,7 @@ def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:
 
 
 def unpack(plan: MessagePlan, words: npt.NDArray[np.uint64]) -> RawArray:
-    """Return the raw values (n, m) in payloads given as little-endian 64-bit words (n,).
-
-    Args:
-        words: (n,) payloads as little-endian 64-bit words.
-    """
+    """Return the raw values (n, m) in payloads given as little-endian 64-bit words (n,)."""
     if plan.four_int16:
         return words.view("<i2").reshape(-1, 4)
     raw = np.empty((len(words), len(plan.signals)), dtype=np.int64)
@@ -297,7 +267,6 @@ def encode(
     available" where the catalogue has a code for that, else 0.
 
     Args:
-        t_ns: (n,) time of each frame.
         values: (n,) or one value per signal, in the units of the catalogue.
 
     Raises:
@@ -320,11 +289,7 @@ def encode(
 
 
 def raw_of(signal: SignalPlan, values: FloatArray) -> IntArray:
-    """Return the raw values (n,) of a signal: rounded to the nearest count, clipped, NaN as "not available".
-
-    Args:
-        values: (n,) in the units of the catalogue.
-    """
+    """Return the raw values (n,) of a signal: rounded to the nearest count, clipped, NaN as "not available"."""
     counts = np.rint((values - signal.offset) / signal.scale)
     missing = np.isnan(counts)
     raw = np.clip(np.where(missing, 0.0, counts), signal.raw_minimum, signal.raw_maximum).astype(np.int64)

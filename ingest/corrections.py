@@ -59,7 +59,6 @@ class RecordingCorrections:
         was wrong then: the vehicle's is checked against that of now in this case.
 
         Raises:
-            NotFoundError: There is none of that digest.
             ConflictError: It is decoded, or set aside, or its raw bytes were purged.
         """
         return self._correct(digest, RecordingAction.RETRY, author, our_clock_was_behind=our_clock_was_behind)
@@ -78,7 +77,6 @@ class RecordingCorrections:
         One that was set aside stays so.
 
         Raises:
-            NotFoundError: There is none of that digest, or no such vehicle.
             ConflictError: It is of that vehicle already, or its raw bytes were purged.
         """
         return self._correct(digest, RecordingAction.REASSIGN, author, vehicle)
@@ -89,7 +87,6 @@ class RecordingCorrections:
         Its raw file is removed. Where that cannot be done now, the next purge removes it.
 
         Raises:
-            NotFoundError: There is none of that digest.
             ConflictError: It was deleted already, or a backup is being made.
         """
         with keeping_alone(self.storage.engine):
@@ -153,10 +150,6 @@ def receipt_of(unit: SqlUnitOfWork, digest: str) -> ChunkRecord:
 
     Args:
         digest: All of its digest, or the begin of it that no other recording has.
-
-    Raises:
-        NotFoundError: There is none.
-        ConflictError: Several digests begin so.
     """
     found = unit.chunks.beginning(digest)
     if not found:

@@ -64,7 +64,6 @@ class HeldRecordings:
         return [record for record, early in self._held() if not early and record.state is ChunkState.STORED]
 
     def _held(self) -> list[tuple[ChunkRecord, bool]]:
-        """Return the recordings in quarantine, and whether it is too early for another attempt."""
         now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
             found = [(unit.chunks.get(item.key), item) for item in unit.quarantine.held(STAGE)]
@@ -174,7 +173,6 @@ class LostRecordings:
                         _hold(unit, record, fault, now_ns)
 
     def _resolve(self, item: Quarantined, *found: ChunkRecord) -> None:
-        """End the quarantine of a recording, and let the windows of one that was found be made again."""
         with self.storage.write() as unit:
             for record in found:
                 for from_ns, to_ns in extent(record):

@@ -98,11 +98,7 @@ class InputFile:
     container: str = "a table"  # what the format calls keys with values
 
     def error(self, reason: str, location: Location = ()) -> InputError:
-        """Return the error that names file, line and field.
-
-        Args:
-            location: Keys and indices from the root of the file to the field; empty for the whole file.
-        """
+        """Return the error that names file, line and field."""
         written = (self.lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in self.lines)
         return self.error_type(reason, file=self.path, line=next(written, None), field=dotted(location) or None)
 
@@ -143,23 +139,12 @@ class InputFile:
 
 
 def read_toml(path: Path, error_type: type[InputError] = InputError) -> InputFile:
-    """Return the content of a TOML file.
-
-    Args:
-        error_type: The error to raise, here and when the content is parsed.
-
-    Raises:
-        InputError: As ``error_type``: the file cannot be read, or is no TOML.
-    """
+    """Return the content of a TOML file."""
     return parse_toml(read_text_within(path, SETTINGS_BYTES, error_type), path, error_type)
 
 
 def parse_toml(text: str, path: Path, error_type: type[InputError] = InputError) -> InputFile:
-    """Return the content of a TOML text.
-
-    Raises:
-        InputError: As ``error_type``: it is no TOML.
-    """
+    """Return the content of a TOML text."""
     try:
         return InputFile(path, tomllib.loads(text), key_lines(text), error_type)
     except tomllib.TOMLDecodeError as error:
@@ -169,11 +154,7 @@ def parse_toml(text: str, path: Path, error_type: type[InputError] = InputError)
 
 
 def read_json(path: Path, error_type: type[InputError] = InputError) -> InputFile:
-    """Return the content of a JSON file that holds one object.
-
-    Raises:
-        InputError: As ``error_type``: the file cannot be read, is no JSON, or holds something else than an object.
-    """
+    """Return the content of a JSON file that holds one object."""
     text = read_text_within(path, SETTINGS_BYTES, error_type)
     try:
         values = json.loads(text)
@@ -244,7 +225,6 @@ _REASONS: Mapping[str, str] = {
 
 
 def _reason(error: ErrorDetails, model: type[BaseModel], container: str) -> str:
-    """Return the sentence for an error of pydantic."""
     if error["type"] == "extra_forbidden":
         return f"unknown key; known here: {', '.join(_known_keys(model, error['loc']))}"
     sentence = _REASONS.get(error["type"])
@@ -254,7 +234,6 @@ def _reason(error: ErrorDetails, model: type[BaseModel], container: str) -> str:
 
 
 def _known_keys(model: type[BaseModel], location: Location) -> list[str]:
-    """Return the keys of the table that holds the last part of ``location``."""
     for part in location[:-1]:
         known = {item.alias or name: item for name, item in model.model_fields.items()}
         if part in known:

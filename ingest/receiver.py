@@ -103,19 +103,13 @@ class Receiver:
                 unless its suffix already says that it is no log.
             NotFoundError: The registry does not know the vehicle. The recording is kept, and decoded once it does.
             ConflictError: The same recording was received from another vehicle, or was deleted.
-            PassingFaultError: Its bytes cannot be stored now: nothing is.
         """
         return self.accept(self._store_and_read(path, vehicle))
 
     def receive_exchange(self, description: Path) -> ChunkReceipt:
         """Take in one exchange of runs; nothing of it is stored unless all of it is good.
 
-        Args:
-            description: Its TOML file, beside its table.
-
         Raises:
-            ExchangeError: Something in it is missing, impossible, or contradicts itself or the registry; names file,
-                line and field.
             ConflictError: Logs of the vehicle's bus are in the same windows, or another exchange has the same time.
         """
         with self._storage.read() as unit:
@@ -170,7 +164,6 @@ class Receiver:
 
         Raises:
             ConflictError: The same recording was received from another vehicle.
-            PassingFaultError: It cannot be stored now: nothing is.
         """
         self._check_raw()
         deleted = self._deleted.receipt(hashlib.sha256(content).hexdigest())
@@ -197,7 +190,6 @@ class Receiver:
 
         Args:
             digest: Of the only recording to decode, due or not.
-            vehicle: The only one whose recordings are decoded.
         """
         try:
             self._check_raw()
@@ -290,7 +282,6 @@ class Receiver:
         return ReceivedFile(path, vehicle, digest, recording)
 
     def _receipt(self, path: Path, vehicle: str, digest: str) -> tuple[ChunkRecord, bool]:
-        """Return the committed receipt, and whether it had been there before."""
         suffix = _suffix_of(path)
         chunk = Chunk(vehicle, suffix, str(path), sender=None)
         record = replace(chunk.receipt(digest, self._raw.size(digest, suffix), self._clock.now_ns()), reason=None)
@@ -307,7 +298,6 @@ class Receiver:
             unit.chunks.update(replace(record, state=ChunkState.REJECTED, reason=Reason(ReasonCode.LOG_DAMAGED, text)))
 
     def _decode(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
-        """Assemble the windows that a stored recording touches; return its new receipt and how many changed."""
         with trace.get_tracer("treadwatch").start_as_current_span("recording") as span:
             decoded, changed = self._decode_it(record, recording)
             span.set_attributes({"treadwatch.frames": decoded.frames, "treadwatch.windows_changed": changed})
@@ -332,7 +322,6 @@ class Receiver:
             raise
 
     def _still_so(self, unit: SqlUnitOfWork, record: ChunkRecord, recording: Recording, made: Decoded) -> bool:
-        """Whether everything that a recording was assembled with is as it was."""
         if made.assembly is not None and not still_so(unit, self._assembler, made.assembly, made.receipts):
             return False
         return self._assembler.placed(unit, record, recording) == made.receipts

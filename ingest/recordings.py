@@ -79,12 +79,7 @@ class Recordings:
     _kept: OrderedDict[str, Recording] = field(default_factory=OrderedDict)
 
     def read(self, path: Path, digest: str, vehicle: str) -> Recording:
-        """Read a recording of a vehicle from a file that has this digest.
-
-        Raises:
-            LogFileError: The file is no log that can be read, or its SYNC comes at another rate than in the catalogue.
-            PassingFaultError: The file is not there, or cannot be read now.
-        """
+        """Read a recording of a vehicle from a file that has this digest."""
         with passing_faults(path), path.open("rb"):
             pass
         if path.suffix == EXCHANGE_SUFFIX:
@@ -139,9 +134,6 @@ def align_frames(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
 
     Args:
         batch: Frames in merged order (:func:`ingest.frames.merge`).
-
-    Raises:
-        LogFileError: The sampling instants of a bus of one's own come at another rate than its mapping gives.
     """
     return align_own(catalogue, batch) if isinstance(catalogue, OwnBus) else align_to_clock(catalogue, batch)
 
@@ -221,7 +213,6 @@ def _touch(first: Recording, second: Recording) -> bool:
 
 
 def _share_frames(first: FrameBatch, second: FrameBatch, from_ns: int, to_ns: int) -> bool:
-    """Whether most frames that both have in ``[from_ns, to_ns]`` are the same ones."""
     ours, theirs = (
         part.t_ns * IDENTIFIERS + part.arbitration_id.astype(np.int64)  # wraps around: a fingerprint
         for part in (between(first, from_ns, to_ns + 1), between(second, from_ns, to_ns + 1))

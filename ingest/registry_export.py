@@ -70,9 +70,6 @@ def write_export(path: Path, unit: SqlUnitOfWork) -> ExportedRegistry:
 
     Args:
         path: Of the registry file, which must not exist.
-
-    Raises:
-        InputError: The file exists, or cannot be written.
     """
     folder = f"{path.stem}-files"
     if path.exists() or (path.parent / folder).exists():
@@ -89,8 +86,6 @@ def write_export(path: Path, unit: SqlUnitOfWork) -> ExportedRegistry:
 
 @dataclass(frozen=True, slots=True)
 class _Files:
-    """Files beside the registry."""
-
     folder: str
     content: dict[str, str] = field(default_factory=dict)
 

@@ -34,11 +34,7 @@ class StoredBus:
 
 
 def check_window_length(unit: SqlUnitOfWork, length_ns: int) -> None:
-    """Refuse a window length that is not the one with which data are stored.
-
-    Raises:
-        ParameterError: Names both and what to do.
-    """
+    """Refuse a window length that is not the one with which data are stored."""
     stored = _stored_length(unit)
     if stored is not None and stored != length_ns and unit.settings.in_use():
         raise ParameterError(
@@ -53,9 +49,6 @@ def claim(storage: SqlStorage, buses: BusChoice, length_ns: int, now_ns: int) ->
 
     Where a bus is not the one before, its vehicles are assembled again. Where a mapping file described it and this
     process has none for it, recordings of its vehicles are left to a process that has.
-
-    Raises:
-        ParameterError: Windows of another length are stored.
     """
     with storage.read() as unit:
         check_window_length(unit, length_ns)
@@ -99,7 +92,6 @@ def _make_stale(unit: SqlUnitOfWork, changed: Iterable[str], named: frozenset[st
 
 
 def _vehicles(unit: SqlUnitOfWork, name: str, named: frozenset[str]) -> Iterator[str]:
-    """Yield the vehicles of a class, or of all that have no bus of their own."""
     if name != OTHERS:
         yield from (vehicle.code for vehicle in unit.registry.vehicles_of_class(name))
         return

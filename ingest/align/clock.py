@@ -125,11 +125,7 @@ def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
 
 
 def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[SyncClock, AlignCounts]:
-    """Return the SYNCs of a batch with their numbers.
-
-    Args:
-        decoded, batch: The batch, in the order of time, and what it contains.
-    """
+    """Return the SYNCs of a batch with their numbers."""
     syncs = decoded.messages.get(SYNC_ID)
     times = time_frames(decoded, batch)
     sent = decoded.messages.get(TIME_ID)
@@ -179,11 +175,7 @@ def _jumps(times: TimeFrames) -> int:
 
 
 def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
-    """Check that the SYNCs of a time-ordered recording come at the sampling rate.
-
-    Raises:
-        LogFileError: They come at another rate: the recording does not belong to this catalogue.
-    """
+    """Check that the SYNCs of a time-ordered recording come at the sampling rate."""
     syncs = np.flatnonzero((batch.arbitration_id == SYNC_ID) & (batch.dlc == 1))
     t_ns, counter = batch.t_ns[syncs], batch.data[syncs, 0].astype(np.int64)
     following = np.diff(counter) % SYNC_PERIOD == 1
@@ -242,11 +234,7 @@ def align_to_clock(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
 
 
 def align_decoded(decoded: Decoded, batch: FrameBatch, clock: SyncClock, times: TimeFrames) -> AlignedFrames:
-    """Put decoded frames on the vehicle's clock; counts of SYNCs and samples are the caller's.
-
-    Args:
-        decoded, batch: The batch, in the order of time, and what it contains.
-    """
+    """Put decoded frames on the vehicle's clock; counts of SYNCs and samples are the caller's."""
     counts = AlignCounts()
     messages = {}
     without_sync = 0
@@ -277,11 +265,7 @@ def _cycles(plan: MessagePlan, interval_ns: int) -> int:
 
 
 def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
-    """Return the messages of several recorders by arbitration id; where two differ at an instant, they conflict.
-
-    Args:
-        parts: Aligned frames of one vehicle, at least one.
-    """
+    """Return the messages of several recorders by arbitration id; where two differ at an instant, they conflict."""
     if len(parts) == 1:
         return parts[0].messages
     merged = {}

@@ -182,11 +182,7 @@ def _usual_delay(t_ns: IntArray, elapsed: IntArray, counted: BoolArray, interval
 
 @compiled(nogil=True)
 def within_reach(t_ns: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the first frame (n,) within ``REACH_NS`` of each, and the one behind the last.
-
-    Args:
-        t_ns: (n,) stamps, ascending, ns.
-    """
+    """Return the first frame (n,) within ``REACH_NS`` of each, and the one behind the last."""
     low, high = np.empty(len(t_ns), np.int64), np.empty(len(t_ns), np.int64)
     first = behind = 0
     for i in range(len(t_ns)):
@@ -266,12 +262,7 @@ class ByOrder(NamedTuple):
 def by_stamps(
     sync_ns: IntArray, number: IntArray, sent_ns: IntArray, interval_ns: int, t_ns: IntArray
 ) -> tuple[IntArray, ByOrder]:
-    """Return the SYNC number (n,) of frames by the order of stamps, and whether their delays agree with that.
-
-    Args:
-        sync_ns, number, sent_ns, interval_ns: As in ``SyncClock``, at least one.
-        t_ns: (n,) stamps of frames, ascending, ns.
-    """
+    """Return the SYNC number (n,) of frames by the order of stamps, and whether their delays agree with that."""
     slack = interval_ns // IN_TIME
     tick = np.full(len(t_ns), UNPLACED)
     lowest, highest, beside = interval_ns, 0, 0

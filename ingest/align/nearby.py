@@ -20,7 +20,6 @@ def frames_near(
 
     Args:
         batches, alone: Of recordings that are merged: their frames, and what they are when each is aligned alone.
-        span: ``[from, to)`` of the vehicle's clock, ns.
     """
     offsets = _steady_offsets(alone)
     if offsets is None:
@@ -44,11 +43,7 @@ def _steady_offsets(parts: Sequence[AlignedFrames]) -> tuple[int, int] | None:
 def values_near(
     messages: Mapping[int, TickedValues], span: tuple[int, int], interval_ns: int
 ) -> Mapping[int, TickedValues]:
-    """Return the messages that have values near a span, with those values.
-
-    Args:
-        span: ``[from, to)`` of the vehicle's clock, ns.
-    """
+    """Return the messages that have values near a span, with those values."""
     ends = [(span[0] - CONTEXT_NS) // interval_ns, -(-(span[1] + CONTEXT_NS) // interval_ns)]
     near = {}
     for arbitration_id, values in messages.items():

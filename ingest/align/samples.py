@@ -70,11 +70,7 @@ class NodeSamples:
 def node_samples(
     vehicle: str, node: int, catalogue: Catalogue, messages: Mapping[int, TickedValues]
 ) -> tuple[NodeSamples, AlignCounts] | None:
-    """Return the samples of a wheelset node; None when it sent none.
-
-    Args:
-        messages: Frames on the vehicle's clock, by arbitration id.
-    """
+    """Return the samples of a wheelset node; None when it sent none."""
     ticked = _of_node(messages, ACCELERATION, node)
     if ticked is None:
         return None
@@ -258,11 +254,7 @@ def _run_at(moved: Track, tick: IntArray, interval_s: float) -> FloatArray:
 
 
 def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> VehicleMotion:
-    """Return place and speed of a vehicle; without frames of its vehicle node everything is unknown.
-
-    Args:
-        messages: Its frames on its clock, by arbitration id.
-    """
+    """Return place and speed of a vehicle; without frames of its vehicle node everything is unknown."""
     motion = _track(messages, MOTION, ("speed", "odometer"))
     position = _track(messages, POSITION, ("track_section", "distance", "position_quality"))
     return VehicleMotion(interval_ns, motion, position, _track(messages, PLACE, ("latitude", "longitude")))

@@ -46,7 +46,6 @@ def narrowed(marked: BoolArray, values: FloatArray, interval_s: float) -> BoolAr
 
     Args:
         marked: (n,) samples of the seconds in which the axle box clipped.
-        values: (n, 4) in the order of ``ACCELERATIONS``, at the ends of their ranges too; NaN where not known.
     """
     if not marked.any():
         return marked
@@ -129,11 +128,7 @@ class RegistryLookup:
 def vehicle_samples(
     vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues]
 ) -> tuple[VehicleSamples, AlignCounts]:
-    """Return the samples of all wheelset nodes of a vehicle with its motion, and counts of what was left out.
-
-    Args:
-        messages: Its frames on its clock, by arbitration id.
-    """
+    """Return the samples of all wheelset nodes of a vehicle with its motion, and counts of what was left out."""
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in catalogue.wheelset_nodes:
@@ -150,9 +145,6 @@ def windows_of(
     samples: VehicleSamples, starts: Iterable[int], length_ns: int, lookup: RegistryLookup
 ) -> Iterator[MountedWindow | WindowCounts]:
     """Yield the windows, and counts of those that are not made.
-
-    Args:
-        lookup: The registry, over all of the windows.
 
     Raises:
         ParameterError: The window length is no whole number of sampling intervals.
@@ -230,13 +222,11 @@ def _window(
 
 
 def _mounting(lookup: RegistryLookup, axle: int, times_ns: tuple[int, ...]) -> Mounting | None:
-    """Return the mounting of an axle that holds at all of some times; None where there is none."""
     mountings = {lookup.mounting_at(axle, t_ns) for t_ns in times_ns}
     return mountings.pop() if len(mountings) == 1 else None
 
 
 def _off_line(motion: GridMotion, section: str | None, lookup: RegistryLookup) -> float:
-    """Return how far from the line of its section GNSS puts the vehicle, m; 0 on it, and where that is not known."""
     line = None if section is None else lookup.lines.get(section)
     if line is None:
         return 0.0
@@ -292,7 +282,6 @@ def _quality(
 def _found(
     node: NodeSamples, span: slice, motion: GridMotion, slot: IntArray, interval_s: float
 ) -> tuple[Hunting, TurnBlows]:
-    """Return what all samples of the node show of hunting and of blows, those that clip too."""
     every = np.ones(len(slot), np.bool_)
     lateral, yaw, roll = gridded(node.saturated[span], slot, every, len(motion.speed), len(OF_WHEELSET))
     hunting = find_hunting(lateral, yaw, motion.speed, interval_s)

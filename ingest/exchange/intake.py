@@ -19,14 +19,7 @@ from ingest.input_file import InputFile, Location
 
 
 def check_alone(unit: SqlUnitOfWork, vehicle: str, first_ns: int, last_ns: int, digest: str) -> None:
-    """Raise where another exchange of the vehicle shares an instant with one.
-
-    Args:
-        first_ns, last_ns: First and last instant of the exchange, ns on the vehicle's clock.
-
-    Raises:
-        ConflictError: There is one; names it.
-    """
+    """Raise where another exchange of the vehicle shares an instant with one."""
     for other in unit.chunks.overlapping(vehicle, first_ns, last_ns + 1):
         if other.suffix == SUFFIX and other.digest != digest:
             reason = (

@@ -88,9 +88,6 @@ def ticks_of(time: UniformTime, start_ns: int, interval_ns: int) -> tuple[IntArr
     """Return sampling instants (n,) of the vehicle's clock, and where they are in the series, (n,) in its samples.
 
     The first sample is put on the instant nearest to it; all signals of a run share that shift.
-
-    Args:
-        start_ns: Vehicle time at which its time is 0, ns.
     """
     first = round((start_ns + round(time.start_s * 1e9)) / interval_ns)
     ratio = interval_ns * 1e-9 / time.interval_s
@@ -221,7 +218,6 @@ def _values(table: ExchangeTable, name: str, column: Column) -> FloatArray:
 def _check_speed(
     table: ExchangeTable, place: str, rate: str, values: tuple[FloatArray, FloatArray], interval_s: float
 ) -> None:
-    """Raise where the speed is negative, or the position (column ``place``) does not go with it (column ``rate``)."""
     position, speed = values
     backwards = np.flatnonzero(speed < 0.0)
     if len(backwards):
@@ -304,11 +300,7 @@ def _plan(kind: str, node: int | None, place: int, counts: Mapping[str, float]) 
 
 
 def aligned_run(run: ExchangeRun, facts: RegistryFacts, position_quality: float) -> AlignedFrames:
-    """Return a run as messages on the vehicle's clock.
-
-    Args:
-        position_quality: 0 to 1.
-    """
+    """Return a run as messages on the vehicle's clock."""
     catalogue = exchange_catalogue()
     motion = np.column_stack([run.speed, run.odometer_m])
     position = np.column_stack(

@@ -78,11 +78,7 @@ class SignEvidence:
 
 
 def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidence:
-    """Return how lateral, yaw and roll of an axle go with each other over a run.
-
-    Args:
-        in_bogie: What is above the axle is the frame of a bogie.
-    """
+    """Return how lateral, yaw and roll of an axle go with each other over a run."""
     integrated = integrate(_window(run, axle), np.ones(len(run.tick), np.bool_), SignalParameters())
     low, high = _roll_bounds(integrated)
     return SignEvidence(
@@ -96,10 +92,6 @@ def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidenc
 
 def check_signs(run: ExchangeRun, file: ExchangeFile, toml: InputFile, *, in_bogie: bool) -> None:
     """Raise where the signals of a run contradict its axes.
-
-    Args:
-        run: The run in the axes of the product, as described.
-        file, toml: Its description, and where in the file each key stands.
 
     Raises:
         ExchangeError: A signal has the wrong sign: on all axles its axis, on some of them its sensor; names what must

@@ -53,7 +53,6 @@ class BacklogWatch:
 
     Args:
         folder: In which chunks are received before they are stored.
-        now_s: A clock that never goes back, s.
     """
 
     storage: SqlStorage
@@ -76,9 +75,6 @@ class BacklogWatch:
 
         Args:
             size_bytes: Of the chunk, or what it may have at most.
-
-        Raises:
-            PassingFaultError: The disk cannot be asked.
         """
         with self._lock:
             if not self.fresh:
@@ -110,14 +106,7 @@ class BacklogWatch:
 
 
 def free_bytes(folder: Path) -> int:
-    """Return how much room is left where a folder is, or will be made.
-
-    Args:
-        folder: Need not exist.
-
-    Raises:
-        PassingFaultError: The disk cannot be asked.
-    """
+    """Return how much room is left where a folder is, or will be made."""
     there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.is_dir())
     with passing_faults(there):
         return shutil.disk_usage(there).free

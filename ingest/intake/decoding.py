@@ -33,9 +33,7 @@ def decode_received(
     """Decode the chunks that wait for a worker when this begins or come meanwhile, but for those of other workers.
 
     Args:
-        receiver: Decodes them; it rejects what is no log and keeps in quarantine what fails otherwise.
         checkpoint: Called between two chunks with (done, of how many as far as known); it may raise to end the work.
-        vehicle: Only its chunks are decoded; None for all.
     """
     counts, after = DecodedChunks(), (-1, "")
     with decoding_locks(storage, holder) as try_vehicle:
@@ -55,7 +53,6 @@ def decode_received(
 def _decode(
     storage: SqlStorage, receiver: Receiver, try_vehicle: TryVehicle, record: ChunkRecord, counts: DecodedChunks
 ) -> None:
-    """Decode a chunk unless another worker does, or has."""
     with try_vehicle(record.vehicle) as locked:
         if not locked:
             return

@@ -44,7 +44,6 @@ class BusSource:
     """A bus to listen to.
 
     Attributes:
-        name: For people: interface, channel and vehicle.
         open: Opens it; raises ParameterError where it cannot.
     """
 
@@ -146,7 +145,6 @@ class Listening:
         self._delays.succeeded()
 
     def _silent(self) -> float:
-        """Return how long no frame has come, s, and say it once when it is long."""
         silent_s = time.monotonic() - self._last_frame_at
         if silent_s > SILENT_S and self._status.silent_since_s is None:
             self._status.silent_since_s = time.time() - silent_s
@@ -179,13 +177,11 @@ def packed(message: can.Message) -> bytes:
 
 
 def _is_passing(error: ParameterError) -> bool:
-    """Whether a bus that cannot be opened now may be there later."""
     cause = error.__cause__
     return isinstance(cause, OSError | can.CanError) and not isinstance(cause, NotImplementedError)
 
 
 def _is_gone(error: Exception) -> bool:
-    """Whether an error is one of the interface, not of a frame."""
     return isinstance(error, OSError) or isinstance(error.__cause__, OSError)
 
 

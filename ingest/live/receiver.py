@@ -101,7 +101,6 @@ class Spooling:
         self._status.pieces_aside = self._spool.pieces_aside
 
     def _write(self) -> bool:
-        """Write one record; return whether there may be more to write."""
         if not self._frames:
             self._frames, self._dropped = self._buffer.take(RECORD_FRAMES * FRAME_BYTES)
         if not self._frames:
@@ -128,7 +127,6 @@ class Spooling:
         return self._before + self._buffer.dropped
 
     def _count_dropped(self) -> None:
-        """Put the count of dropped frames on the disk, and report it when it has grown."""
         total = self._total()
         self._status.frames_dropped = total
         try:
@@ -142,7 +140,6 @@ class Spooling:
             self._reported, self._reported_at = total, now
 
     def _give_up(self) -> None:
-        """Count what cannot be written before the end as dropped."""
         left = (len(self._frames) + self._buffer.size_bytes) // FRAME_BYTES
         if left:
             self._buffer.count_dropped(left)
@@ -190,8 +187,6 @@ def receive_live(
         stop: Set by whoever ends it; set here where bus or stores refuse for good.
 
     Raises:
-        ConflictError: Another process receives this vehicle.
-        StorageError: The folder of the spool cannot be used.
         TreadwatchError: Bus or stores refused for good.
     """
     spool = Spool(spool_folder(settings.spool_dir, settings.vehicle), settings.spool_bytes)
@@ -239,8 +234,6 @@ def receive_buses(buses: Sequence[ReceivedBus], stop: threading.Event) -> None:
     """Receive buses until ``stop`` is set, or one of them is refused for good, which ends all of them.
 
     Raises:
-        ConflictError: Another process receives one of the vehicles.
-        StorageError: The folder of a spool cannot be used.
         TreadwatchError: A bus or the stores refused for good. What the other buses had received is stored, or in their
             spools.
     """

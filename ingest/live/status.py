@@ -79,7 +79,6 @@ class LiveStatus:
 
     @property
     def _recordings_fault(self) -> str | None:
-        """Why nothing of what is received can be used; None while recordings are decoded."""
         if self.rejected_in_a_row < (REJECTED_IN_A_ROW if self.decoded else 1):
             return None
         return f"every recording is rejected, the last {self.rejected_in_a_row}: {self.last_rejection}"

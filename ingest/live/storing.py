@@ -48,14 +48,7 @@ class PieceRecording:
 
 
 def read_piece(path: Path) -> PieceRecording | None:
-    """Return the recording of a piece; None when no frame of it is whole.
-
-    Args:
-        path: A piece that grows no more.
-
-    Raises:
-        OSError: It cannot be read.
-    """
+    """Return the recording of a piece; None when no frame of it is whole."""
     records = decode(path.read_bytes()).records
     packed = np.frombuffer(b"".join(record.frames for record in records), FRAME)
     if len(packed) == 0:
@@ -153,7 +146,6 @@ class Storing:
                 self._idle(receiver)
 
     def _connected(self) -> Receiver | None:
-        """Return the receiver of files once the database is there; None when an end is requested, or it never can."""
         while True:
             try:
                 receiver = self._stores.connect()
@@ -172,7 +164,6 @@ class Storing:
                 return receiver
 
     def _store(self, receiver: Receiver, piece: Piece) -> bool:
-        """Store a piece and remove it; False when it waits for another attempt."""
         try:
             recording = read_piece(piece.path)
             if recording is not None:
@@ -214,7 +205,6 @@ class Storing:
         return True
 
     def _decode(self, receiver: Receiver, record: ChunkRecord, name: str, frames: int) -> None:
-        """Decode what is stored; report what became of it."""
         outcome: ChunkReceipt | Exception
         try:
             outcome = receiver.decode_one(record)
@@ -226,7 +216,6 @@ class Storing:
         self._reports.say(f"stored, not decoded yet: {name}: {reason}", bad=True)
 
     def _report(self, name: str, outcome: ChunkReceipt | Exception, frames: int = 0) -> bool:
-        """Report a recording that is decoded or rejected; False where another attempt follows."""
         if isinstance(outcome, LogFileError):
             self._status.pieces_rejected += 1
             self._status.frames_rejected += frames
@@ -246,7 +235,6 @@ class Storing:
         return True
 
     def _idle(self, receiver: Receiver) -> None:
-        """Nothing waits: decode what is left, and look whether the database answers."""
         now = time.monotonic()
         if self._decode_at is not None and now >= self._decode_at:
             self._decode_at = None
@@ -263,7 +251,6 @@ class Storing:
             self._ending.wait(LOOK_EVERY_S)
 
     def _decode_left(self, receiver: Receiver) -> None:
-        """Decode what is stored and due; what fails again is not said again."""
         try:
             for outcome in receiver.decode_stored(vehicle=self._vehicle):
                 self._report(outcome.record.digest if isinstance(outcome, ChunkReceipt) else "a recording", outcome)
@@ -292,7 +279,6 @@ class Storing:
             self._status.raw_fault = fault
 
     def _pause(self) -> bool:
-        """Wait until the next attempt; return whether an end is requested."""
         return self._ending.wait(self._delays.failed())
 
 

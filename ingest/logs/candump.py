@@ -19,11 +19,7 @@ _STANDARD_DIGITS, _EXTENDED_DIGITS = 3, 8
 
 
 def read_candump(path: Path, _: ReadLimits, sink: FrameSink) -> None:
-    """Read a candump file.
-
-    Raises:
-        LogFileError: The file is cut off, or more than one line in a thousand is damaged; names the first.
-    """
+    """Read a candump file."""
     TextLog(path, LineFormat(_FRAME, _facts), _other, sink).read()
 
 

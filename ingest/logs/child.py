@@ -35,7 +35,6 @@ def main(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], pa
 
     Args:
         answer: Descriptor that the answer is written to.
-        parent: The process that started this one: with it this one ends.
     """
     end_with(parent)
     reserve = bytearray(RESERVE_BYTES)

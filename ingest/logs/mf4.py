@@ -153,11 +153,7 @@ def _in_order(parts: Sequence[tuple[list[MF4Frames], list[FloatArray]]]) -> Iter
 
 
 def frames_of_group(mdf: Any, number: int, kind: str) -> Iterator[MF4Frames]:  # noqa: ANN401 - asammdf's MDF
-    """Yield the frames of a channel group, in its order.
-
-    Raises:
-        LogFileError: A frame is of CAN FD, or longer than a frame can be.
-    """
+    """Yield the frames of a channel group, in its order."""
     start_s = mdf.header.start_time.timestamp()
     for offset in range(0, mdf.groups[number].channel_group.cycles_nr, RECORDS):
         read = mdf.get(kind, number, record_offset=offset, record_count=RECORDS, raw=False)
@@ -191,7 +187,6 @@ def _frames(samples: npt.NDArray[Any], seconds: FloatArray, kind: str) -> MF4Fra
 
 
 def _data(samples: npt.NDArray[Any], kind: str, length: IntArray) -> tuple[IntArray, npt.NDArray[np.uint8]]:
-    """Return the lengths, at most those of the bytes that there are, and the first eight bytes of each frame."""
     name = f"{kind}.DataBytes"
     data = np.zeros((len(samples), DATA_BYTES), np.uint8)
     if name not in (samples.dtype.names or ()):
@@ -212,12 +207,7 @@ BYTES_PER_S = 128 << 10
 
 
 def read_mf4(path: Path, limits: ReadLimits, sink: FrameSink) -> None:
-    """Read an MF4 file of bus events.
-
-    Raises:
-        LogFileError: The file holds CAN FD frames, several buses, or more than the limits allow.
-        PassingFaultError: The extra is not installed.
-    """
+    """Read an MF4 file of bus events."""
     del limits
     try:
         from asammdf import MDF  # noqa: PLC0415 - an extra

@@ -53,7 +53,6 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def _serve(requests: socket.socket, reading: dict[int, int]) -> bool:
-    """Start a process for one request; return False when there are no more."""
     message, descriptors, _, _ = socket.recv_fds(requests, REQUEST_BYTES, DESCRIPTORS)
     if not message:
         return False
@@ -95,7 +94,6 @@ def _close_what_is_not_its_own(reading: dict[int, int]) -> None:
 
 
 def _reap(reading: dict[int, int]) -> None:
-    """Say how processes ended."""
     for process, answer in list(reading.items()):
         done, status, usage = os.wait4(process, os.WNOHANG)
         if done == 0:

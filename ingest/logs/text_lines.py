@@ -96,11 +96,7 @@ def skip_mark(file: BinaryIO) -> None:
 
 
 def line_blocks(path: Path, form: LineFormat) -> Iterator[LineBlock]:
-    """Yield the lines of a file, a piece at a time.
-
-    Raises:
-        LogFileError: The file is empty, its last line is cut off, or a line is longer than any line of a log.
-    """
+    """Yield the lines of a file, a piece at a time."""
     number, rest = 1, b""
     with path.open("rb") as file:
         skip_mark(file)
@@ -147,7 +143,6 @@ def _block(text: bytes, number: int, form: LineFormat) -> LineBlock:
 
 
 def _read_group(block: LineBlock, raw: npt.NDArray[np.uint8], lines: IntArray, form: LineFormat) -> None:
-    """Read the lines of one length."""
     length = int(block.ends[lines[0]] - block.starts[lines[0]])
     for _ in range(LAYOUTS):
         if len(lines) < FEWEST:
@@ -190,7 +185,6 @@ def _alike(characters: npt.NDArray[np.uint8], match: re.Match[str], base: int) -
 
 
 def _digit_places(match: re.Match[str], name: str) -> list[int]:
-    """Return the places of the digits of a group, none where it is not in the line."""
     first, last = match.span(name)
     return [at for at in range(first, last) if match.string[at] != " "]
 

@@ -43,11 +43,7 @@ class TextLog:
     channel: str | None = None
 
     def read(self) -> None:
-        """Read all of it.
-
-        Raises:
-            LogFileError: The log is cut off, or too many of its lines are damaged: names the first.
-        """
+        """Read all of it."""
         for block in line_blocks(self.path, self.form):
             self.lines += len(block.starts)
             shift = self._shifts(block)
@@ -74,7 +70,6 @@ class TextLog:
         return np.array(shifts)[np.searchsorted(others, np.arange(len(block.starts)), side="right")]
 
     def _of_the_bus(self, block: LineBlock) -> BoolArray:
-        """Return which lines (n,) are of the bus of the first frame."""
         if self.channel is None and block.channels:
             self.channel = block.channels[int(block.channel[np.argmax(block.is_frame)])]
         if all(name == self.channel for name in block.channels):

@@ -29,14 +29,7 @@ LARGEST_COUNTER, LARGEST_DAYS, DAY_MS = SYNC_PERIOD, 65_535, 86_400_000
 
 
 def align_own(bus: OwnBus, batch: FrameBatch) -> AlignedFrames:
-    """Decode a batch and put its frames on the vehicle's clock.
-
-    Args:
-        batch: Frames in merged order (:func:`ingest.frames.merge`).
-
-    Raises:
-        LogFileError: The sampling instants come at another rate than the mapping gives.
-    """
+    """Decode a batch and put its frames on the vehicle's clock."""
     decoded = decode_own(bus, batch)
     if isinstance(bus.clock, CanopenClock):
         named = _canopen(bus.clock, decoded)
@@ -60,11 +53,7 @@ def _sampled(bus: OwnBus) -> set[int]:
 
 
 def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
-    """Sort the frames of a batch by message, by multiplexer value where there is one, and unpack their raw values.
-
-    Args:
-        batch: Frames in any order.
-    """
+    """Sort the frames of a batch by message, by multiplexer value where there is one, and unpack their raw values."""
     identifier = batch.arbitration_id
     no_data = (identifier & (ERROR_FLAG | REMOTE_FLAG)) != 0
     lengths = np.full(len(batch), -1, np.int64)
@@ -116,7 +105,6 @@ def _raw(batch: FrameBatch, index: IntArray, plan: SignalPlan, bits: SignalBits)
 
 
 def _canopen(clock: CanopenClock, decoded: Decoded) -> Decoded:
-    """Return SYNC and TIME under the names and identifiers of CANopen."""
     messages = {}
     if clock.counter.message in decoded.messages:
         plan = _plan("SYNC", SYNC_ID, {"counter": (1, LARGEST_COUNTER)})
@@ -164,9 +152,6 @@ def stamp_clock(stamps: IntArray, interval_ns: int) -> tuple[SyncClock, AlignCou
 
     The instants are whole intervals since 1970 on the recorder's clock. Which one a stamp marks follows from the mean
     phase of the stamps within a second, so that jitter does not move it to a neighbour.
-
-    Args:
-        stamps: (n,) ns, ascending.
     """
     if len(stamps) == 0:
         return SyncClock(stamps, stamps, stamps, interval_ns), AlignCounts()

@@ -34,11 +34,7 @@ class _Values:
 
 
 def own_samples(vehicle: str, bus: OwnBus, messages: Messages) -> tuple[VehicleSamples, AlignCounts]:
-    """Return the samples of all nodes of a vehicle with its motion, and counts of what was left out.
-
-    Args:
-        messages: Its frames on its clock, by the keys of the bus.
-    """
+    """Return the samples of all nodes of a vehicle with its motion, and counts of what was left out."""
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in bus.nodes:
@@ -148,7 +144,6 @@ def _sequence(signal: SignalReference, messages: Messages, interval_ns: int) -> 
 
 
 def _states(state: StateReference, messages: Messages) -> IntArray:
-    """Return the ticks of messages that say "not good"."""
     ticked = messages.get(state.signal.message)
     if ticked is None:
         return np.empty(0, np.int64)
@@ -182,7 +177,6 @@ def _motion(bus: OwnBus, messages: Messages) -> VehicleMotion:
 
 
 def _at(signal: _Values, tick: IntArray) -> FloatArray:
-    """Return a signal where it was sent, NaN elsewhere."""
     found = np.full(len(tick), np.nan)
     found[np.searchsorted(tick, signal.tick)] = signal.values
     return found

@@ -53,9 +53,6 @@ def without_odd_ones(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) ->
     """Return which TIME frames (n,) count: all but a few odd ones between two runs that agree with each other.
 
     Where the vehicle's clock was set the runs on both sides disagree, and all of their frames count.
-
-    Args:
-        t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
     """
     kept = np.ones(len(t_ns), dtype=np.bool_)
     offset = vehicle_ns - t_ns
@@ -70,11 +67,7 @@ def without_odd_ones(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) ->
 
 
 def believed(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> BoolArray:
-    """Return which TIME frames (n,) show where a recording is: those of runs; all where there is no run.
-
-    Args:
-        t_ns, vehicle_ns: (n,) stamp of the recorder, increasing, and vehicle time.
-    """
+    """Return which TIME frames (n,) show where a recording is: those of runs; all where there is no run."""
     found = np.zeros(len(t_ns), dtype=np.bool_)
     for first, behind in runs_alike(t_ns, vehicle_ns, tolerance_ns):
         found[first:behind] = behind - first >= FEWEST_ALIKE
@@ -82,11 +75,7 @@ def believed(t_ns: IntArray, vehicle_ns: IntArray, tolerance_ns: int) -> BoolArr
 
 
 def clock_verdict(first_ns: int, last_ns: int, received_ns: int) -> Reason | None:
-    """Return why the place of a recording on the vehicle's clock cannot be believed; None where it can.
-
-    Args:
-        first_ns, last_ns: Of the recording, on the vehicle's clock.
-    """
+    """Return why the place of a recording on the vehicle's clock cannot be believed; None where it can."""
     days = (last_ns - first_ns) / DAY_NS
     if last_ns - first_ns > LONGEST_SPAN_NS:
         text = (

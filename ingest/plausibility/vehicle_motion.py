@@ -30,7 +30,6 @@ def odometer_excess(tick: IntArray, values: FloatArray, interval_s: float, longe
     """Return by how much odometer and integral of the speed differ beyond what they may, m; 0 where they do not.
 
     Args:
-        tick: (n,) sampling instants, strictly increasing.
         values: (n, 2) speed, m/s, and odometer, m; NaN where not known.
     """
     known = ~np.isnan(values).any(axis=1)

@@ -60,7 +60,6 @@ def _local(points: FloatArray, origin: FloatArray) -> FloatArray:
 
 
 def _from_line(points: FloatArray, at: float, fix: FloatArray) -> float:
-    """Return how far a fix is from the part of the line near a distance along it, m."""
     first, last = max(at - ALONG_M, points[0, 0]), min(at + ALONG_M, points[-1, 0])
     low, high = np.searchsorted(points[:, 0], [first, last], side="right")
     ends = np.array([[s, *(np.interp(s, points[:, 0], points[:, k]) for k in (1, 2))] for s in (first, last)])

@@ -60,20 +60,12 @@ class ProfileOptions(TypedDict, total=False):
 
 
 def read_profile(path: Path | str, kind: ProfileKind, **options: Unpack[ProfileOptions]) -> Profile:
-    """Read a wheel or rail profile, in the format of ``FORMATS`` that has its suffix, else as two columns of text, mm.
-
-    Raises:
-        ProfileError: The file cannot be read as that; the message names file, line and field.
-    """
+    """Read a wheel or rail profile in the format of its suffix (``FORMATS``), else as two columns of text, mm."""
     return read_measured_profile(path, kind, **options).profile
 
 
 def read_measured_profile(path: Path | str, kind: ProfileKind, **options: Unpack[ProfileOptions]) -> SmoothedProfile:
-    """Read a wheel or rail profile with the uncertainty of its shape; ``kind`` decides what it is, not the suffix.
-
-    Raises:
-        ProfileError: The file cannot be read as that; the message names file, line and field.
-    """
+    """Read a wheel or rail profile with the uncertainty of its shape; ``kind`` decides what it is, not the suffix."""
     file = Path(path)
     _refuse_lists(file)
     return measured_profile_of(
@@ -86,9 +78,6 @@ def measured_profile_of(text: str, file: Path, kind: ProfileKind, **options: Unp
 
     Args:
         file: Its name, which decides the format and is in messages; the file need not exist.
-
-    Raises:
-        ProfileError: It is none.
     """
     mirror, noise_std = options.get("mirror"), options.get("noise_std")
     if kind == "wheel" and mirror is not None:

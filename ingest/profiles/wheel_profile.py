@@ -29,14 +29,7 @@ class StoredProfile(InputTable):
 
 
 def read_stored_profile(path: Path) -> Profile:
-    """Return the wheel profile of a file.
-
-    Args:
-        path: Written by :func:`stored_profile_text`.
-
-    Raises:
-        ProfileError: The file is none, or its numbers are no profile.
-    """
+    """Return the wheel profile of a file."""
     file = read_json(path, ProfileError)
     found = file.parse(StoredProfile)
     for name in ("z_m", "slope_1"):
@@ -67,10 +60,6 @@ def read_wheel_profile(path: Path) -> Profile:
 
     Args:
         path: A file in a format of ``read_profile``, two columns in mm; or one of an exported registry.
-
-    Raises:
-        ProfileError: The file cannot be read as a wheel profile, does not hold the whole of flange and tread, or is
-            that of a rail.
     """
     if path.suffix.lower() == SUFFIX:
         return _whole(read_stored_profile(path), path)
@@ -78,14 +67,7 @@ def read_wheel_profile(path: Path) -> Profile:
 
 
 def wheel_profile_of(text: str, file: Path) -> Profile:
-    """Return the wheel profile that the content of a file describes.
-
-    Args:
-        file: Its name, whose suffix decides the format; the file need not exist.
-
-    Raises:
-        ProfileError: As :func:`read_wheel_profile`.
-    """
+    """Return the wheel profile that the content of a file describes."""
     try:
         return _whole(measured_profile_of(text, file, "wheel").profile, file)
     except ProfileError as error:
@@ -95,7 +77,6 @@ def wheel_profile_of(text: str, file: Path) -> Profile:
 
 
 def _is_rail(text: str, file: Path) -> bool:
-    """Whether what is no wheel can be read as a rail."""
     try:
         measured_profile_of(text, file, "rail")
     except ProfileError:

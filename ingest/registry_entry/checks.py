@@ -93,7 +93,6 @@ class DistancePoint:
     Attributes:
         at_ns: ns UTC on the vehicle's clock.
         km: Mileage of the wheelset since new, or what the odometer of the vehicle showed.
-        field: In which the record gives it.
     """
 
     record: RecordName
@@ -165,9 +164,6 @@ def before_first_mounting(reprofiling: RecordName, mountings: Sequence[Mounting]
     """Return what is said against a visit to the lathe before the wheelset was first mounted.
 
     It would divide nothing that was measured. Nothing is said of a wheelset that no mounting is known of.
-
-    Args:
-        mountings: Of its wheelset, any order.
     """
     at_ns = reprofiling.at_ns
     if not mountings or at_ns is None:
@@ -259,7 +255,6 @@ def _sizes(unit: SqlUnitOfWork, entered: Entered) -> Iterable[Contradiction]:
 
 
 def _contacts(unit: SqlUnitOfWork) -> list[float]:
-    """Return the distances between the contact points of the wheelsets of all vehicles, m."""
     codes = {vehicle.vehicle_class for vehicle in unit.registry.vehicles_page(None, None, 1 << 31)}
     classes = (unit.registry.vehicle_class(code) for code in sorted(codes))
     return [2.0 * one.vehicle_class.parameters.half_contact_distance for one in classes if one is not None]

@@ -84,8 +84,6 @@ class Contradiction:
     """What is said against a record.
 
     Attributes:
-        field: Of the record, as a registry file calls it.
-        reason: What is wrong, in one sentence that names the other records.
         others: The records and windows that it contradicts; none where it is impossible by itself.
     """
 

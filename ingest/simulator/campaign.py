@@ -91,11 +91,7 @@ class VehicleRun:
 
 
 def scenario_track(scenario: Scenario) -> TrackTruth:
-    """Return the true track of the scenario's section.
-
-    Raises:
-        ScenarioError: The recorded file cannot be read.
-    """
+    """Return the true track of the scenario's section."""
     section = scenario.section
     if section.file is not None:
         track = from_zero(read_track(section.file))
@@ -114,9 +110,6 @@ def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
 
 def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> VehicleRun:
     """Return where and how fast ``vehicle`` runs in ``campaign`` (from 0).
-
-    Args:
-        campaign: Number of the campaign, from 0.
 
     Raises:
         ScenarioError: The track is too short for the run.
@@ -188,11 +181,7 @@ def odometer_scale(scenario: Scenario, vehicle: VehiclePlan) -> float:
 
 
 def wheelset_record(scenario: Scenario, run: VehicleRun, axle: int, motion: WheelsetMotion) -> SensorRecord:
-    """Return what the node of the wheelset at ``axle`` (from 0) measures of ``motion``.
-
-    Args:
-        axle: Number of the axle, from 0.
-    """
+    """Return what the node of the wheelset at ``axle`` (from 0) measures of ``motion``."""
     order = scenario.vehicles.index(run.vehicle)
     offsets = draw_offsets(scenario.sensors, generator(scenario.seed, Stream.OFFSETS, order, axle))
     rng = generator(scenario.seed, Stream.SENSOR, order, axle, run.campaign)
@@ -215,7 +204,6 @@ def _with_blows(scenario: Scenario, run: VehicleRun, axle: int, motion: Wheelset
 
 
 def _node_errors(scenario: Scenario, order: int, axle: int, campaign: int) -> NodeErrors | None:
-    """Return how the node of an axle differs from its data sheet; None if the scenario has no such errors."""
     if scenario.sensors.errors.none:
         return None
     node = generator(scenario.seed, Stream.NODE_ERRORS, order, axle)

@@ -106,7 +106,6 @@ def path_motion(
         s: (m,) m along the section.
         distance: (n,) m along the section at each sample.
         speed: (n,) m/s.
-        step: Interval of the samples, s.
     """
     curvature = np.interp(distance, s, curves.curvature)
     tilt = np.interp(distance, s, curves.cant) / (2.0 * p.half_contact_distance)

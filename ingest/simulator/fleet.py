@@ -50,9 +50,6 @@ def surveyed(scenario: Scenario, track: TrackTruth) -> TrackTruth:
     The survey's own errors are white, of the survey's standard deviations, smoothed over some 2 m as a chord does. The
     other ways in which it may be wrong come before them: another section, of all or of the gauge alone, a shift along
     the track, a factor.
-
-    Raises:
-        ScenarioError: The file of another section cannot be read, or is too short.
     """
     plan, section = scenario.section.survey, scenario.section
     source = track
@@ -155,10 +152,6 @@ def run_fleet(
         out: Folder, made where missing; recordings are ``<vehicle>/<vehicle>__<start, UTC>.blf``.
         vehicles: Codes of the vehicles to simulate; all by default. The registry always names all.
         workers: Processes; by default as many as cores, at most the recordings. With 1 everything runs in this process.
-
-    Raises:
-        ScenarioError: The scenario cannot be run: unknown vehicle, too little track, a wheelset that derails.
-        OSError: A file cannot be written.
     """
     chosen = [scenario.vehicle(code) for code in vehicles] if vehicles is not None else list(scenario.vehicles)
     track = scenario_track(scenario)
@@ -197,11 +190,7 @@ def _tasks(scenario: Scenario, vehicles: Sequence[VehiclePlan]) -> list[tuple[st
 
 
 def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campaigns: Campaigns) -> list[Recording]:
-    """Simulate campaigns of one vehicle and write their recordings, each whole or not at all.
-
-    Args:
-        campaigns: From 0.
-    """
+    """Simulate campaigns of one vehicle and write their recordings, each whole or not at all."""
     if scenario.drawn is None:
         plan = scenario.vehicle(vehicle)
         return [_write(scenario, out, plan, c, *simulate_campaign(scenario, track, plan, c)) for c in campaigns]
@@ -236,7 +225,6 @@ def _on_the_rails(
 
 
 def _groups(scenario: Scenario, vehicle: VehiclePlan) -> list[tuple[int, ...]]:
-    """Return the axles (from 0) of a vehicle as they move together, front to rear."""
     groups = (together(scenario, vehicle, axle) for axle in range(len(vehicle.wheelsets)))
     return list(dict.fromkeys(groups))
 
@@ -286,7 +274,6 @@ def _group(
 def _motions(
     scenario: Scenario, track: TrackTruth, run: VehicleRun, group: tuple[int, ...], contacts: Sequence[WornContact]
 ) -> Sequence[WheelsetMotion]:
-    """Return the motions of wheelsets that move together, in the axes of travel."""
     if not runs_rear_first(scenario, run.campaign):
         return axle_motions(scenario, track, run, group, [contact.table for contact in contacts])
     seen, vehicle = seen_from_ahead(scenario, run.vehicle)
@@ -299,7 +286,6 @@ def _motions(
 def _campaign(
     scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, axles: Sequence[_Axle], campaign: int
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
-    """Return all frames of one campaign of one vehicle, and the truth of its wheelsets."""
     run = vehicle_run(scenario, track, vehicle, campaign)
     batch = vehicle_frames(default_catalogue(), scenario, run, [axle.records[campaign] for axle in axles])
     truths = (wheelset_truth(vehicle, place, campaign, run.odometer, axle.geometry) for place, axle in enumerate(axles))
@@ -329,11 +315,7 @@ def simulate_campaign(
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
     """Return all frames of one campaign of one vehicle, and the truth of its wheelsets.
 
-    Args:
-        campaign: Number of the campaign, from 0.
-
     Raises:
-        ScenarioError: The track is too short for the run, or the sensors' rate is not the one of the bus.
         DerailmentError: A wheelset leaves the range of its contact geometry.
     """
     groups = _groups(scenario, vehicle)

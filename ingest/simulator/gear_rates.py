@@ -17,6 +17,10 @@ with T the traction force of the axle. A track that rolls by p (cross level) car
 r0 above the rails, is displaced by -r0 p, its roll is that of the contact plus p, and the rails bear W vertically. What
 is above rolls with the mean of p at its axles, and its weight W - m g bears on each axle along its own normal:
 (W - m g) p on the wheelset, and as much the other way on the frame. A p that is the same everywhere is a cant of -p.
+
+Arrays as in ``rates``, of both axles where they are of one there; ``coefficients`` (m, 20) has cross level, friction
+and load as well where the track has them, ``place`` (6,) their values and slopes; ``state`` (16,): y, y', psi, psi', u
+of each wheelset, y, y', psi, psi' of the frame, y, y' of the body; ``path`` (16,) as ``gear_path`` returns it.
 """
 
 from __future__ import annotations
@@ -65,14 +69,7 @@ class Wheels(NamedTuple):
 
 @stepped
 def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
-    """Write cross level (rad), friction and load (both over their mean), each with its slope, into ``out`` (6,).
-
-    Args:
-        coefficients: (m, 8) where the track has none of them, else (m, 20): splines of alignment, gauge deviation and
-            these three.
-        s: Distance, m.
-        out: (6,) written.
-    """
+    """Write cross level (rad), friction and load (both over their mean), each with its slope, into ``out`` (6,)."""
     if coefficients.shape[1] == CONTACT:
         out[0] = out[1] = out[3] = out[5] = 0.0
         out[2] = out[4] = 1.0
@@ -90,12 +87,7 @@ def place_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) ->
 def roll_above(
     g: GearConstants, coefficients: FloatArray, grids: tuple[Grid, Grid], s: float, place: FloatArray
 ) -> float:
-    """Return the mean roll of the track at the axles, rad.
-
-    Args:
-        s: Distance of the first axle, m.
-        place: (6,) work space.
-    """
+    """Return the mean roll of the track at the axles, rad."""
     total = 0.0
     if coefficients.shape[1] > CONTACT:
         for axle in range(g.axles):
@@ -106,14 +98,7 @@ def roll_above(
 
 @stepped
 def out_of_round(c: Constants, wheels: Wheels, axle: int, s: float, speed: float, contact: FloatArray) -> None:
-    """Add what wheels that are not round change to rolling radii, roll and roll rate in ``contact`` (8,).
-
-    Args:
-        axle: 0 or 1.
-        s: Distance of the axle, m.
-        speed: m/s.
-        contact: (8,) changed.
-    """
+    """Add what wheels that are not round change to rolling radii, roll and roll rate in ``contact`` (8,)."""
     left, right = wheels.amplitude[2 * axle], wheels.amplitude[2 * axle + 1]
     if left == 0.0 and right == 0.0:
         return
@@ -144,20 +129,7 @@ def gear_rates(
     track: FloatArray,
     place: FloatArray,
 ) -> int:
-    """Write the time derivative of ``state`` (16,) into ``rates`` (16,); return a bit for each axle outside its table.
-
-    Args:
-        tables, grids: (n, g, 7) contact geometry of both axles, and the grids of table and track.
-        coefficients: (m, 8) or (m, 20) splines of the track.
-        speed, slope: m/s, and by which it rises, m/s^2.
-        s: Distance of the first axle, m.
-        path: (16,) of the curved path.
-        state: (16,) in SI.
-        rates: (16,) written.
-        contact: (2, 8) written: looked-up values and roll rate of each axle, with cross level.
-        track: (2, 4) written: alignment at the height of the axle, its slope, gauge deviation, its slope.
-        place: (6,) work space.
-    """
+    """Write the time derivative of ``state`` into ``rates``; return a bit for each axle outside its table."""
     outside = 0
     leaning = roll_above(g, coefficients, grids, s, place)
     force = moment = yaw = 0.0
@@ -199,8 +171,6 @@ def suspended(c: Constants, x: float, path: FloatArray, axle: FloatArray, state:
 
     Args:
         x: Place of the axle ahead of the middle of the frame, m.
-        axle: (4,) y, y', psi, psi' of the wheelset.
-        state: (16,) of the running gear.
     """
     deflection = state[FRAME] + x * state[FRAME + 2] - axle[0] - path[3]
     rate = state[FRAME + 1] + x * state[FRAME + 3] - axle[1] - path[4]
@@ -225,13 +195,8 @@ def wheelset(
     """Write the time derivative of one wheelset (5,) into ``rates`` (5,).
 
     Args:
-        speed: m/s, above ``STANDSTILL``.
         traction: Force of the axle, N, negative in braking.
-        place: (6,) cross level, friction and load, each with its slope.
-        contact: (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
         suspension, turned: Force and moment of the suspension, N and N m.
-        state: (5,) y, y', psi, psi', u.
-        rates: (5,) written.
     """
     per_speed = 1.0 / speed
     v, psi, psi_rate, roll, roll_rate = state[1], state[2], state[3], contact[4], contact[7]
@@ -271,11 +236,8 @@ def carried(
     """Write the time derivative of frame and body into ``rates`` (16,).
 
     Args:
-        path: (16,) of the curved path.
         force, moment: Of the primary suspensions on the wheelsets: sum of the forces, and of their moments about the
             frame's middle.
-        state: (16,) in SI.
-        rates: (16,) written.
     """
     y, v, psi, psi_rate = state[FRAME], state[FRAME + 1], state[FRAME + 2], state[FRAME + 3]
     above = 0.0

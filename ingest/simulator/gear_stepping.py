@@ -50,14 +50,8 @@ def integrate_gear(
     Step i is divided into ``parts[i]`` sub-steps.
 
     Args:
-        tables, grids: (n, g, 7) contact geometry of both axles, and the grids of table and track.
-        coefficients: (m, 8) or (m, 20) splines of the track.
-        speed: (k,) m/s at every sample.
-        distance: (k,) m of the first axle at every sample.
         path: (k, 16) of the curved path; (1, 16) zeros on straight track.
-        step: Interval of the samples, s.
         parts: (k - 1,) sub-steps of each step.
-        state: (16,) at the first sample; changed to that at the last.
         out: (2, 18, k) written, in the order of ``GEAR_OUTPUTS``, for each axle.
         outside: (2,) written: how many samples left the contact table of each axle.
     """
@@ -116,18 +110,7 @@ def gear_step(
     track: FloatArray,
     place: FloatArray,
 ) -> None:
-    """Advance the state by one step of the classical Runge-Kutta method of 4th order.
-
-    Args:
-        speed, slope: At the beginning of the step, m/s, and by which it rises, m/s^2.
-        s: Distance of the first axle at the beginning, m.
-        h: Time step, s.
-        path: (16,) of the curved path at the beginning; changed to that at the end.
-        rise: (16,) by which it rises in half a step.
-        state: (16,) changed to the state at the end.
-        stages: (5, 16) work space; the first row has the rates at the beginning.
-        contact, track, place: As ``gear_rates`` takes them.
-    """
+    """Advance the state by one step of the classical Runge-Kutta method of 4th order."""
     k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
     middle, after = speed + 0.5 * slope * h, speed + slope * h
     s_middle, s_after = s + 0.25 * h * (speed + middle), s + 0.5 * h * (speed + after)
@@ -151,11 +134,7 @@ def gear_step(
 
 @stepped
 def stand_still(state: FloatArray) -> None:
-    """Take the velocities of both wheelsets from ``state`` (16,): below ``STANDSTILL`` the wheels stick.
-
-    Args:
-        state: (16,) changed.
-    """
+    """Take the velocities of both wheelsets from ``state`` (16,): below ``STANDSTILL`` the wheels stick."""
     for axle in range(2):
         first = AXLE_STATES * axle
         state[first + 1] = state[first + 3] = state[first + 4] = 0.0
@@ -172,15 +151,7 @@ def write_axle(
     out: FloatArray,
     i: int,
 ) -> None:
-    """Write sample ``i`` of every output of one axle into ``out`` (18, k), in the order of ``GEAR_OUTPUTS``.
-
-    Args:
-        axle: 0 or 1.
-        state, rates: (16,) and its time derivative.
-        contact: (2, 8) looked-up values and roll rate.
-        track: (2, 4) alignment, its slope, gauge deviation, its slope.
-        out: (18, k) written in one column.
-    """
+    """Write sample ``i`` of every output of one axle into ``out`` (18, k), in the order of ``GEAR_OUTPUTS``."""
     first, x = AXLE_STATES * axle, g.half_base if axle == 0 else -g.half_base
     for k in range(4):
         out[k, i] = state[first + k]

@@ -83,9 +83,6 @@ def synthesise(
     removed and the standard deviation set on the stretch that is returned.
 
     Args:
-        length: Of the track, m.
-        interval: Between points, m.
-        target_std: Standard deviation of the result, m.
         wavelengths: Shortest and longest, m.
 
     Raises:
@@ -110,7 +107,6 @@ def period_of(count: int, longest: float, interval: float) -> int:
 
     Args:
         longest: Longest wavelength, m: that much is left over, so that begin and end do not follow each other.
-        interval: Between points, m.
     """
     return int(scipy.fft.next_fast_len(count + round(longest / interval), real=True))
 
@@ -118,15 +114,7 @@ def period_of(count: int, longest: float, interval: float) -> int:
 def periodic(
     kind: Irregularity, size: int, interval: float, wavelengths: tuple[float, float], rng: np.random.Generator
 ) -> FloatArray:
-    """Return one period (size,) of an irregularity, of any level: every line inside the band has a random phase.
-
-    Args:
-        interval: Between points, m.
-        wavelengths: Shortest and longest, m.
-
-    Raises:
-        ParameterError: The band is empty.
-    """
+    """Return one period (size,) of an irregularity, of any level: every line inside the band has a random phase."""
     low, high = _band(wavelengths)
     wavenumber = 2.0 * np.pi * scipy.fft.rfftfreq(size, interval)
     inside = (wavenumber >= low) & (wavenumber <= high)
@@ -157,15 +145,7 @@ def kurtosis_of(values: FloatArray) -> float:
 
 
 def with_kurtosis(period: FloatArray, count: int, target: float) -> FloatArray:
-    """Return the period (n,) of an irregularity with another kurtosis of its first ``count`` values.
-
-    Args:
-        period: (n,) one period, mean 0.
-        target: Kurtosis, 3 or more.
-
-    Raises:
-        ParameterError: The target is below 3, or the stretch has too few waves for it.
-    """
+    """Return the period (n,) of an irregularity with another kurtosis of its first ``count`` values."""
     if not GAUSSIAN <= target <= HIGHEST:
         raise ParameterError(
             f"a kurtosis of {target:g} is outside the range, {GAUSSIAN:g} to {HIGHEST:g}", field="kurtosis"
@@ -294,14 +274,6 @@ def superpose(
 
     Each part has its standard deviation on that stretch. A kurtosis above 3 keeps the spectrum and the standard
     deviation of the sum.
-
-    Args:
-        length: Of the track, m.
-        interval: Between points, m.
-        kurtosis: Of the sum on the stretch; 3 leaves it Gaussian.
-
-    Raises:
-        ParameterError: As ``synthesise``, or the kurtosis cannot be made.
     """
     gaussian = [
         synthesise(

@@ -72,14 +72,7 @@ class IsolatedTables:
 
 
 def isolated(items: Sequence[Isolated], s: FloatArray, rngs: Sequence[np.random.Generator]) -> FloatArray:
-    """Return what isolated irregularities add to alignment and gauge deviation (2, n), m.
-
-    Args:
-        s: (n,) m, uniform.
-
-    Raises:
-        ParameterError: One is shorter than the grid carries, or is not on the track.
-    """
+    """Return what isolated irregularities add to alignment and gauge deviation (2, n), m."""
     added = np.zeros((2, len(s)))
     for item, rng in zip(items, rngs, strict=True):
         _check(item, s)

@@ -35,13 +35,7 @@ def transmit(
     rate of SYNC.
 
     Args:
-        stop: Ends the sending when set, within a frame.
         progress: Called with (campaign from 1, frames sent so far) before each campaign.
-
-    Raises:
-        ScenarioError: No such vehicle, or the scenario cannot be run.
-        ParameterError: ``speed_up`` is not positive.
-        ConflictError: The bus refused a frame.
     """
     if not speed_up > 0.0:
         raise ParameterError(f"{speed_up} is not positive", field="speed_up")

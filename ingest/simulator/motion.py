@@ -109,11 +109,7 @@ class PreparedTable:
 
     @staticmethod
     def of(table: ContactGeometryTable) -> PreparedTable:
-        """Lay out ``table``, with the slopes of roll at its nodes.
-
-        Raises:
-            ParameterError: A grid is not uniform, too short, or a value is not finite.
-        """
+        """Lay out ``table``, with the slopes of roll at its nodes."""
         x, e = table.lateral_displacement, table.gauge_deviation
         x_step, e_step = uniform_spacing(x), uniform_spacing(e)
         if x_step is None or len(x) < _MINIMUM_NODES:
@@ -152,13 +148,6 @@ def simulate_wheelset(
     Between samples the speed is linear; it may be zero, where the wheelset stands. ``initial`` (6,) holds y, y', psi,
     psi', ym, ym' in SI; without it wheelset and mass start at rest relative to the track, on its centre line. Two runs
     of the same input give the same bits.
-
-    Args:
-        parameters: Of the vehicle, Eq. 1-5.
-        table: Contact geometry on uniform grids of y - d and gauge deviation.
-        speed: (n,) m/s every ``STEP`` s.
-        start: Distance at the first sample, m.
-        initial: (6,) y, y', psi, psi', ym, ym' in SI at the first sample; None to start at rest relative to the track.
 
     Raises:
         ParameterError: Speed that is negative or not finite, or the run leaves the track.
@@ -201,15 +190,7 @@ def simulate_wheelset(
 
 
 def course(track: TrackTruth, speed: FloatArray, start: float) -> FloatArray:
-    """Return the distance (n,), m, at each sample, after checking that speed and track allow the run.
-
-    Args:
-        speed: (n,) m/s every ``STEP`` s.
-        start: Distance at the first sample, m.
-
-    Raises:
-        ParameterError: As :func:`simulate_wheelset`.
-    """
+    """Return the distance (n,), m, at each sample, after checking that speed and track allow the run."""
     if not (np.isfinite(speed).all() and len(speed) > 1 and speed.min() >= 0.0):
         raise ParameterError("two samples or more, none negative, are needed", field="speed")
     distance = travelled(speed, start)

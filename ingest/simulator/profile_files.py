@@ -24,11 +24,7 @@ def depth_gained(section: SectionPlan, days: float) -> float:
 
 
 def section_at(scenario: Scenario, odometer: float) -> SectionPlan:
-    """Return the section as its rails are when the vehicles' odometer stands at ``odometer``, m.
-
-    Args:
-        odometer: m.
-    """
+    """Return the section as its rails are when the vehicles' odometer stands at ``odometer``, m."""
     section, sessions = scenario.section, scenario.sessions
     gained = depth_gained(section, (odometer - sessions.first_odometer) / sessions.distance_per_day)
     if gained == 0.0:
@@ -43,11 +39,7 @@ def _deeper(wear: RailWear | None, gained: float) -> RailWear | None:
 
 @lru_cache(maxsize=256)
 def wheel_in(path: Path) -> Profile:
-    """Return the wheel profile in a file, read once in a process.
-
-    Raises:
-        ProfileError: As ``read_wheel_profile``.
-    """
+    """Return the wheel profile in a file, read once in a process."""
     return read_wheel_profile(path)
 
 
@@ -57,9 +49,6 @@ def rail_in(path: Path, mirror: bool | None) -> Profile:  # noqa: FBT001 - a pla
 
     Args:
         mirror: Whether its gauge side is at positive y of the file; None decides from the shape.
-
-    Raises:
-        ProfileError: As ``read_profile``.
     """
     return read_profile(path, "rail", mirror=mirror)
 

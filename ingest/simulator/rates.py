@@ -3,6 +3,12 @@
 The contact geometry is looked up bilinearly in (y - d, gauge deviation); the slopes of the roll angle are tabulated
 at the same nodes, so that roll rate is the chain rule phi' = phi_x (y' - d') + phi_e e', and roll acceleration is its
 time derivative.
+
+Arrays of all compiled code, in SI: ``table`` (n, g, 7), at its nodes rL, rR, dL, dR, phi, phi_x, phi_e;
+``coefficients`` (m, 8), cubic splines of alignment and gauge deviation; ``state`` and ``rates`` (6,), y, y', psi, psi',
+ym, ym' and their time derivative; ``forced`` (3,), accelerations of y, psi and ym that the path forces; ``contact``
+(8,), what was looked up, then the roll rate; ``track`` (4,), alignment and gauge deviation, each with its slope. ``s``
+is the distance.
 """
 
 from __future__ import annotations
@@ -56,12 +62,6 @@ def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) 
     """Interpolate ``table`` (n, g, 7) at (x, e) into ``out`` (7,); return whether x is inside the grid.
 
     Outside, the edge cell is continued linearly in x; e is held at the edge.
-
-    Args:
-        table: (n, g, 7) contact geometry at the nodes, in the order rL, rR, dL, dR, phi, phi_x, phi_e; m and rad.
-        x: Displacement y - d, m.
-        e: Gauge deviation, m.
-        out: (7,) written.
     """
     n, g, width = table.shape
     fx = (x - grid.x0) * grid.per_x
@@ -85,13 +85,7 @@ def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) 
 
 @stepped
 def track_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) -> None:
-    """Write alignment, its slope, gauge deviation, its slope at distance ``s`` into ``out`` (4,).
-
-    Args:
-        coefficients: (m, 8) of the cubic splines of alignment and gauge deviation in each interval, m.
-        s: Distance, m.
-        out: (4,) written: m and m/m.
-    """
+    """Write alignment, its slope, gauge deviation, its slope at distance ``s`` into ``out`` (4,)."""
     i = min(max(int((s - grid.s0) / grid.interval), 0), len(coefficients) - 1)
     h = s - grid.s0 - i * grid.interval
     c = coefficients[i]
@@ -119,17 +113,6 @@ def derivatives(
 
     ``forced`` (3,) is added to the accelerations; ``contact[7]`` is the roll rate. Return whether y - d is inside
     the contact table.
-
-    Args:
-        table: (n, g, 7) contact geometry at the nodes.
-        coefficients: (m, 8) splines of the track.
-        speed: m/s.
-        s: Distance, m.
-        state: (6,) y, y', psi, psi', ym, ym' in SI.
-        forced: (3,) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
-        rates: (6,) written.
-        contact: (8,) written: the looked-up values, then the roll rate, rad/s.
-        track: (4,) written: alignment, its slope, gauge deviation, its slope.
     """
     track_at(coefficients, grid, s, track)
     inside = look_up(table, grid, state[0] - track[0], track[2], contact)
@@ -147,26 +130,14 @@ def derivatives(
 
 @stepped
 def at_rest(c: Constants, state: FloatArray, rates: FloatArray) -> None:
-    """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring.
-
-    Args:
-        state: (6,) y, y', psi, psi', ym, ym' in SI.
-        rates: (6,) written.
-    """
+    """Write the time derivative of ``state`` (6,) of a wheelset that stands, with the mass swinging on its spring."""
     rates[:] = 0.0
     rates[4], rates[5] = state[5], -(c.ky * (state[4] - state[0]) + c.fy * state[5]) / c.suspended
 
 
 @stepped
 def equations(c: Constants, speed: float, state: FloatArray, contact: FloatArray, rates: FloatArray) -> None:
-    """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known.
-
-    Args:
-        speed: m/s, above ``STANDSTILL``.
-        state: (6,) y, y', psi, psi', ym, ym' in SI.
-        contact: (8,) rolling radii, contact angles, roll and its slopes, roll rate; m and rad.
-        rates: (6,) written.
-    """
+    """Write the time derivative of ``state`` (6,) by Eq. 1-5 into ``rates`` (6,), with ``contact`` (8,) known."""
     y, v, psi, psi_rate, ym, vm = state[0], state[1], state[2], state[3], state[4], state[5]
     roll, roll_rate, per_speed = contact[4], contact[7], 1.0 / speed
     S, R = contact[0] + contact[1], contact[0] - contact[1]

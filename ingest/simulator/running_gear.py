@@ -58,8 +58,6 @@ def gear_path(
         curves: Curvature (m,), 1/m, and cant (m,), m, on the grid ``s``.
         s: (m,) m along the section.
         distance: (n,) m of the frame's middle at each sample.
-        speed: (n,) m/s.
-        step: Interval of the samples, s.
         places: (a,) m by which each axle is ahead of the frame's middle.
     """
     curvature = CubicSpline(s, curves.curvature)
@@ -191,14 +189,8 @@ def simulate_gear(
     axle: y_f + x_i psi_f.
 
     Args:
-        speed: (n,) m/s every ``STEP`` s.
-        start: Distance of the first axle at the first sample, m.
         initial: (16,) states at the first sample in the order of ``gear_rates``; None to start at rest relative to the
             track.
-
-    Raises:
-        ParameterError: Speed that is negative or not finite, or an axle leaves the track; another number of tables than
-            of axles.
     """
     if len(tables) != gear.axles:
         raise ParameterError(f"{len(tables)} for {gear.axles} wheelsets", field="tables")

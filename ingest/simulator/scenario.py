@@ -273,11 +273,7 @@ class Scenario:
         return tuple(sorted(path for path in {section.file, *section.rail_files, *wheels} if path is not None))
 
     def vehicle(self, code: str) -> VehiclePlan:
-        """Return a vehicle by its code.
-
-        Raises:
-            ScenarioError: There is none.
-        """
+        """Return a vehicle by its code."""
         for plan in self.vehicles:
             if plan.code == code:
                 return plan

@@ -132,23 +132,14 @@ def sampled_late(signals: FloatArray, skew: float, step: float) -> FloatArray:
     """Return signals (m, n) as a node sees them that samples ``skew`` s late; linear between samples, ends held.
 
     Args:
-        signals: (m, n) every ``step`` s.
         skew: s; negative for a node that samples early.
-        step: s.
     """
     at = np.arange(signals.shape[1], dtype=np.float64)
     return np.stack([np.interp(at + skew / step, at, signal) for signal in signals])
 
 
 def vibration_of(vibration: Vibration, count: int, step: float, rng: np.random.Generator) -> FloatArray:
-    """Return the vibration (4, count) of the channels: normal, band-limited, each for itself.
-
-    Args:
-        step: Their interval, s.
-
-    Raises:
-        ParameterError: The band is not below half of the sampling rate.
-    """
+    """Return the vibration (4, count) of the channels: normal, band-limited, each for itself."""
     rate = 1.0 / step
     if not 0.0 < vibration.lowest_hz < vibration.highest_hz < 0.5 * rate:
         raise ParameterError(

@@ -123,7 +123,6 @@ def measure(
     """Return the record of a sensor node: noise, offset, drift, limits and the filter before decimation applied.
 
     Args:
-        motion: True motion of n samples every ``STEP`` s.
         offsets: (4,) constant offsets of this sensor, m/s^2 and rad/s^2 (of a gyroscope rad/s), in the order of
             ``ACCELERATIONS``.
         errors: How this node differs from its data sheet; None: not at all.

@@ -35,14 +35,7 @@ OUTPUTS = (
 
 @stepped
 def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> None:
-    """Write ``state`` + ``h`` ``rates`` into ``out``.
-
-    Args:
-        state: (n,) in SI.
-        h: Time step, s.
-        rates: (n,) time derivative of the state.
-        out: (n,) written.
-    """
+    """Write ``state`` + ``h`` ``rates`` into ``out``."""
     for k in range(len(state)):
         out[k] = state[k] + h * rates[k]
 
@@ -67,20 +60,6 @@ def runge_kutta(
     """Advance the state by one step of the classical Runge-Kutta method of 4th order.
 
     Speed rises by ``slope``, what is ``forced`` (3,) by ``forced_slope`` (3,); ``forced`` is left as it is at the end.
-
-    Args:
-        table: (n, g, 7) contact geometry at the nodes.
-        coefficients: (m, 8) splines of the track.
-        speed: At the beginning of the step, m/s.
-        slope: By which the speed rises, m/s^2.
-        s: Distance at the beginning, m.
-        h: Time step, s.
-        state: (6,) changed to the state at the end.
-        forced: (3,) accelerations that the path forces at the beginning; changed to those at the end.
-        forced_slope: (3,) by which they rise, per s.
-        stages: (5, 6) work space; the first row holds the rates at the beginning.
-        contact: (8,) work space.
-        track: (4,) work space.
     """
     k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
     middle, after = speed + 0.5 * slope * h, speed + slope * h
@@ -117,14 +96,8 @@ def integrate(
     how many samples left the contact table.
 
     Args:
-        table: (n, g, 7) contact geometry at the nodes.
-        coefficients: (m, 8) splines of the track.
-        speed: (k,) m/s at every sample.
-        distance: (k,) m at every sample.
         path: (k, 3) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
-        step: Interval of the samples, s.
         parts: (k - 1,) sub-steps of each step.
-        state: (6,) at the first sample; changed to that at the last.
         out: (17, k) written, in the order of ``OUTPUTS``.
     """
     stages, contact, track, forced = np.empty((5, STATES)), np.empty(LOOKED_UP + 1), np.empty(4), np.empty(FORCED)
@@ -155,15 +128,7 @@ def integrate(
 def write_sample(
     state: FloatArray, rates: FloatArray, contact: FloatArray, track: FloatArray, out: FloatArray, i: int
 ) -> None:
-    """Write sample ``i`` of every output into ``out`` (17, n), in the order of ``OUTPUTS``.
-
-    Args:
-        state: (6,) y, y', psi, psi', ym, ym' in SI.
-        rates: (6,) time derivative of the state.
-        contact: (8,) looked-up values and roll rate.
-        track: (4,) alignment, its slope, gauge deviation, its slope.
-        out: (17, n) written in one column.
-    """
+    """Write sample ``i`` of every output into ``out`` (17, n), in the order of ``OUTPUTS``."""
     for k in range(STATES):
         out[k, i] = state[k]
     out[6, i], out[7, i], out[8, i] = rates[1], rates[3], rates[5]
@@ -176,11 +141,6 @@ def sub_steps(speed: FloatArray, step: float, rate_at_1: float, limit: float) ->
     """Return into how many parts (n - 1,) each step is divided, so that (creep rate x sub-step) <= ``limit``.
 
     ``rate_at_1`` is the creep rate at 1 m/s; it falls with speed.
-
-    Args:
-        speed: (n,) m/s.
-        step: Interval of the samples, s.
-        rate_at_1: Creep rate at 1 m/s, 1/s; it falls with speed.
     """
     slowest = np.maximum(np.minimum(speed[1:], speed[:-1]), STANDSTILL)
     return np.maximum(1, np.ceil(rate_at_1 * step / (limit * slowest))).astype(np.int64)

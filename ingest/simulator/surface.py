@@ -20,11 +20,7 @@ LEAST_LOAD = 0.2  # of the mean: wheels stay on the rails
 
 
 def with_surface(track: TrackTruth, plan: RunningPlan, seed: int) -> TrackTruth:
-    """Return the track with what the scenario draws along it; each has a random stream of its own.
-
-    Raises:
-        ParameterError: The grid of the track does not carry the wavelengths.
-    """
+    """Return the track with what the scenario draws along it; each has a random stream of its own."""
     if not plan.changes_the_track:
         return track
     n = len(track.s)
@@ -41,12 +37,7 @@ def with_surface(track: TrackTruth, plan: RunningPlan, seed: int) -> TrackTruth:
 
 
 def friction_along(plan: FrictionPlan, n: int, interval: float, rng: np.random.Generator) -> FloatArray:
-    """Return the coefficient of friction (n,): every value between the limits is as frequent, changes are smooth.
-
-    Args:
-        plan: Limits, and the standard deviation of the Gaussian that smooths white noise.
-        n, interval: Of the grid; the latter in m.
-    """
+    """Return the coefficient of friction (n,): every value between the limits is as frequent, changes are smooth."""
     width = plan.correlation / interval
     reach = int(np.ceil(4.0 * width))
     smooth = gaussian_filter1d(rng.standard_normal(n + 2 * reach), width, mode="wrap")[reach : reach + n]
@@ -55,11 +46,7 @@ def friction_along(plan: FrictionPlan, n: int, interval: float, rng: np.random.G
 
 
 def friction_factor(plan: RunningPlan, seed: int, campaign: int) -> float:
-    """Return by what the coefficient of friction is multiplied in a campaign (from 0): rails are dry, wet or dirty.
-
-    Args:
-        campaign: From 0.
-    """
+    """Return by what the coefficient of friction is multiplied in a campaign (from 0): rails are dry, wet or dirty."""
     if plan.friction is None or plan.friction.campaign_std == 0.0:
         return 1.0
     return float(np.exp(plan.friction.campaign_std * generator(seed, Stream.FRICTION, campaign).standard_normal()))
@@ -69,7 +56,6 @@ def with_stretches(track: TrackTruth, plan: RunningPlan, campaign: int, mean_fri
     """Return the track of one campaign: with the stretches of another friction that there are by then.
 
     Args:
-        campaign: From 0.
         mean_friction: What the friction of the track is over, in that campaign.
     """
     there = [one for one in plan.stretches if campaign + 1 >= one.from_campaign]
@@ -91,7 +77,6 @@ def _inside(stretch: FrictionStretch, s: FloatArray) -> FloatArray:
 
 
 def _drawn(track: TrackTruth, waves: Waves, rng: np.random.Generator, key: str) -> FloatArray:
-    """Return the sum of waves (n,) on the grid of the track."""
     try:
         values = superpose([waves], [rng], length=track.length, interval=track.interval)
     except ParameterError as error:

@@ -149,11 +149,7 @@ class TrackRecipe:
 
 
 def make_track(recipe: TrackRecipe, seed: np.random.SeedSequence) -> TrackTruth:
-    """Return a track after the B176 spectra; alignment, gauge and all else have random streams of their own.
-
-    Raises:
-        ParameterError: The recipe cannot be made; its field is that of a scenario's section.
-    """
+    """Return a track after the B176 spectra; alignment, gauge and all else have random streams of their own."""
     alignment_rng, gauge_rng, *others = (np.random.default_rng(child) for child in seed.spawn(4 + len(recipe.isolated)))
     alignment_parts = [Waves("alignment", recipe.alignment_std, recipe.wavelengths), recipe.long_alignment]
     gauge_parts = [Waves("gauge", recipe.gauge_std, recipe.wavelengths), recipe.long_gauge]

@@ -62,9 +62,6 @@ def worn_contact(
         gauge_deviation: (g,) m, for which gauges.
         limit: m of lateral displacement to either side.
         step: m of lateral displacement between the points of the table.
-
-    Raises:
-        ContactError: The profiles never touch.
     """
     wheelset = _on_track(plan, wear, section)
     return WornContact(wheelset, contact_table(wheelset, _grid(limit, step), gauge_deviation, outside="hold"))
@@ -130,9 +127,6 @@ def truth_of(contact: WornContact) -> GeometryTruth:
 
     Args:
         contact: As :func:`worn_contact` returns it; contact is searched again, for the wheelset rolls in its table.
-
-    Raises:
-        ContactError: The profiles never touch.
     """
     grid = contact.table.lateral_displacement
     table = contact_table(contact.wheelset, grid, method=ContactMethod.EN15302, outside="hold")

@@ -109,11 +109,7 @@ def load_properties(path: Path) -> dict[str, str]:
 
 
 def require_client() -> None:
-    """Refuse to go on without the library.
-
-    Raises:
-        PassingFaultError: It is not installed.
-    """
+    """Refuse to go on without the library."""
     if importlib.util.find_spec("confluent_kafka") is None:
         missing = "the Kafka client is not installed: pip install 'treadwatch[kafka]'"
         raise PassingFaultError(missing, code=ReasonCode.WAITS_FOR_EXTRA)

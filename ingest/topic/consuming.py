@@ -61,11 +61,7 @@ class Consuming:
         self._looked_s = float("-inf")
 
     def run(self) -> None:
-        """Consume; what has no committed offset at the end comes again.
-
-        Raises:
-            MigrationError: The database is at another migration.
-        """
+        """Consume; what has no committed offset at the end comes again."""
         while not self._stopped():
             message = self._reader.next(POLL_S)
             if message is not None:
@@ -154,7 +150,6 @@ class Consuming:
             return False
 
     def _held(self, reference: Reference, error: Exception) -> bool:
-        """Keep a reference at which something fails; False where the database cannot take that either."""
         try:
             self._taking.held.hold(reference, error)
         except StorageError as fault:
@@ -163,8 +158,6 @@ class Consuming:
         return True
 
     def _decode(self, vehicle: str | None) -> int:
-        """Decode what waits, of a vehicle or of all; return of how many chunks that is done."""
-
         def checkpoint(done: int, total: int) -> None:
             if self._stopped():
                 raise StoppedError(done, total)

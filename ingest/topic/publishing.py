@@ -52,10 +52,6 @@ class Publisher:
     Args:
         fleet_of: Returns the fleet of a vehicle; raises TreadwatchError where it is not known.
         most_waiting: References that may wait.
-
-    Raises:
-        PassingFaultError: The client is not installed.
-        InputError: Its configuration cannot be used.
     """
 
     def __init__(self, topic: Topic, fleet_of: Callable[[str], str], most_waiting: int = MOST_WAITING) -> None:
@@ -140,7 +136,6 @@ class Publisher:
             self._handed += 1
 
     def _serve(self) -> None:
-        """Take reports of deliveries and of faults."""
         from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
 
         try:

@@ -36,12 +36,7 @@ class Received:
 
 
 class TopicReader:
-    """Joins the group; used by one thread.
-
-    Raises:
-        PassingFaultError: The client is not installed.
-        InputError: Its configuration cannot be used.
-    """
+    """Joins the group; used by one thread."""
 
     def __init__(self, topic: Topic, status: ConsumerStatus) -> None:
         require_client()
@@ -172,7 +167,6 @@ class TopicReader:
         _log.info("%d partitions of the topic %s are this consumer's", len(self._assignments), self._topic.name)
 
     def _behind_by(self, partition: TopicPartition) -> int:
-        """Return how many messages of a partition are not taken, as far as they are known."""
         marks = self._consumer.get_watermark_offsets(partition, cached=True)
         (position,) = self._consumer.position([partition])
         if not marks or marks[1] < 0:

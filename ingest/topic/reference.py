@@ -53,9 +53,6 @@ class Reference:
     """What a message says of a chunk.
 
     Attributes:
-        digest: sha256 of its bytes, in hexadecimal.
-        suffix: Of its format, such as ``.blf``.
-        size_bytes: Of the chunk.
         received_ns: When it was received, ns UTC of the clock of whoever published the reference.
     """
 

@@ -40,11 +40,7 @@ class HeldReferences:
     clock: Clock
 
     def hold(self, reference: Reference, error: Exception) -> None:
-        """Keep a reference with what stood against it.
-
-        Args:
-            reference: To a chunk without a receipt.
-        """
+        """Keep a reference with what stood against it."""
         subject, text = (SubjectKind.RECORDING, reference.digest, STAGE), as_text(reference)
         with self.storage.write() as unit:
             if unit.chunks.get(reference.digest) is not None:
@@ -112,7 +108,6 @@ class ReferenceTaking:
         return taken
 
     def _new(self, reference: Reference) -> Taken:
-        """Commit the receipt of a chunk whose bytes are in the raw store; keep the reference where they are not."""
         check_raw_store(self.storage, self.raw, self.clock.now_ns())
         found = self._fault(reference)
         if found is not None:
