@@ -19,8 +19,8 @@ from ingest.align.clock import (
     AlignedFrames,
     TickedValues,
     merge_aligned,
+    values_near,
 )
-from ingest.align.nearby import values_near
 from ingest.align.windows import (
     MountedWindow,
     RegistryLookup,
@@ -35,8 +35,8 @@ from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.intake import check_alone
 from ingest.frames import count_dropped
 from ingest.own_bus.bus import OwnBus
-from ingest.own_bus.samples import own_samples
-from ingest.plausibility.vehicle_clock import clock_verdict
+from ingest.own_bus.decoding import own_samples
+from ingest.plausibility import clock_verdict
 from ingest.recordings import (
     RECORDER_FIRST,
     RECORDER_LAST,

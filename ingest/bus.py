@@ -17,7 +17,7 @@ import can
 import numpy as np
 
 from estimation.errors import ConflictError, ParameterError
-from ingest.canopen import SYNC_ID
+from ingest.catalogue import SYNC_ID
 from ingest.frames import (
     ERROR_FLAG,
     EXTENDED_FLAG,

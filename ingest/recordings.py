@@ -14,8 +14,7 @@ from fleet_db.atomic_files import passing_faults
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
-from ingest.align.clock import TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate
-from ingest.align.nearby import frames_near
+from ingest.align.clock import TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate, frames_near
 from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.bundle import read_bundle

@@ -37,7 +37,7 @@ from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.file_value import Inline, read_value, table_of
 from ingest.input_file import InputFile, InputTable, Location, NotNegative, Positive, Text, field_error, read_json
-from ingest.profiles.wheel_profile import read_wheel_profile
+from ingest.profiles.files import read_wheel_profile
 from ingest.registry_entry.contents import (
     Entry,
     LoadedRegistry,

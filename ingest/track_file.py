@@ -18,8 +18,8 @@ import numpy as np
 from estimation.errors import InputError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import SectionLine, TrackSectionRecord
-from ingest.bounded_file import TABLE_BYTES, read_text_within
-from ingest.plausibility.vehicle_place import steps_m
+from ingest.input_file import TABLE_BYTES, read_text_within
+from ingest.plausibility import steps_m
 
 COLUMNS = ("s_m", "alignment_mm", "gauge_deviation_mm")
 GAUGE_COLUMNS = ("s_m", "gauge_deviation_mm")

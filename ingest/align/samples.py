@@ -16,8 +16,7 @@ from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
 from ingest.align.window_samples import between_frames
 from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, PLACE, POSITION, STATUS, VEHICLE_NODE, Catalogue
 from ingest.codec import MessageValues
-from ingest.plausibility.repeated_positions import without_repeats
-from ingest.plausibility.vehicle_motion import odometer_excess, possible_motion
+from ingest.plausibility import odometer_excess, possible_motion, without_repeats
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,7 +33,7 @@ from ingest.align.samples import (
 )
 from ingest.align.window_samples import gaps_of, good_samples, gridded, on_section, range_of
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
-from ingest.plausibility.vehicle_place import off_line_m
+from ingest.plausibility import off_line_m
 
 OF_BOX = [ACCELERATIONS.index(name) for name in ("lateral_acceleration", "yaw_acceleration", "roll_acceleration")]
 LATERAL, _, ROLL = OF_BOX

@@ -13,8 +13,8 @@ import numpy as np
 
 from estimation.errors import ExchangeError
 from estimation.values.arrays import FloatArray, frozen_array
-from ingest.bounded_file import MEBIBYTE, TABLE_BYTES, read_text_within
 from ingest.exchange.description import CsvTable
+from ingest.input_file import MEBIBYTE, TABLE_BYTES, read_text_within
 
 PARQUET = ".parquet"
 SUFFIXES = (".csv", ".txt", PARQUET)

@@ -23,9 +23,9 @@ import numpy as np
 from estimation.errors import ExchangeError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from fleet_db.atomic_files import passing_fault
-from ingest.bounded_file import MEBIBYTE, end_with, limit_memory
 from ingest.exchange.description import CsvTable
 from ingest.exchange.table import ExchangeTable, read_table
+from ingest.input_file import MEBIBYTE, end_with, limit_memory
 
 MEMORY_BYTES = 2048 * MEBIBYTE
 """Of address space, beyond what the process has before it reads: four times the largest table that is taken."""

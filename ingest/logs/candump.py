@@ -7,8 +7,7 @@ from pathlib import Path
 
 from ingest.frames import ERROR_FLAG, REMOTE_FLAG
 from ingest.logs.log_format import FrameSink, LogFormat, ReadLimits, library_channel_name
-from ingest.logs.text_lines import Facts, LineFormat, identifier_limits
-from ingest.logs.text_log import TextLog
+from ingest.logs.text_lines import Facts, LineFormat, TextLog, identifier_limits
 
 _FRAME = re.compile(
     r"\((?P<seconds>\d{1,10})\.(?P<fraction>\d{3,9})\) (?P<channel>[!-~]+) "

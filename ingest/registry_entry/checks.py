@@ -15,7 +15,7 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.utc_text import utc_text
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.distances import MOUNTINGS, LifeOnFile, any_windows, lives_on_file, mountings_where, windows_beside
-from ingest.registry_entry.contradiction import Contradiction, Kind, RecordName, Rule
+from ingest.registry_entry.contents import Contradiction, Kind, RecordName, Rule
 
 LEAST_RADIUS_MM, MOST_RADIUS_MM = 140.0, 650.0
 """Of usual wheels: of low-floor wagons, worn; of electric locomotives, new."""

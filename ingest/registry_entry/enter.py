@@ -23,14 +23,18 @@ from ingest.registry_entry.checks import Entered, contradictions, mileage_point
 from ingest.registry_entry.classes_on_file import class_refusals, without_class
 from ingest.registry_entry.contents import (
     ARRAYS,
+    CONFIRMABLE,
+    Contradiction,
     Entry,
+    Kind,
     LoadedRegistry,
+    RecordName,
     Refusal,
     RegistryContents,
     RegistryRefusedError,
+    Rule,
     Source,
 )
-from ingest.registry_entry.contradiction import CONFIRMABLE, Contradiction, Kind, RecordName, Rule
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")

@@ -15,16 +15,13 @@ from estimation.errors import ContactError, ProfileError, ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
-from ingest.simulator.campaign import VehicleRun
+from ingest.simulator.campaign import VehicleRun, friction_factor, with_stretches
 from ingest.simulator.drawn_fleet import vehicle_bogie, vehicle_parameters
 from ingest.simulator.motion import WheelsetMotion, simulate_wheelset
-from ingest.simulator.profile_files import section_at
-from ingest.simulator.random_streams import Stream, generator
 from ingest.simulator.running_gear import RunningGear, Wheel, simulate_gear
-from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
-from ingest.simulator.surface import friction_factor, with_stretches
+from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, WheelsetPlan, generator
 from ingest.simulator.track import TrackTruth
-from ingest.simulator.wear import GeometryTruth, WornContact, truth_of, wear_at, worn_contact
+from ingest.simulator.wear import GeometryTruth, WornContact, section_at, truth_of, wear_at, worn_contact
 
 DISPLACEMENT_LIMIT = 8e-3  # m
 DRAWN_LIMIT = 12e-3  # m, the same of a drawn fleet, whose worn wheelsets swing further

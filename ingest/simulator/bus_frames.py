@@ -14,14 +14,12 @@ from estimation.errors import ScenarioError
 from estimation.values.arrays import BoolArray, IntArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
 from ingest import catalogue as kinds
-from ingest.canopen import sync_counter, time_of_day
-from ingest.catalogue import Catalogue, MessagePlan
+from ingest.catalogue import Catalogue, MessagePlan, sync_counter, time_of_day
 from ingest.codec import encode
 from ingest.frames import FrameBatch, concatenate, sort_by_time, take
 from ingest.simulator.campaign import VehicleRun, failed, odometer_scale
 from ingest.simulator.motion import STEP
-from ingest.simulator.random_streams import Stream, generator
-from ingest.simulator.scenario import NORMAL_REACH, BusPlan, FaultKind, Scenario
+from ingest.simulator.scenario import NORMAL_REACH, BusPlan, FaultKind, Scenario, Stream, generator
 from ingest.simulator.sensors import SensorRecord
 
 SECOND_NS = 1_000_000_000

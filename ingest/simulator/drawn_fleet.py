@@ -13,8 +13,15 @@ from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
 from ingest.simulator.drawn_plan import DrawnFleet, FleetWear, ProfilePair, WearDistribution
-from ingest.simulator.random_streams import Stream, generator
-from ingest.simulator.scenario import Scenario, VehicleErrors, VehiclePlan, WheelsetPlan, usual_offsets
+from ingest.simulator.scenario import (
+    Scenario,
+    Stream,
+    VehicleErrors,
+    VehiclePlan,
+    WheelsetPlan,
+    generator,
+    usual_offsets,
+)
 from ingest.simulator.section import RailFiles, SideFiles
 
 MOST_DRAWS = 1000  # of a wear within its limits

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import can
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from estimation.errors import ScenarioError
+from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray
+from ingest.bus import send
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch
 from ingest.logs.blf_writer import write_blf
@@ -34,8 +37,7 @@ from ingest.simulator.campaign import (
 )
 from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less_wear
 from ingest.simulator.motion import WheelsetMotion
-from ingest.simulator.random_streams import Stream, generator, seed_of
-from ingest.simulator.scenario import Scenario, VehiclePlan
+from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, seed_of
 from ingest.simulator.sensors import SensorRecord
 from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track
@@ -342,3 +344,47 @@ def _recordings(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+PAUSE_S = 5.0
+"""Pause between two campaigns: longer than a receiver extrapolates the vehicle's clock."""
+
+
+def transmit(
+    scenario: Scenario,
+    bus: can.BusABC,
+    vehicle: str,
+    *,
+    speed_up: float = 1.0,
+    stop: threading.Event | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> int:
+    """Send every campaign of ``vehicle`` on ``bus``; return the frames sent.
+
+    The kilometres between campaigns are not waited for: the vehicle's clock and odometer jump. With ``speed_up`` the
+    frames come faster than by the vehicle's clock. A receiver refuses that, because its signal catalogue contains the
+    rate of SYNC.
+
+    Args:
+        progress: Called with (campaign from 1, frames sent so far) before each campaign.
+    """
+    if not speed_up > 0.0:
+        raise ParameterError(f"{speed_up} is not positive", field="speed_up")
+    plan, track, ended, sent = scenario.vehicle(vehicle), scenario_track(scenario), stop or threading.Event(), 0
+    for campaign in range(scenario.sessions.campaigns):
+        if campaign > 0 and ended.wait(PAUSE_S / speed_up):
+            break
+        if progress is not None:
+            progress(campaign + 1, sent)
+        batch, _ = simulate_campaign(scenario, track, plan, campaign)
+        sent += send(bus, _scaled_time(batch, speed_up), stop=ended)
+        if ended.is_set():
+            break
+    return sent
+
+
+def _scaled_time(batch: FrameBatch, speed_up: float) -> FrameBatch:
+    if speed_up == 1.0 or len(batch) == 0:
+        return batch
+    first = batch.t_ns[0]
+    return replace(batch, t_ns=first + ((batch.t_ns - first) / speed_up).astype(batch.t_ns.dtype))

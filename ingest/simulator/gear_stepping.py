@@ -21,8 +21,7 @@ from ingest.simulator.gear_rates import (
     Wheels,
     gear_rates,
 )
-from ingest.simulator.rates import STANDSTILL, Grid, stepped
-from ingest.simulator.stepping import OUTPUTS, advance
+from ingest.simulator.rates import OUTPUTS, STANDSTILL, Grid, advance, stepped
 
 GEAR_OUTPUTS = (*OUTPUTS, "frame_yaw")
 TRACK = 4

@@ -12,10 +12,19 @@ from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import VehicleParameters, creep_rate
-from ingest.simulator.curves import path_motion
-from ingest.simulator.rates import FORCED, LOOKED_UP, STATES, Constants, Grid
-from ingest.simulator.stepping import OUTPUTS, integrate, sub_steps, time_derivative, uniform_spacing
-from ingest.simulator.track import TrackTruth
+from ingest.simulator.rates import (
+    FORCED,
+    LOOKED_UP,
+    OUTPUTS,
+    STATES,
+    Constants,
+    Grid,
+    integrate,
+    sub_steps,
+    time_derivative,
+    uniform_spacing,
+)
+from ingest.simulator.track import TrackTruth, path_motion
 
 STEP = 1e-3  # s
 RATE_LIMIT = 1.0  # creep rate x sub-step; Runge-Kutta of 4th order is stable to 2.78

@@ -13,7 +13,6 @@ from estimation.values.arrays import FloatArray, frozen_array
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters, creep_rate
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters
 from ingest.simulator.creep_laws import Creep, CreepLaw
-from ingest.simulator.curves import Curves
 from ingest.simulator.gear_rates import (
     AXLE_PATH,
     AXLE_STATES,
@@ -35,9 +34,8 @@ from ingest.simulator.motion import (
     constants,
     course,
 )
-from ingest.simulator.rates import STANDSTILL, Grid
-from ingest.simulator.stepping import OUTPUTS, sub_steps, time_derivative
-from ingest.simulator.track import TrackTruth
+from ingest.simulator.rates import OUTPUTS, STANDSTILL, Grid, sub_steps, time_derivative
+from ingest.simulator.track import Curves, TrackTruth
 
 
 def gear_path(

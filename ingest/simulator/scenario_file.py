@@ -25,7 +25,6 @@ from ingest.simulator.creep_laws import Creep
 from ingest.simulator.drawn_fleet import drawn_serial, with_seed
 from ingest.simulator.drawn_plan import DrawnFleet
 from ingest.simulator.listed_fleet import DynamicsTable, VehicleTable, impossible_bogies
-from ingest.simulator.profile_files import DAYS_PER_YEAR, rail_in, wheel_in
 from ingest.simulator.running import CreepTable, RunningPlan, TractionTable, WheelsTable
 from ingest.simulator.scenario import (
     BusPlan,
@@ -38,6 +37,7 @@ from ingest.simulator.scenario import (
 )
 from ingest.simulator.section import RailFiles, SectionTable
 from ingest.simulator.sensors import SensorNode, SensorsTable
+from ingest.simulator.wear import DAYS_PER_YEAR, rail_in, wheel_in
 from ingest.vehicle_class_file import read_vehicle_class, shipped_classes, shipped_path
 
 

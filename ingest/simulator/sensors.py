@@ -26,6 +26,7 @@ from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.file_value import between
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.motion import STEP, WheelsetMotion
+from ingest.simulator.rates import time_derivative
 from ingest.simulator.sensor_errors import (
     NodeErrors,
     SensorErrors,
@@ -34,7 +35,6 @@ from ingest.simulator.sensor_errors import (
     sampled_late,
     vibration_of,
 )
-from ingest.simulator.stepping import time_derivative
 
 FULL_RATE_HZ = round(1.0 / STEP)
 VELOCITIES = ("lateral_velocity", "yaw_rate", "roll_rate", "mass_lateral_velocity")  # as in ACCELERATIONS

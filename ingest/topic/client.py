@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 from estimation.errors import InputError, PassingFaultError
 from estimation.values.reasons import ReasonCode
-from ingest.bounded_file import SETTINGS_BYTES, read_text_within
+from ingest.input_file import SETTINGS_BYTES, read_text_within
 
 GROUP = "treadwatch"
 """The one group of all consumers of a deployment."""

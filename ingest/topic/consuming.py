@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from estimation.errors import MigrationError, PassingFaultError, StoppedError, StorageError
 from estimation.failures import first_line
 from fleet_db.storage import SqlStorage
-from ingest.intake.backlog import Behind, Limit
-from ingest.intake.decoding import decode_received
+from ingest.intake.backlog import Behind, Limit, decode_received
 from ingest.live.backoff import Backoff
 from ingest.receiver import Receiver
 from ingest.topic.reading import Received, TopicReader
-from ingest.topic.reference import Outcome, Reference, Refused, read_message
-from ingest.topic.status import ConsumerStatus
+from ingest.topic.reference import ConsumerStatus, Outcome, Reference, Refused, read_message
 from ingest.topic.taking import ReferenceTaking, Taken
 
 POLL_S = 0.5

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ingest.topic.client import Topic, connected, require_client
-from ingest.topic.status import ConsumerStatus
+from ingest.topic.reference import ConsumerStatus
 
 if TYPE_CHECKING:
     from confluent_kafka import Consumer, KafkaError, Message, TopicPartition

@@ -7,7 +7,7 @@ import pytest
 
 from estimation.values.arrays import FloatArray
 from ingest.align.samples import Track, VehicleMotion
-from ingest.plausibility.repeated_positions import LEAST_RUN, SPARE_M, SPARE_SHARE, without_repeats
+from ingest.plausibility import LEAST_RUN, SPARE_M, SPARE_SHARE, without_repeats
 
 TICK = np.arange(0, 2000)
 RUN = np.asarray(0.4 * TICK, np.float64)  # 20 m/s, a frame each 0.02 s
