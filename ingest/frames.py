@@ -11,11 +11,12 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from estimation.values.arrays import BoolArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FrozenArrays, IntArray
 
 EXTENDED_FLAG = 0x8000_0000
 
@@ -25,7 +26,7 @@ ERROR_FLAG = 0x2000_0000
 
 
 @dataclass(frozen=True, slots=True)
-class FrameBatch:
+class FrameBatch(FrozenArrays):
     """Frames of one bus, in the order they were recorded.
 
     ``arbitration_id`` carries SocketCAN's flags in its upper bits (EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG).
@@ -33,19 +34,10 @@ class FrameBatch:
     """
 
     channel: str
-    t_ns: IntArray  # (n,)
-    arbitration_id: npt.NDArray[np.uint32]  # (n,)
-    dlc: npt.NDArray[np.uint8]  # (n,)
-    data: npt.NDArray[np.uint8]  # (n, 8)
-
-    def __post_init__(self) -> None:
-        n = len(self.t_ns)
-        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (n,), np.int64, name="t_ns"))
-        object.__setattr__(
-            self, "arbitration_id", frozen_array(self.arbitration_id, (n,), np.uint32, name="arbitration_id")
-        )
-        object.__setattr__(self, "dlc", frozen_array(self.dlc, (n,), np.uint8, name="dlc"))
-        object.__setattr__(self, "data", frozen_array(self.data, (n, 8), np.uint8, name="data"))
+    t_ns: Annotated[IntArray, "n"]
+    arbitration_id: Annotated[npt.NDArray[np.uint32], "n"]
+    dlc: Annotated[npt.NDArray[np.uint8], "n"]
+    data: Annotated[npt.NDArray[np.uint8], "n", 8]
 
     def __len__(self) -> int:
         return len(self.t_ns)

@@ -13,12 +13,12 @@ Most recordings leave none; only where they do it matters when frames of a messa
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 
 REACH_NS = 2_000_000_000
 """Frames of a message this near decide its usual delay and its rhythm; less than the reach of TIME, which joins
@@ -44,17 +44,13 @@ _COUNTS = 1 << 20  # of a unit vector: sums of whole numbers do not depend on wh
 
 
 @dataclass(frozen=True, slots=True)
-class SyncClock:
+class SyncClock(FrozenArrays):
     """The SYNCs whose numbers are known, by the recorder's time."""
 
-    t_ns: IntArray  # (k,) recorder
-    tick: IntArray  # (k,) sampling intervals since the Unix epoch, vehicle
-    sent_ns: IntArray  # (k,) recorder, with less jitter than the stamps
+    t_ns: Annotated[IntArray, "n"]  # (k,) recorder
+    tick: Annotated[IntArray, "n"]  # (k,) sampling intervals since the Unix epoch, vehicle
+    sent_ns: Annotated[IntArray, "n"]  # (k,) recorder, with less jitter than the stamps
     interval_ns: int
-
-    def __post_init__(self) -> None:
-        for name in ("t_ns", "tick", "sent_ns"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (len(self.t_ns),), np.int64, name=name))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray
 from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
 from ingest.align.window_samples import between_frames
@@ -20,21 +21,15 @@ from ingest.plausibility import odometer_excess, possible_motion, without_repeat
 
 
 @dataclass(frozen=True, slots=True)
-class SampleBlock:
+class SampleBlock(FrozenArrays):
     """Samples of one node of one vehicle on one time base; where ``valid`` is False the value is NaN."""
 
     vehicle: str
     node: int
-    signals: tuple[str, ...]  # m names
-    t_ns: IntArray  # (n,), strictly increasing
-    values: FloatArray  # (n, m)
-    valid: BoolArray  # (n, m)
-
-    def __post_init__(self) -> None:
-        n, m = len(self.t_ns), len(self.signals)
-        object.__setattr__(self, "t_ns", frozen_array(self.t_ns, (n,), np.int64, name="t_ns"))
-        object.__setattr__(self, "values", frozen_array(self.values, (n, m), name="values"))
-        object.__setattr__(self, "valid", frozen_array(self.valid, (n, m), np.bool_, name="valid"))
+    signals: Annotated[tuple[str, ...], "m"]
+    t_ns: Annotated[IntArray, "n"]  # strictly increasing
+    values: Annotated[FloatArray, "n", "m"]
+    valid: Annotated[BoolArray, "n", "m"]
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -45,25 +40,18 @@ COUNTER_VALUES = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
-class NodeSamples:
+class NodeSamples(FrozenArrays):
     """Samples of one node; ``clipped`` and ``invalid`` mark samples as their sensor reported them.
 
     ``saturated`` has what ``block`` has, and values at the ends of their ranges, which are not valid there.
     """
 
     block: SampleBlock
-    saturated: FloatArray  # (n, 4)
-    clipped: BoolArray  # (n,) a raw value on its limit, or the clipping bit of the mass in its second
-    invalid: BoolArray  # (n,) a raw value "not available" or outside its limits
-    fault_ns: IntArray  # (f,) when the self-test was reported failed or an emergency was sent
+    saturated: Annotated[FloatArray, "n", None]
+    clipped: Annotated[BoolArray, "n"]  # a raw value on its limit, or the clipping bit of the mass in its second
+    invalid: Annotated[BoolArray, "n"]  # a raw value "not available" or outside its limits
+    fault_ns: Annotated[IntArray, None]  # (f,) when the self-test was reported failed or an emergency was sent
     clipped_seconds: BoolArray | None = None  # (n,) samples of the seconds in which the axle box clipped somewhere
-
-    def __post_init__(self) -> None:
-        n = len(self.block)
-        object.__setattr__(self, "saturated", frozen_array(self.saturated, (n, None), name="saturated"))
-        object.__setattr__(self, "clipped", frozen_array(self.clipped, (n,), np.bool_, name="clipped"))
-        object.__setattr__(self, "invalid", frozen_array(self.invalid, (n,), np.bool_, name="invalid"))
-        object.__setattr__(self, "fault_ns", frozen_array(self.fault_ns, (None,), np.int64, name="fault_ns"))
 
 
 def node_samples(
@@ -169,16 +157,11 @@ NO_SECTION = -1
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class Track(FrozenArrays):
     """A quantity of the vehicle node at the instants of its frames; NaN where the node sent "not available"."""
 
-    tick: IntArray  # (n,) strictly increasing
-    values: FloatArray  # (n, m)
-
-    def __post_init__(self) -> None:
-        n = len(self.tick)
-        object.__setattr__(self, "tick", frozen_array(self.tick, (n,), np.int64, name="tick"))
-        object.__setattr__(self, "values", frozen_array(self.values, (n, None), name="values"))
+    tick: Annotated[IntArray, "n"]  # strictly increasing
+    values: Annotated[FloatArray, "n", None]
 
 
 NO_FIXES = Track(np.empty(0, np.int64), np.empty((0, 2)))

@@ -11,12 +11,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 import scipy.special
 
 from estimation.errors import ExchangeError
-from estimation.values.arrays import FloatArray, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.registry import MAX_AXLES
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import GRAVITY
@@ -157,20 +158,14 @@ class RegistryFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class ExchangeRun:
+class ExchangeRun(FrozenArrays):
     """A run at the sampling instants of the vehicle's clock; x forward, y left, z up."""
 
-    tick: IntArray  # (n,) sampling intervals since 1970
-    distance: FloatArray  # (n,) m along the section, of the vehicle's reference point
-    speed: FloatArray  # (n,) m/s
-    odometer_m: FloatArray  # (n,)
+    tick: Annotated[IntArray, "n"]  # sampling intervals since 1970
+    distance: Annotated[FloatArray, "n"]  # m along the section, of the vehicle's reference point
+    speed: Annotated[FloatArray, "n"]  # m/s
+    odometer_m: Annotated[FloatArray, "n"]
     accelerations: Mapping[int, FloatArray]  # by axle, (n, 4) in the order of ACCELERATIONS
-
-    def __post_init__(self) -> None:
-        n = len(self.tick)
-        object.__setattr__(self, "tick", frozen_array(self.tick, (n,), np.int64, name="tick"))
-        for name in ("distance", "speed", "odometer_m"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
 
 
 def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts) -> ExchangeRun:

@@ -9,13 +9,14 @@ each turned half round. Its nodes keep their places and axes, which point agains
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 from scipy.special import ndtr
 
 from estimation.errors import ParameterError, ScenarioError
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from ingest.simulator.irregularity import Waves, superpose
 from ingest.simulator.motion import STEP, WheelsetMotion, travelled
 from ingest.simulator.running import (
@@ -159,21 +160,16 @@ RUN_OUT = 50.0  # m behind it where the last axle ends
 
 
 @dataclass(frozen=True, slots=True)
-class VehicleRun:
+class VehicleRun(FrozenArrays):
     """The course of one vehicle over one campaign, every ``STEP`` s; reference is the vehicle's position antenna."""
 
     vehicle: VehiclePlan
     campaign: int  # from 0
     start_ns: int  # vehicle clock
     odometer: float  # m, at the start
-    speed: FloatArray  # (n,) m/s
-    distance: FloatArray  # (n,) m along the section, of the reference
-    reported: FloatArray  # (n,) m, the same as the vehicle reports it
-
-    def __post_init__(self) -> None:
-        n = len(self.speed)
-        for name in ("speed", "distance", "reported"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+    speed: Annotated[FloatArray, "n"]  # m/s
+    distance: Annotated[FloatArray, "n"]  # m along the section, of the reference
+    reported: Annotated[FloatArray, "n"]  # m, the same as the vehicle reports it
 
 
 def scenario_track(scenario: Scenario) -> TrackTruth:

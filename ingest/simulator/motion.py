@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from estimation.errors import ParameterError
-from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.windows import ACCELERATIONS
+from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
 from estimation.vehicle.equations_of_motion import VehicleParameters, creep_rate
 from ingest.simulator.rates import (
     FORCED,
@@ -52,7 +51,7 @@ class ContactGeometryTable(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class WheelsetMotion:
+class WheelsetMotion(FrozenArrays):
     """The true motion of a wheelset and its suspended mass, every ``STEP`` s; all arrays (n,), SI.
 
     ``outside`` counts samples whose lateral displacement left the contact table: there the motion means nothing.
@@ -60,42 +59,33 @@ class WheelsetMotion:
     curves.
     """
 
-    t: FloatArray  # s, from 0
-    distance: FloatArray  # m along the section, of this wheelset
-    speed: FloatArray  # m/s
-    lateral_displacement: FloatArray  # y, m, absolute
-    lateral_velocity: FloatArray
-    lateral_acceleration: FloatArray
-    yaw: FloatArray  # psi, rad
-    yaw_rate: FloatArray
-    yaw_acceleration: FloatArray
-    roll: FloatArray  # phi, rad
-    roll_rate: FloatArray
-    roll_acceleration: FloatArray
-    mass_lateral_displacement: FloatArray  # ym, m, absolute
-    mass_lateral_velocity: FloatArray
-    mass_lateral_acceleration: FloatArray
-    alignment: FloatArray  # d at the wheelset, m
-    gauge_deviation: FloatArray  # at the wheelset, m
-    rolling_radius_left: FloatArray  # m
-    rolling_radius_right: FloatArray  # m
-    contact_angle_left: FloatArray  # rad
-    contact_angle_right: FloatArray  # rad
+    t: Annotated[FloatArray, "n"]  # s, from 0
+    distance: Annotated[FloatArray, "n"]  # m along the section, of this wheelset
+    speed: Annotated[FloatArray, "n"]  # m/s
+    lateral_displacement: Annotated[FloatArray, "n"]  # y, m, absolute
+    lateral_velocity: Annotated[FloatArray, "n"]
+    lateral_acceleration: Annotated[FloatArray, "n"]
+    yaw: Annotated[FloatArray, "n"]  # psi, rad
+    yaw_rate: Annotated[FloatArray, "n"]
+    yaw_acceleration: Annotated[FloatArray, "n"]
+    roll: Annotated[FloatArray, "n"]  # phi, rad
+    roll_rate: Annotated[FloatArray, "n"]
+    roll_acceleration: Annotated[FloatArray, "n"]
+    mass_lateral_displacement: Annotated[FloatArray, "n"]  # ym, m, absolute
+    mass_lateral_velocity: Annotated[FloatArray, "n"]
+    mass_lateral_acceleration: Annotated[FloatArray, "n"]
+    alignment: Annotated[FloatArray, "n"]  # d at the wheelset, m
+    gauge_deviation: Annotated[FloatArray, "n"]  # at the wheelset, m
+    rolling_radius_left: Annotated[FloatArray, "n"]  # m
+    rolling_radius_right: Annotated[FloatArray, "n"]  # m
+    contact_angle_left: Annotated[FloatArray, "n"]  # rad
+    contact_angle_right: Annotated[FloatArray, "n"]  # rad
     outside: int
-    path_accelerations: FloatArray | None = None  # (4, n) in the order of ACCELERATIONS; None on straight track
-    frame_yaw: FloatArray | None = None  # psi_f, rad, of the bogie frame; None without one
-    mass_roll: FloatArray | None = None  # rad, of what the mass sensor is on; None: as the wheelset
-
-    def __post_init__(self) -> None:
-        n = len(self.t)
-        for name in ("t", "distance", "speed", "roll_acceleration", *OUTPUTS):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        if self.path_accelerations is not None:
-            accelerations = frozen_array(self.path_accelerations, (len(ACCELERATIONS), n), name="path_accelerations")
-            object.__setattr__(self, "path_accelerations", accelerations)
-        for name in ("frame_yaw", "mass_roll"):
-            if (values := getattr(self, name)) is not None:
-                object.__setattr__(self, name, frozen_array(values, (n,), name=name))
+    path_accelerations: Annotated[FloatArray, 4, "n"] | None = (
+        None  # (4, n) in the order of ACCELERATIONS; None on straight track
+    )
+    frame_yaw: Annotated[FloatArray, "n"] | None = None  # psi_f, rad, of the bogie frame; None without one
+    mass_roll: Annotated[FloatArray, "n"] | None = None  # rad, of what the mass sensor is on; None: as the wheelset
 
     def __len__(self) -> int:
         return len(self.t)

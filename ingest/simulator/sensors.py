@@ -19,7 +19,7 @@ import scipy.signal
 from pydantic import AfterValidator
 
 from estimation.errors import ParameterError
-from estimation.values.arrays import BoolArray, FloatArray, frozen_array
+from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.file_units import MS, PERCENT, FileUnit, Key
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import GRAVITY
@@ -97,18 +97,12 @@ def ideal_node(rate_hz: int = FULL_RATE_HZ) -> SensorNode:
 
 
 @dataclass(frozen=True, slots=True)
-class SensorRecord:
+class SensorRecord(FrozenArrays):
     """What a node measured: every ``1 / rate_hz`` s from the start of the motion."""
 
-    t: FloatArray  # (n,) s from the start of the motion
-    values: FloatArray  # (n, 4) in the order of ACCELERATIONS
-    clipped: BoolArray  # (n, 4) the transducer was at its limit since the sample before
-
-    def __post_init__(self) -> None:
-        n = len(self.t)
-        object.__setattr__(self, "t", frozen_array(self.t, (n,), name="t"))
-        object.__setattr__(self, "values", frozen_array(self.values, (n, 4), name="values"))
-        object.__setattr__(self, "clipped", frozen_array(self.clipped, (n, 4), np.bool_, name="clipped"))
+    t: Annotated[FloatArray, "n"]  # s from the start of the motion
+    values: Annotated[FloatArray, "n", 4]  # in the order of ACCELERATIONS
+    clipped: Annotated[BoolArray, "n", 4]  # the transducer was at its limit since the sample before
 
 
 def measure(

@@ -13,7 +13,7 @@ from pydantic import AfterValidator
 from scipy.interpolate import CubicSpline
 
 from estimation.errors import InputError, ParameterError, ScenarioError
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, freeze
 from estimation.values.file_units import MM, Key, M
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from ingest.file_value import As, Inline, between
@@ -73,16 +73,11 @@ class Curve:
 
 
 @dataclass(frozen=True, slots=True)
-class Curves:
+class Curves(FrozenArrays):
     """Curvature and cant on the grid of a track."""
 
-    curvature: FloatArray  # (n,) 1/m, positive to the left
-    cant: FloatArray  # (n,) m, right rail above the left one
-
-    def __post_init__(self) -> None:
-        n = len(self.curvature)
-        for name in ("curvature", "cant"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+    curvature: Annotated[FloatArray, "n"]  # 1/m, positive to the left
+    cant: Annotated[FloatArray, "n"]  # m, right rail above the left one
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,37 +134,31 @@ LEAST_IN_MM = 0.05e-3  # m: nothing recorded stays below it
 
 
 @dataclass(frozen=True, slots=True)
-class Surface:
+class Surface(FrozenArrays):
     """What else of a track changes from place to place, on its grid."""
 
-    roll: FloatArray  # (n,) rad, cross level over the distance of the contact points, left rail up
-    friction: FloatArray  # (n,) coefficient of friction over its mean
-    load: FloatArray  # (n,) vertical load of a wheel over its mean
-
-    def __post_init__(self) -> None:
-        n = len(self.roll)
-        for name in ("roll", "friction", "load"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
+    roll: Annotated[FloatArray, "n"]  # rad, cross level over the distance of the contact points, left rail up
+    friction: Annotated[FloatArray, "n"]  # coefficient of friction over its mean
+    load: Annotated[FloatArray, "n"]  # vertical load of a wheel over its mean
 
 
 @dataclass(frozen=True, slots=True)
-class TrackTruth:
+class TrackTruth(FrozenArrays):
     """Alignment and gauge deviation on a uniform grid of distance; between grid points a cubic spline."""
 
-    s: FloatArray  # (n,) m, uniform
-    alignment: FloatArray  # (n,) m, d, positive to the left
-    gauge_deviation: FloatArray  # (n,) m, actual minus nominal gauge
+    s: Annotated[FloatArray, "n"]  # m, uniform
+    alignment: Annotated[FloatArray, "n"]  # m, d, positive to the left
+    gauge_deviation: Annotated[FloatArray, "n"]  # m, actual minus nominal gauge
     curves: Curves | None = None  # on the same grid; None: straight
     surface: Surface | None = None  # on the same grid; None: level, and alike everywhere
 
     def __post_init__(self) -> None:
+        freeze(self)
         n = len(self.s)
         if self.curves is not None and len(self.curves.curvature) != n:
             raise ParameterError(f"{len(self.curves.curvature)} points, the grid has {n}", field="curves")
         if self.surface is not None and len(self.surface.roll) != n:
             raise ParameterError(f"{len(self.surface.roll)} points, the grid has {n}", field="surface")
-        for name in ("s", "alignment", "gauge_deviation"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
         if n < FEWEST_POINTS:
             raise ParameterError(f"{n} points are no track, at least {FEWEST_POINTS} are needed", field="s")
         steps = np.diff(self.s)

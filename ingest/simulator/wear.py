@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_t
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
-from estimation.values.arrays import FloatArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays
 from ingest.profiles.files import read_profile, read_wheel_profile
 from ingest.simulator.running import CONTACT_STEP
 from ingest.simulator.scenario import Scenario, WheelsetPlan
@@ -155,38 +156,22 @@ def _grid(limit: float, step: float) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class GeometryTruth:
+class GeometryTruth(FrozenArrays):
     """True contact geometry of a wheelset at nominal gauge as EN 15302 means it: rigid, without roll.
 
     The curves are those of such a contact table; conicity, nonlinearity and zero crossing have every contact jump where
     it is, and are NaN where they reach beyond the last displacement with contact.
     """
 
-    lateral_displacement: FloatArray  # (n,) m
-    rolling_radius_sum: FloatArray  # (n,) m
-    rolling_radius_difference: FloatArray  # (n,) m
-    contact_angle_sum: FloatArray  # (n,) rad
-    contact_angle_difference: FloatArray  # (n,) rad
-    amplitude: FloatArray  # (k,) m
-    equivalent_conicity: FloatArray  # (k,)
+    lateral_displacement: Annotated[FloatArray, "n"]  # m
+    rolling_radius_sum: Annotated[FloatArray, "n"]  # m
+    rolling_radius_difference: Annotated[FloatArray, "n"]  # m
+    contact_angle_sum: Annotated[FloatArray, "n"]  # rad
+    contact_angle_difference: Annotated[FloatArray, "n"]  # rad
+    amplitude: Annotated[FloatArray, "k"]  # (k,) m
+    equivalent_conicity: Annotated[FloatArray, "k"]  # (k,)
     nonlinearity: float  # 1/mm
     zero_crossing: float  # m
-
-    def __post_init__(self) -> None:
-        n, k = len(self.lateral_displacement), len(self.amplitude)
-        for name in _CURVES:
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (n,), name=name))
-        for name in ("amplitude", "equivalent_conicity"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name), (k,), name=name))
-
-
-_CURVES = (
-    "lateral_displacement",
-    "rolling_radius_sum",
-    "rolling_radius_difference",
-    "contact_angle_sum",
-    "contact_angle_difference",
-)
 
 
 def truth_of(contact: WornContact) -> GeometryTruth:
