@@ -18,6 +18,7 @@ from ingest.simulator.rates import (
     STATES,
     Constants,
     Grid,
+    WheelsetOnTrack,
     integrate,
     sub_steps,
     time_derivative,
@@ -132,6 +133,10 @@ class PreparedTable:
         shape = (len(x), len(e), LOOKED_UP)
         return PreparedTable(frozen_array(nodes, shape, name="nodes"), float(x[0]), x_step, float(e[0]), e_step)
 
+    def grid(self, track: TrackTruth) -> Grid:
+        """Return the grids of the table and of a track."""
+        return Grid(self.x0, 1 / self.x_step, self.e0, 1 / self.e_step, float(track.s[0]), track.interval)
+
 
 def simulate_wheelset(
     parameters: VehicleParameters,
@@ -161,10 +166,7 @@ def simulate_wheelset(
         path = path_motion(parameters, track.curves, track.s, distance, speed, STEP)
     out = np.empty((len(OUTPUTS), len(speed)))
     outside = integrate(
-        constants(parameters),
-        prepared.nodes,
-        coefficients,
-        Grid(prepared.x0, 1 / prepared.x_step, prepared.e0, 1 / prepared.e_step, float(track.s[0]), track.interval),
+        WheelsetOnTrack(constants(parameters), prepared.nodes, coefficients, prepared.grid(track)),
         speed,
         distance,
         path.forced if path is not None else np.zeros((len(speed), FORCED)),

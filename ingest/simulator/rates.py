@@ -60,6 +60,22 @@ class Grid(NamedTuple):
     interval: float
 
 
+class WheelsetOnTrack(NamedTuple):
+    """What the rates of a wheelset follow from, beside its state."""
+
+    c: Constants
+    table: FloatArray
+    coefficients: FloatArray
+    grid: Grid
+
+
+class Workspace(NamedTuple):
+    """What is known of a wheelset at the state whose rates were written last."""
+
+    contact: FloatArray
+    track: FloatArray
+
+
 @stepped
 def look_up(table: FloatArray, grid: Grid, x: float, e: float, out: FloatArray) -> bool:
     """Interpolate ``table`` (n, g, 7) at (x, e) into ``out`` (7,); return whether x is inside the grid.
@@ -100,31 +116,27 @@ def track_at(coefficients: FloatArray, grid: Grid, s: float, out: FloatArray) ->
 
 @stepped
 def derivatives(
-    c: Constants,
-    table: FloatArray,
-    coefficients: FloatArray,
-    grid: Grid,
+    w: WheelsetOnTrack,
+    known: Workspace,
     speed: float,
     s: float,
     state: FloatArray,
     forced: FloatArray,
     rates: FloatArray,
-    contact: FloatArray,
-    track: FloatArray,
 ) -> bool:
-    """Write the time derivative of ``state`` (6,) into ``rates`` (6,); ``contact`` (8,) and ``track`` (4,) are filled.
+    """Write the time derivative of ``state`` into ``rates``, and into ``known``; return whether y - d is in the table.
 
-    ``forced`` (3,) is added to the accelerations; ``contact[7]`` is the roll rate. Return whether y - d is inside
-    the contact table.
+    ``forced`` is added to the accelerations.
     """
-    track_at(coefficients, grid, s, track)
-    inside = look_up(table, grid, state[0] - track[0], track[2], contact)
+    contact, track = known.contact, known.track
+    track_at(w.coefficients, w.grid, s, track)
+    inside = look_up(w.table, w.grid, state[0] - track[0], track[2], contact)
     if speed < STANDSTILL:
         contact[7] = 0.0
-        at_rest(c, state, rates)
+        at_rest(w.c, state, rates)
     else:
         contact[7] = contact[5] * (state[1] - speed * track[1]) + contact[6] * speed * track[3]
-        equations(c, speed, state, contact, rates)
+        equations(w.c, speed, state, contact, rates)
         rates[1] += forced[0]
         rates[3] += forced[1]
     rates[5] += forced[2]
@@ -199,10 +211,8 @@ def advance(state: FloatArray, h: float, rates: FloatArray, out: FloatArray) -> 
 
 @stepped
 def runge_kutta(
-    c: Constants,
-    table: FloatArray,
-    coefficients: FloatArray,
-    grid: Grid,
+    w: WheelsetOnTrack,
+    known: Workspace,
     speed: float,
     slope: float,
     s: float,
@@ -211,34 +221,30 @@ def runge_kutta(
     forced: FloatArray,
     forced_slope: FloatArray,
     stages: FloatArray,
-    contact: FloatArray,
-    track: FloatArray,
 ) -> None:
     """Advance the state by one step of the classical Runge-Kutta method of 4th order.
 
-    Speed rises by ``slope``, what is ``forced`` (3,) by ``forced_slope`` (3,); ``forced`` is left as it is at the end.
+    Speed rises by ``slope``, what is ``forced`` by ``forced_slope``; ``forced`` is left as it is at the end. The first
+    row of ``stages`` (5, 6) holds the rates at the beginning.
     """
     k1, k2, k3, k4, trial = stages[0], stages[1], stages[2], stages[3], stages[4]
     middle, after = speed + 0.5 * slope * h, speed + slope * h
     s_middle, s_after = s + 0.25 * h * (speed + middle), s + 0.5 * h * (speed + after)
     forced += 0.5 * h * forced_slope
     advance(state, 0.5 * h, k1, trial)
-    derivatives(c, table, coefficients, grid, middle, s_middle, trial, forced, k2, contact, track)
+    derivatives(w, known, middle, s_middle, trial, forced, k2)
     advance(state, 0.5 * h, k2, trial)
-    derivatives(c, table, coefficients, grid, middle, s_middle, trial, forced, k3, contact, track)
+    derivatives(w, known, middle, s_middle, trial, forced, k3)
     forced += 0.5 * h * forced_slope
     advance(state, h, k3, trial)
-    derivatives(c, table, coefficients, grid, after, s_after, trial, forced, k4, contact, track)
+    derivatives(w, known, after, s_after, trial, forced, k4)
     for k in range(STATES):
         state[k] += h / 6.0 * (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k])
 
 
 @stepped
 def integrate(
-    c: Constants,
-    table: FloatArray,
-    coefficients: FloatArray,
-    grid: Grid,
+    w: WheelsetOnTrack,
     speed: FloatArray,
     distance: FloatArray,
     path: FloatArray,
@@ -249,25 +255,21 @@ def integrate(
 ) -> int:
     """Integrate the equations of motion over a course; return how many samples left the contact table.
 
-    ``path`` (n, 3) are the accelerations that the path forces. Step i is divided into ``parts[i]`` sub-steps. Return
-    how many samples left the contact table.
-
     Args:
-        path: (k, 3) accelerations of y, psi and ym that the path forces, m/s^2 and rad/s^2.
+        path: (k, 3) accelerations that the path forces.
         parts: (k - 1,) sub-steps of each step.
+        state: At the first sample; changed to that at the last.
         out: (17, k) written, in the order of ``OUTPUTS``.
     """
-    stages, contact, track, forced = np.empty((5, STATES)), np.empty(LOOKED_UP + 1), np.empty(4), np.empty(FORCED)
-    outside = 0
+    known = Workspace(np.empty(LOOKED_UP + 1), np.empty(4))
+    stages, forced, outside = np.empty((5, STATES)), np.empty(FORCED), 0
     for i in range(len(speed)):
         if speed[i] < STANDSTILL:
             state[1] = state[3] = 0.0
         forced[:] = path[i]
-        if not derivatives(
-            c, table, coefficients, grid, speed[i], distance[i], state, forced, stages[0], contact, track
-        ):
+        if not derivatives(w, known, speed[i], distance[i], state, forced, stages[0]):
             outside += 1
-        write_sample(state, stages[0], contact, track, out, i)
+        write_sample(state, stages[0], known, out, i)
         if i == len(speed) - 1:
             break
         slope, h = (speed[i + 1] - speed[i]) / step, step / parts[i]
@@ -276,16 +278,15 @@ def integrate(
             t = part * h
             v, s = speed[i] + slope * t, distance[i] + (speed[i] + 0.5 * slope * t) * t
             if part > 0:
-                derivatives(c, table, coefficients, grid, v, s, state, forced, stages[0], contact, track)
-            runge_kutta(c, table, coefficients, grid, v, slope, s, h, state, forced, rise, stages, contact, track)
+                derivatives(w, known, v, s, state, forced, stages[0])
+            runge_kutta(w, known, v, slope, s, h, state, forced, rise, stages)
     return outside
 
 
 @stepped
-def write_sample(
-    state: FloatArray, rates: FloatArray, contact: FloatArray, track: FloatArray, out: FloatArray, i: int
-) -> None:
+def write_sample(state: FloatArray, rates: FloatArray, known: Workspace, out: FloatArray, i: int) -> None:
     """Write sample ``i`` of every output into ``out`` (17, n), in the order of ``OUTPUTS``."""
+    contact, track = known.contact, known.track
     for k in range(STATES):
         out[k, i] = state[k]
     out[6, i], out[7, i], out[8, i] = rates[1], rates[3], rates[5]

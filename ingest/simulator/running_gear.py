@@ -19,12 +19,14 @@ from ingest.simulator.gear_rates import (
     BODY,
     FRAME,
     FRAME_PATH,
+    GEAR_OUTPUTS,
     GEAR_STATES,
     PATH,
     GearConstants,
+    GearOnTrack,
     Wheels,
+    integrate_gear,
 )
-from ingest.simulator.gear_stepping import GEAR_OUTPUTS, integrate_gear
 from ingest.simulator.motion import (
     RATE_LIMIT,
     STEP,
@@ -34,7 +36,7 @@ from ingest.simulator.motion import (
     constants,
     course,
 )
-from ingest.simulator.rates import OUTPUTS, STANDSTILL, Grid, sub_steps, time_derivative
+from ingest.simulator.rates import OUTPUTS, STANDSTILL, sub_steps, time_derivative
 from ingest.simulator.track import Curves, TrackTruth
 
 
@@ -195,19 +197,20 @@ def simulate_gear(
     speed = frozen_array(speed, (None,), name="speed")  # read-only from every caller: it is compiled once
     prepared = [table if isinstance(table, PreparedTable) else PreparedTable.of(table) for table in tables]
     courses = [course(track, speed, start - gear.places[0] + x) for x in gear.places]
-    coefficients = track.spline_coefficients()
     path, sensed = np.zeros((1, PATH)), None
     if track.curves is not None:
         middle = courses[0] - gear.places[0]
         path, sensed = gear_path(gear.parameters, track.curves, track.s, middle, speed, STEP, gear.places)
     out, outside = np.empty((AXLES_OF_A_BOGIE, len(GEAR_OUTPUTS), len(speed))), np.zeros(AXLES_OF_A_BOGIE, np.int64)
     integrate_gear(
-        gear.constants(),
-        gear.creep.constants()._replace(free_rolling=gear.free_rolling),
-        _wheels(gear),
-        (prepared[0].nodes, prepared[-1].nodes),
-        (_grid(prepared[0], track), _grid(prepared[-1], track)),
-        coefficients,
+        GearOnTrack(
+            gear.constants(),
+            gear.creep.constants()._replace(free_rolling=gear.free_rolling),
+            _wheels(gear),
+            (prepared[0].nodes, prepared[-1].nodes),
+            (prepared[0].grid(track), prepared[-1].grid(track)),
+            track.spline_coefficients(),
+        ),
         speed,
         courses[0],
         path,
@@ -240,10 +243,6 @@ def _motion(out: FloatArray, speed: FloatArray, distance: FloatArray) -> Wheelse
         outside=0,
         **named,
     )
-
-
-def _grid(table: PreparedTable, track: TrackTruth) -> Grid:
-    return Grid(table.x0, 1 / table.x_step, table.e0, 1 / table.e_step, float(track.s[0]), track.interval)
 
 
 def _parts(gear: RunningGear, speed: FloatArray) -> np.ndarray:
