@@ -54,9 +54,6 @@ class SpanAssembly:
     """The windows of a vehicle that overlap a span of its clock, and everything that went into them.
 
     Attributes:
-        windows: All that recordings and registry give in the span, but for those of ``kept``.
-        kept: Spans in which a recording cannot be read any more: what is stored of them stays.
-        lost: Receipts of those whose raw file is lost or damaged, and was not purged.
         again: Receipts of recordings that the vehicle's bus, another one now, places elsewhere than when they were
             decoded, or cannot read.
     """
@@ -66,9 +63,9 @@ class SpanAssembly:
     to_ns: int
     sources: frozenset[str]
     lookup: RegistryLookup
-    windows: tuple[MountedWindow, ...]
-    kept: tuple[Span, ...]
-    lost: tuple[ChunkRecord, ...]
+    windows: tuple[MountedWindow, ...]  # all that recordings and registry give in the span, but for those of ``kept``
+    kept: tuple[Span, ...]  # spans in which a recording cannot be read any more: what is stored of them stays
+    lost: tuple[ChunkRecord, ...]  # receipts of those whose raw file is lost or damaged, and was not purged
     again: tuple[ChunkRecord, ...]
     counts: Mapping[str, int]
 

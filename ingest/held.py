@@ -71,13 +71,17 @@ class HeldRecordings:
 
     def release(self, digest: str) -> None:
         """End the quarantine of a recording, if it was in one."""
-        release_recording(self.storage, digest, STAGE)
+        release(self.storage, (SubjectKind.RECORDING, digest, STAGE))
 
 
-def release_recording(storage: SqlStorage, digest: str, stage: str) -> None:
-    """End the quarantine of a recording in a stage, if it was in one."""
+Subject = tuple[SubjectKind, str, str]
+"""Kind, key and stage of what is in quarantine."""
+
+
+def release(storage: SqlStorage, subject: Subject) -> None:
+    """End the quarantine of a subject, if it was in one."""
     with storage.read() as unit:
-        item = unit.quarantine.get(SubjectKind.RECORDING, digest, stage)
+        item = unit.quarantine.get(*subject)
     if item is not None and item != resolved(item):
         with storage.write() as unit:
             unit.quarantine.put(resolved(item))
@@ -107,10 +111,7 @@ class HeldVehicles:
 
     def release(self, vehicle: str) -> None:
         """End the quarantine of a vehicle, if it was in one."""
-        item = self._item(vehicle)
-        if item is not None and item != resolved(item):
-            with self.storage.write() as unit:
-                unit.quarantine.put(resolved(item))
+        release(self.storage, (SubjectKind.VEHICLE, vehicle, ASSEMBLY))
 
     def _item(self, vehicle: str) -> Quarantined | None:
         with self.storage.read() as unit:

@@ -153,17 +153,12 @@ WAITING = Reason(ReasonCode.WAITS_FOR_DECODING, "it is received and waits to be 
 
 @dataclass(frozen=True, slots=True)
 class Chunk:
-    """What a sender says of a chunk.
+    """What a sender says of a chunk."""
 
-    Attributes:
-        vehicle: Code of the vehicle; it need not be registered yet.
-        sender: Who sent it, or the folder it came through.
-    """
-
-    vehicle: str
+    vehicle: str  # code of the vehicle; it need not be registered yet
     suffix: str
     file_name: str
-    sender: str | None
+    sender: str | None  # who sent it, or the folder it came through
 
     def receipt(self, digest: str, size_bytes: int, now_ns: int) -> ChunkRecord:
         """Return its receipt."""

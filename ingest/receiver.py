@@ -85,7 +85,7 @@ class Receiver:
         self._buses = catalogue if isinstance(catalogue, BusChoice) else BusChoice(catalogue, {})
         self._clock = clock
         self._announce = announce
-        self._recordings = Recordings(raw, self._bus_of)
+        self._recordings = Recordings(raw, lambda vehicle: self._buses.of_vehicle(self._class_of, vehicle))
         self._held = HeldRecordings(storage, clock)
         self._deleted = DeletedRecordings(storage, deleted_taken_by)
         self._mark: str | None = None
@@ -177,7 +177,12 @@ class Receiver:
             raise LogFileError(str(record.reason))
         if record.state is not ChunkState.STORED:
             return ChunkReceipt(record, known=True, windows_changed=0)
-        return self._decoded(record, self._loaded(record), known=False)
+        recording: Recording | Exception
+        try:
+            recording = self._recordings.load(record)
+        except Exception as error:  # noqa: BLE001 - it is kept with the recording
+            recording = error
+        return self._decoded(record, recording, known=False)
 
     def decode_stored(
         self, digest: str | None = None, vehicle: str | None = None
@@ -211,12 +216,6 @@ class Receiver:
             except Exception as error:  # noqa: BLE001 - whatever fails at one recording, the others go on
                 yield error
 
-    def _loaded(self, record: ChunkRecord) -> Recording | Exception:
-        try:
-            return self._recordings.load(record)
-        except Exception as error:  # noqa: BLE001 - it is kept with the recording
-            return error
-
     def _decoded(
         self, record: ChunkRecord, recording: Recording | Exception, *, known: bool, path: Path | None = None
     ) -> ChunkReceipt:
@@ -225,7 +224,10 @@ class Receiver:
         try:
             record, changed = self._decode(record, read_or_raise(recording))
         except LogFileError as error:
-            self._reject(record, error)
+            text = error.reason if error.line is None else f"line {error.line}: {error.reason}"
+            rejected = replace(record, state=ChunkState.REJECTED, reason=Reason(ReasonCode.LOG_DAMAGED, text))
+            with self._storage.write() as unit:
+                unit.chunks.update(rejected)
             self._held.release(record.digest)
             raise LogFileError(error.reason, file=path or error.file, line=error.line) from error
         except NotFoundError:
@@ -260,9 +262,6 @@ class Receiver:
             return 0
         return self.reassembler.reassemble(record.vehicle, record.first_ns, to_ns).windows
 
-    def _bus_of(self, vehicle: str) -> Catalogue:
-        return self._buses.of_vehicle(self._class_of, vehicle)
-
     def _class_of(self, vehicle: str) -> str | None:
         try:
             with self._storage.read() as unit:
@@ -291,11 +290,6 @@ class Receiver:
             raise of_another_vehicle(found, vehicle, str(path))
         self._announce(found)
         return found, known
-
-    def _reject(self, record: ChunkRecord, error: LogFileError) -> None:
-        text = error.reason if error.line is None else f"line {error.line}: {error.reason}"
-        with self._storage.write() as unit:
-            unit.chunks.update(replace(record, state=ChunkState.REJECTED, reason=Reason(ReasonCode.LOG_DAMAGED, text)))
 
     def _decode(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
         with trace.get_tracer("treadwatch").start_as_current_span("recording") as span:

@@ -31,16 +31,11 @@ class Limit(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BacklogLimits:
-    """How much may wait to be decoded, and how much of the disk stays free.
-
-    Attributes:
-        chunks, size_bytes: Of all that wait.
-        free_bytes: That no chunk may take.
-    """
+    """How much may wait to be decoded, and how much of the disk stays free."""
 
     chunks: int
     size_bytes: int
-    free_bytes: int
+    free_bytes: int  # that no chunk may take
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,20 +77,17 @@ class BacklogWatch:
         """
         with self._lock:
             if not self.fresh:
-                self._look()
+                with self.storage.read() as unit:
+                    waiting = unit.chunks.undecoded_size()
+                self._chunks, self._size_bytes = waiting.count, waiting.size_bytes
+                self._free_bytes = free_bytes(self.folder)
+                self._looked_s = self.now_s()
             found = self._found(size_bytes)
             if found is None:
                 self._chunks += 1
                 self._size_bytes += size_bytes
                 self._free_bytes -= size_bytes
             return found
-
-    def _look(self) -> None:
-        with self.storage.read() as unit:
-            waiting = unit.chunks.undecoded_size()
-        self._chunks, self._size_bytes = waiting.count, waiting.size_bytes
-        self._free_bytes = free_bytes(self.folder)
-        self._looked_s = self.now_s()
 
     def _found(self, size_bytes: int) -> Behind | None:
         limits = self.limits

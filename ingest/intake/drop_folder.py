@@ -36,15 +36,12 @@ class DropSettings:
     """Of a drop folder.
 
     Attributes:
-        folder: Watched; ``done`` and ``refused`` are made in it.
-        quiet_s: A file that has not changed for so long is complete, s.
-        most_bytes: Size of a file at most.
         vehicle_of: Returns the vehicle of a file, by its path; raises InputError where it does not show.
     """
 
-    folder: Path
-    quiet_s: float
-    most_bytes: int
+    folder: Path  # watched; ``done`` and ``refused`` are made in it
+    quiet_s: float  # a file that has not changed for so long is complete, s
+    most_bytes: int  # size of a file at most
     vehicle_of: Callable[[Path], str]
 
 

@@ -65,7 +65,10 @@ class Spooling:
             self._step()
         self._step()
         self._spool.close_piece()
-        self._give_up()
+        if lost := (len(self._frames) + self._buffer.size_bytes) // FRAME_BYTES:  # they cannot be written any more
+            self._buffer.count_dropped(lost)
+            self._reported_at = -REPORT_EVERY_S
+            self._count_dropped()
 
     def _take_over(self) -> bool:
         try:
@@ -123,11 +126,8 @@ class Spooling:
             self._status.spool_fault = None
         return True
 
-    def _total(self) -> int:
-        return self._before + self._buffer.dropped
-
     def _count_dropped(self) -> None:
-        total = self._total()
+        total = self._before + self._buffer.dropped
         self._status.frames_dropped = total
         try:
             self._spool.count_dropped(DropCount(total, self._recorded))
@@ -138,13 +138,6 @@ class Spooling:
             why = self._status.spool_fault or "this machine was held up, and the socket was full"
             self._reports.say(f"{total - self._reported:,} frames dropped: {why}", bad=True)
             self._reported, self._reported_at = total, now
-
-    def _give_up(self) -> None:
-        left = (len(self._frames) + self._buffer.size_bytes) // FRAME_BYTES
-        if left:
-            self._buffer.count_dropped(left)
-            self._reported_at = -REPORT_EVERY_S
-            self._count_dropped()
 
     def _fault(self, error: Exception) -> None:
         fault = str(error)
@@ -158,19 +151,14 @@ WATCH_EVERY_S = 0.2
 
 @dataclass(frozen=True, slots=True)
 class LiveSettings:
-    """Of a live receiver.
-
-    Attributes:
-        spool_bytes, memory_bytes: How much may wait on the disk, and in memory while the disk takes nothing.
-        shutdown_s: How long storing may go on after a stop is requested, s.
-    """
+    """Of a live receiver."""
 
     vehicle: str
     spool_dir: Path
-    spool_bytes: int
-    memory_bytes: int
+    spool_bytes: int  # that may wait on the disk
+    memory_bytes: int  # that may wait in memory while the disk takes nothing
     piece_seconds: float
-    shutdown_s: float
+    shutdown_s: float  # how long storing may go on after a stop is requested, s
 
 
 def receive_live(

@@ -28,30 +28,20 @@ _LONGEST_BODY = 1 << 21
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Frames that were written together.
-
-    Attributes:
-        dropped: Frames that were dropped behind these.
-        dropped_total: All frames of this vehicle that were dropped up to here, by this process and those before it.
-    """
+    """Frames that were written together."""
 
     frames: bytes
-    dropped: int = 0
-    dropped_total: int = 0
+    dropped: int = 0  # frames that were dropped behind these
+    dropped_total: int = 0  # of this vehicle up to here, by this process and those before it
 
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a file of records holds.
-
-    Attributes:
-        end: The byte behind the last of them.
-        skipped: Bytes before that which are damaged.
-    """
+    """What a file of records holds."""
 
     records: tuple[Record, ...]
-    end: int
-    skipped: int
+    end: int  # the byte behind the last of them
+    skipped: int  # bytes before that which are damaged
 
 
 def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:

@@ -32,21 +32,13 @@ MICROSECONDS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class MF4Frames:
-    """Frames of a file.
+    """Frames of a file."""
 
-    Attributes:
-        seconds: Stamps, (n,), s UTC.
-        identifier: With the flags of :class:`ingest.frames.FrameBatch`, (n,).
-        dlc: Lengths, (n,).
-        data: Bytes, (n, 8), zero beyond the length.
-        channel: Numbers of their buses, (n,); -1 where the file has none.
-    """
-
-    seconds: FloatArray
-    identifier: npt.NDArray[np.uint32]
-    dlc: npt.NDArray[np.uint8]
-    data: npt.NDArray[np.uint8]
-    channel: IntArray
+    seconds: FloatArray  # stamps, (n,), s UTC
+    identifier: npt.NDArray[np.uint32]  # with the flags of :class:`ingest.frames.FrameBatch`, (n,)
+    dlc: npt.NDArray[np.uint8]  # lengths, (n,)
+    data: npt.NDArray[np.uint8]  # bytes, (n, 8), zero beyond the length
+    channel: IntArray  # numbers of their buses, (n,); -1 where the file has none
 
     def __len__(self) -> int:
         """Return the number of frames."""

@@ -88,16 +88,11 @@ _SECOND = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class DistancePoint:
-    """A distance that a record or a window gives for a time.
-
-    Attributes:
-        at_ns: ns UTC on the vehicle's clock.
-        km: Mileage of the wheelset since new, or what the odometer of the vehicle showed.
-    """
+    """A distance that a record or a window gives for a time."""
 
     record: RecordName
-    at_ns: int
-    km: float
+    at_ns: int  # ns UTC on the vehicle's clock
+    km: float  # mileage of the wheelset since new, or what the odometer of the vehicle showed
     field: str
 
 

@@ -122,17 +122,11 @@ class RegistryContents:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """How something is entered.
+    """How something is entered."""
 
-    Attributes:
-        decision: Who enters it, why, and our time; kept with what changes.
-        now_ns: Our time, after which the future begins; None where it is not known.
-        confirmed: Rules whose doubts whoever enters it has confirmed to be unfounded.
-    """
-
-    decision: Decision
-    now_ns: int | None = None
-    confirmed: frozenset[Rule] = frozenset()
+    decision: Decision  # who enters it, why, and our time; kept with what changes
+    now_ns: int | None = None  # our time, after which the future begins; None where it is not known
+    confirmed: frozenset[Rule] = frozenset()  # rules whose doubts whoever enters it has confirmed to be unfounded
 
     @property
     def recorded_ns(self) -> int:

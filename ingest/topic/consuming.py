@@ -19,7 +19,7 @@ from ingest.live.backoff import Backoff
 from ingest.receiver import Receiver
 from ingest.topic.reading import Received, TopicReader
 from ingest.topic.reference import ConsumerStatus, Outcome, Reference, Refused, read_message
-from ingest.topic.taking import ReferenceTaking, Taken
+from ingest.topic.taking import ReferenceTaking
 
 POLL_S = 0.5
 LOOK_EVERY_S = 5.0
@@ -70,7 +70,10 @@ class Consuming:
 
     def _work_off(self, message: Received) -> None:
         read = read_message(message.key, message.value)
-        outcome = self._refused(message, read) if isinstance(read, Refused) else self._taken_at_last(message, read)
+        if isinstance(read, Refused):
+            where = f"partition {message.partition}, offset {message.offset}"
+            _log.warning("nothing is taken of a message (%s, %s): it %s", where, read.outcome, read.text)
+        outcome = read.outcome if isinstance(read, Refused) else self._taken_at_last(message, read)
         if outcome is None:
             return
         self._status.outcomes[outcome] += 1
@@ -78,11 +81,6 @@ class Consuming:
         if isinstance(read, Reference):
             self._status.last_age_s = max(0.0, time.time() - read.received_ns * 1e-9)
         self._reader.done(message)
-
-    def _refused(self, message: Received, refused: Refused) -> Outcome:
-        where = f"partition {message.partition}, offset {message.offset}"
-        _log.warning("nothing is taken of a message (%s, %s): it %s", where, refused.outcome, refused.text)
-        return refused.outcome
 
     def _taken_at_last(self, message: Received, reference: Reference) -> Outcome | None:
         """Take a reference however long that waits; None where an end is requested, or another member has it."""
@@ -123,16 +121,12 @@ class Consuming:
         if isinstance(found, Behind):
             return found
         self._status.behind = None
-        self._report(reference, found)
+        if found.outcome not in {Outcome.STORED, Outcome.KNOWN}:
+            chunk = f"chunk {reference.digest[:12]} of vehicle {reference.vehicle}"
+            _log.warning("a reference to %s: %s", chunk, found.outcome)
         if found.waits:
             self._decode(reference.vehicle)
         return found.outcome
-
-    def _report(self, reference: Reference, taken: Taken) -> None:
-        if taken.outcome in {Outcome.STORED, Outcome.KNOWN}:
-            return
-        chunk = f"chunk {reference.digest[:12]} of vehicle {reference.vehicle}"
-        _log.warning("a reference to %s: %s", chunk, taken.outcome)
 
     def _caught_up(self, behind: Behind) -> bool:
         """Decode what keeps new receipts out; return whether any was."""

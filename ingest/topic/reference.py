@@ -52,18 +52,14 @@ _PRINTABLE = r"^[^\x00-\x1f\x7f]+$"
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What a message says of a chunk.
-
-    Attributes:
-        received_ns: When it was received, ns UTC of the clock of whoever published the reference.
-    """
+    """What a message says of a chunk."""
 
     digest: str
     suffix: str
     vehicle: str
     size_bytes: int
     file_name: str
-    received_ns: int
+    received_ns: int  # when it was received, ns UTC of the clock of whoever published the reference
 
 
 class _Body(BaseModel):
@@ -153,31 +149,19 @@ def _of_its_key(key: bytes | None, body: _Body) -> Reference | Refused:
 
 @dataclass(slots=True)
 class ConsumerStatus:
-    """What a consumer knows; written by its thread, and read by any.
-
-    Attributes:
-        broker_fault, raw_fault, database_fault: What is wrong with the brokers or the topic, the raw store and the
-            database; None while they work.
-        behind: Which limit keeps new receipts out; None where none does.
-        outcomes: Messages by what became of them, since the start.
-        decoded, not_decoded: Chunks that were decoded, and that could not be, since the start.
-        partitions: How many are this consumer's.
-        behind_by: Messages of these partitions that are not taken yet, as far as the brokers have said.
-        last_message_s: When the last message was taken, seconds since the Unix epoch; None before the first.
-        last_age_s: How old its reference was then, s.
-    """
+    """What a consumer knows; written by its thread, and read by any. Counts are since the start; no fault is None."""
 
     broker_fault: str | None = "not asked yet"
     raw_fault: str | None = None
     database_fault: str | None = "not asked yet"
-    behind: str | None = None
-    outcomes: Counter[Outcome] = field(default_factory=Counter)
-    decoded: int = 0
-    not_decoded: int = 0
-    partitions: int = 0
-    behind_by: int = 0
-    last_message_s: float | None = None
-    last_age_s: float = 0.0
+    behind: str | None = None  # which limit keeps new receipts out
+    outcomes: Counter[Outcome] = field(default_factory=Counter)  # of messages
+    decoded: int = 0  # chunks
+    not_decoded: int = 0  # chunks that could not be
+    partitions: int = 0  # this consumer's
+    behind_by: int = 0  # messages of these that are not taken yet, as far as the brokers have said
+    last_message_s: float | None = None  # seconds since the Unix epoch; None before the first
+    last_age_s: float = 0.0  # of the reference of the last message, when it was taken
     thread: threading.Thread | None = None
 
     @property
