@@ -15,9 +15,7 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import (
     CONTEXT_NS,
-    AlignCounts,
     AlignedFrames,
-    TickedValues,
     merge_aligned,
     values_near,
 )
@@ -26,11 +24,9 @@ from ingest.align.windows import (
     RegistryLookup,
     VehicleSamples,
     WindowCounts,
-    add_counts,
     vehicle_samples,
     windows_of,
 )
-from ingest.catalogue import Catalogue
 from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.intake import check_alone
 from ingest.frames import count_dropped
@@ -163,8 +159,9 @@ class Assembler:
         decoded = unit.chunks.overlapping(vehicle, span[0] - CONTEXT_NS, span[1] + CONTEXT_NS)
         found = {other.digest: other for other in (*decoded, *coming)}
         for source in list(found.values()):
-            if not self._has_own_time(source):  # its place is known by those beside it
-                beside = decoded_beside(unit, vehicle, source.digest, self._recorder_ns(source))
+            if not source.counts[OWN_TIME]:  # its place is known by those beside it
+                recorder_ns = source.counts[RECORDER_FIRST], source.counts[RECORDER_LAST]
+                beside = decoded_beside(unit, vehicle, source.digest, recorder_ns)
                 found |= {other.digest: other for other in beside}
         return [found[digest] for digest in sorted(found)]
 
@@ -196,20 +193,17 @@ class Assembler:
         lost = tuple(source for source in unreadable if source.purged_ns is None)
         windows: list[MountedWindow] = []
         counts: Counter[str] = Counter()
-        for of_kind in _by_kind(sources, loaded):
-            made, left_out = self._windows(of_kind, lookup, (first, end))
-            windows += made
-            counts.update(left_out)
+        for exchanges in (False, True):  # they never share a window
+            readable = [source for source in sources if source.digest in loaded]
+            of_kind = [loaded[s.digest] for s in readable if (s.suffix == EXCHANGE_SUFFIX) == exchanges]
+            if of_kind:
+                made, left_out = self._windows(of_kind, lookup, (first, end))
+                windows += made
+                counts.update(left_out)
         spared = SpanAssembly(
             vehicle, first, end, frozenset(r.digest for r in sources), lookup, (), kept, lost, again, counts
         )
         return replace(spared, windows=tuple(w for w in windows if not spared.keeps(w.window.start_ns, self.length_ns)))
-
-    def _has_own_time(self, source: ChunkRecord) -> bool:
-        return bool(source.counts[OWN_TIME])
-
-    def _recorder_ns(self, source: ChunkRecord) -> Span:
-        return source.counts[RECORDER_FIRST], source.counts[RECORDER_LAST]
 
     def _loaded(
         self, sources: Sequence[ChunkRecord], *, keep_unreadable: bool
@@ -244,26 +238,20 @@ class Assembler:
     def _windows(
         self, recordings: Sequence[Recording], lookup: RegistryLookup, span: Span
     ) -> tuple[list[MountedWindow], dict[str, int]]:
-        messages = merge_aligned(align_recordings(recordings, span))
-        samples, counts = _samples(lookup.vehicle.code, recordings[0].catalogue, messages, span)
+        messages, catalogue = merge_aligned(align_recordings(recordings, span)), recordings[0].catalogue
+        near, vehicle = values_near(messages, span, catalogue.sample_interval_ns), lookup.vehicle.code
+        if isinstance(catalogue, OwnBus):
+            samples, counts = own_samples(vehicle, catalogue, near)
+        else:
+            samples, counts = vehicle_samples(vehicle, catalogue, near)
         windows, made = [], WindowCounts()
         for outcome in windows_of(samples, _starts(samples, span, self.length_ns), self.length_ns, lookup):
             if isinstance(outcome, MountedWindow):
                 windows.append(outcome)
             else:
-                made = add_counts(made, outcome)
+                made += outcome
         made = replace(made, windows=len(windows))
         return windows, {**_nonzero(asdict(counts)), **asdict(made)}
-
-
-def _by_kind(sources: Iterable[ChunkRecord], loaded: Mapping[str, Recording]) -> list[list[Recording]]:
-    """Return the recordings that could be read, logs and exchanges apart: they never share a window."""
-    logs: list[Recording] = []
-    exchanges: list[Recording] = []
-    for source in sources:
-        if source.digest in loaded:
-            (exchanges if source.suffix == EXCHANGE_SUFFIX else logs).append(loaded[source.digest])
-    return [found for found in (logs, exchanges) if found]
 
 
 def _starts(samples: VehicleSamples, span: Span, length_ns: int) -> list[int]:
@@ -273,15 +261,6 @@ def _starts(samples: VehicleSamples, span: Span, length_ns: int) -> list[int]:
         numbers = node.block.t_ns[low:high] // length_ns
         found.update((numbers[np.diff(numbers, prepend=-1) != 0] * length_ns).tolist())
     return sorted(found)
-
-
-def _samples(
-    vehicle: str, catalogue: Catalogue, messages: Mapping[int, TickedValues], span: Span
-) -> tuple[VehicleSamples, AlignCounts]:
-    near = values_near(messages, span, catalogue.sample_interval_ns)
-    if isinstance(catalogue, OwnBus):
-        return own_samples(vehicle, catalogue, near)
-    return vehicle_samples(vehicle, catalogue, near)
 
 
 def _check_one_kind(vehicle: str, suffix: str, sources: Iterable[ChunkRecord]) -> None:

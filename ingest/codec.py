@@ -6,9 +6,9 @@ The two loops that touch every frame are compiled: frames by identifier, and raw
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -107,8 +107,17 @@ def count_within(raw: npt.NDArray[np.signedinteger[Any]], low: IntArray, high: I
 RawArray = npt.NDArray[np.signedinteger[Any]]
 
 
+class Counts:
+    """Counts that can be added, field by field."""
+
+    __slots__: tuple[str, ...] = ()
+
+    def __add__(self, other: Self) -> Self:
+        return type(self)(*(getattr(self, name) + getattr(other, name) for name in self.__slots__))
+
+
 @dataclass(frozen=True, slots=True)
-class FrameCounts:
+class FrameCounts(Counts):
     """What became of the frames of a batch; every frame is in exactly one of the first seven after ``frames``.
 
     ``invalid_values`` and ``clipped_values`` count signal values, not frames.
@@ -123,10 +132,6 @@ class FrameCounts:
     error_frames: int = 0
     invalid_values: int = 0
     clipped_values: int = 0
-
-    def __add__(self, other: FrameCounts) -> FrameCounts:
-        own, others = asdict(self), asdict(other)
-        return FrameCounts(**{name: own[name] + others[name] for name in own})
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,13 +214,14 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
         if span.stop > span.start:
             messages[arbitration_id] = MessageValues(plan, index[span], unpack(plan, words[span]))
     invalid, clipped = _count_values(messages)
-    error, remote, extended = _count_strange(batch.arbitration_id, len(batch) - wrong - unknown - int(starts[-1]))
+    strange = len(batch) - wrong - unknown - int(starts[-1])  # without an 11-bit identifier
+    error, remote = _count_flagged(batch.arbitration_id) if strange else (0, 0)
     counts = FrameCounts(
         frames=len(batch),
         decoded=int(starts[-1]),
         unknown_identifiers=unknown,
         wrong_lengths=wrong,
-        extended_frames=extended,
+        extended_frames=strange - error - remote,
         remote_frames=remote,
         error_frames=error,
         invalid_values=invalid,
@@ -224,13 +230,10 @@ def decode(catalogue: Catalogue, batch: FrameBatch) -> Decoded:
     return Decoded(MappingProxyType(messages), counts)
 
 
-def _count_strange(arbitration_id: npt.NDArray[np.uint32], count: int) -> tuple[int, int, int]:
-    if count == 0:
-        return 0, 0, 0
+def _count_flagged(arbitration_id: npt.NDArray[np.uint32]) -> tuple[int, int]:
     error = (arbitration_id & ERROR_FLAG) != 0
     remote = ~error & ((arbitration_id & REMOTE_FLAG) != 0)
-    errors, remotes = int(np.count_nonzero(error)), int(np.count_nonzero(remote))
-    return errors, remotes, count - errors - remotes
+    return int(np.count_nonzero(error)), int(np.count_nonzero(remote))
 
 
 def _count_values(messages: Mapping[int, MessageValues]) -> tuple[int, int]:
@@ -283,7 +286,9 @@ def encode(
             raw = np.zeros(n, dtype=np.int64)
         words |= (raw.astype(np.uint64) & np.uint64((1 << signal.bits) - 1)) << np.uint64(signal.start_bit)
     data = words.view(np.uint8).reshape(n, DATA_BYTES)
-    if any(name in values and plan.signal(name).raw_invalid is None and _any_nan(values[name]) for name in values):
+    if any(
+        plan.signal(name).raw_invalid is None and np.isnan(np.asarray(given)).any() for name, given in values.items()
+    ):
         raise ParameterError("NaN in a signal that cannot say 'not available'", field=plan.name)
     return batch_of(plan.arbitration_id, t_ns, data, plan.length, channel)
 
@@ -296,7 +301,3 @@ def raw_of(signal: SignalPlan, values: FloatArray) -> IntArray:
     if signal.raw_invalid is not None:
         raw[missing] = signal.raw_invalid
     return raw
-
-
-def _any_nan(values: npt.ArrayLike) -> bool:
-    return bool(np.isnan(np.asarray(values, dtype=np.float64)).any())

@@ -82,7 +82,9 @@ class Recordings:
         with passing_faults(path), path.open("rb"):
             pass
         if path.suffix == EXCHANGE_SUFFIX:
-            return _read_exchange(path, digest)
+            file, run, facts = read_bundle(path)
+            frames = aligned_run(run, facts, file.run.position_quality)
+            return Recording(digest, empty_batch(), frames, exchange_catalogue(), rows=len(run.tick))
         catalogue = self.catalogue_of(vehicle)
         content = read_content(path)
         batch = merge([content.batch])
@@ -122,12 +124,6 @@ class Recordings:
             self._kept.popitem(last=False)
 
 
-def _read_exchange(path: Path, digest: str) -> Recording:
-    file, run, facts = read_bundle(path)
-    frames = aligned_run(run, facts, file.run.position_quality)
-    return Recording(digest, empty_batch(), frames, exchange_catalogue(), rows=len(run.tick))
-
-
 def align_frames(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
     """Decode a batch and put its frames on the vehicle's clock.
 
@@ -142,17 +138,18 @@ def waiting_beside(unit: SqlUnitOfWork, vehicle: str, recording: Recording) -> S
     if recording.rows:
         return []
     own = recording.digest, recording.recorder_ns
-    return [other for other in unit.chunks.waiting_for_time(vehicle) if _beside(other, *own)]
+    return [other for other in unit.chunks.waiting_for_time(vehicle) if is_beside(other, *own)]
 
 
 def decoded_beside(unit: SqlUnitOfWork, vehicle: str, digest: str, recorder_ns: Span) -> Sequence[ChunkRecord]:
     """Return the receipts of decoded recordings whose recorder stamps touch those of a recording."""
     first, last = recorder_ns
     decoded = unit.chunks.overlapping_by_recorder(vehicle, first - TIME_REACH_NS, last + TIME_REACH_NS + 1)
-    return [r for r in decoded if r.purged_ns is None and _beside(r, digest, recorder_ns)]
+    return [r for r in decoded if r.purged_ns is None and is_beside(r, digest, recorder_ns)]
 
 
-def _beside(record: ChunkRecord, digest: str, recorder_ns: Span) -> bool:
+def is_beside(record: ChunkRecord, digest: str, recorder_ns: Span) -> bool:
+    """Whether the recorder stamps of a decoded or waiting recording touch those of another one."""
     first, last = recorder_ns
     if record.digest == digest or RECORDER_FIRST not in record.counts:
         return False

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import add, attrgetter
 from types import MappingProxyType
 
 import numpy as np
@@ -28,7 +27,7 @@ from ingest.catalogue import (
     MessagePlan,
     vehicle_time_ns,
 )
-from ingest.codec import Decoded, FrameCounts, RawArray, decode
+from ingest.codec import Counts, Decoded, FrameCounts, RawArray, decode
 from ingest.frames import FrameBatch, between
 from ingest.plausibility import believed, possible, without_odd_ones
 
@@ -48,7 +47,7 @@ RATE_SYNCS = 250
 
 
 @dataclass(frozen=True, slots=True)
-class AlignCounts:
+class AlignCounts(Counts):
     """Counts over one recording. Frames that are left out of windows are in exactly one of the reasons."""
 
     time_frames: int = 0
@@ -69,12 +68,6 @@ class AlignCounts:
     counter_mismatches: int = 0  # more frames than the node counted as sent: invalid
     emergencies: int = 0
     self_test_failures: int = 0
-
-    def __add__(self, other: AlignCounts) -> AlignCounts:
-        return AlignCounts(*map(add, _values_of(self), _values_of(other)))
-
-
-_values_of = attrgetter(*AlignCounts.__slots__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +145,12 @@ def sync_clock(decoded: Decoded, batch: FrameBatch, interval_ns: int) -> tuple[S
     placed = valid & agreed & in_phase
     steps = np.diff(tick[placed])
     near = np.diff(t_ns[placed]) <= TIME_REACH_NS
+    recorder, vehicle = np.diff(times.t_ns), np.diff(times.vehicle_ns)
+    jumps = (recorder <= TIME_REACH_NS) & (np.abs(recorder - vehicle) > TIME_TOLERANCE_NS)
     counts = AlignCounts(
         time_frames=len(times.t_ns),
         time_frames_implausible=left_out,
-        clock_jumps=_jumps(times),
+        clock_jumps=int(np.count_nonzero(jumps)),
         syncs=len(t_ns),
         syncs_missing=int(np.clip(steps[near] - 1, 0, None).sum()),
         syncs_unplaced=int(np.count_nonzero(~placed)),
@@ -176,11 +171,6 @@ def _vehicle_times(times: TimeFrames, t_ns: IntArray) -> tuple[IntArray, BoolArr
     from_before, from_after = times.vehicle_ns[before] + since, times.vehicle_ns[after] - until
     jump = has_before & has_after & (np.abs(from_before - from_after) > TIME_TOLERANCE_NS)
     return np.where(has_before, from_before, from_after), (has_before | has_after) & ~jump
-
-
-def _jumps(times: TimeFrames) -> int:
-    recorder, vehicle = np.diff(times.t_ns), np.diff(times.vehicle_ns)
-    return int(np.count_nonzero((recorder <= TIME_REACH_NS) & (np.abs(recorder - vehicle) > TIME_TOLERANCE_NS)))
 
 
 def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:

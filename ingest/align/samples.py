@@ -80,8 +80,11 @@ def node_samples(
     if not valid.all():
         invalid = np.asarray(values.invalid().any(axis=1))
         clipped = np.asarray(of_mass | values.clipped().any(axis=1))
-    emergency_ns = _emergencies(messages, node) * interval_ns
-    failed_ns = _failed_self_tests(status) * interval_ns
+    emergency, none = _of_node(messages, EMERGENCY, node), np.empty(0, np.int64)
+    over = 0  # error code of an emergency that is over
+    raised = none if emergency is None else emergency.tick[emergency.column("error_code") != over]
+    failed = none if status is None else status.tick[(status.column("self_test_failed") != 0) & ~status.conflict]
+    emergency_ns, failed_ns = raised * interval_ns, failed * interval_ns
     counts += AlignCounts(emergencies=len(emergency_ns), self_test_failures=len(failed_ns))
     block = SampleBlock(vehicle, node, ACCELERATIONS, t_ns, si, valid)
     return NodeSamples(block, saturated, clipped, invalid, np.union1d(emergency_ns, failed_ns), of_box), counts
@@ -89,22 +92,6 @@ def node_samples(
 
 def _of_node(messages: Mapping[int, TickedValues], kind: str, node: int) -> TickedValues | None:
     return next((m for m in messages.values() if m.plan.kind == kind and m.plan.node == node), None)
-
-
-def _emergencies(messages: Mapping[int, TickedValues], node: int) -> IntArray:
-    """Return the ticks of emergencies; error code 0 means that an error is over."""
-    emergency = _of_node(messages, EMERGENCY, node)
-    if emergency is None:
-        return np.empty(0, np.int64)
-    raised: IntArray = emergency.tick[emergency.column("error_code") != 0]
-    return raised
-
-
-def _failed_self_tests(status: TickedValues | None) -> IntArray:
-    if status is None:
-        return np.empty(0, np.int64)
-    failed: IntArray = status.tick[(status.column("self_test_failed") != 0) & ~status.conflict]
-    return failed
 
 
 def _from_status(
@@ -212,16 +199,13 @@ class VehicleMotion:
         inside = (moved.tick >= 0) & (moved.tick < count)
         excess = odometer_excess(moved.tick[inside], moved.values[inside], self.interval_ns * 1e-9, reach)
         fixes = _near(self.place, first_tick, count, 0)
-        return GridMotion(speed, distance, forward, section, quality, self._odometer(moved), excess, fixes)
-
-    def _odometer(self, moved: Track) -> float:
-        """Return the odometer at tick 0 of ``moved``, from the frame with both values nearest to it; NaN without."""
+        odometer = float("nan")  # at the first grid point, from the frame with both values nearest to it
         usable = np.flatnonzero(~np.isnan(moved.values).any(axis=1))
-        if len(usable) == 0:
-            return float("nan")
-        nearest = usable[np.argmin(np.abs(moved.tick[usable]))]
-        speed, odometer = moved.values[nearest]
-        return float(odometer - speed * moved.tick[nearest] * self.interval_ns * 1e-9)
+        if len(usable):
+            nearest = usable[np.argmin(np.abs(moved.tick[usable]))]
+            own_speed, shown = moved.values[nearest]
+            odometer = float(shown - own_speed * moved.tick[nearest] * self.interval_ns * 1e-9)
+        return GridMotion(speed, distance, forward, section, quality, odometer, excess, fixes)
 
 
 def _run_at(moved: Track, tick: IntArray, interval_s: float) -> FloatArray:

@@ -23,16 +23,10 @@ from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
-from ingest.align.samples import (
-    NO_SECTION,
-    GridMotion,
-    NodeSamples,
-    VehicleMotion,
-    node_samples,
-    vehicle_motion,
-)
+from ingest.align.samples import NO_SECTION, GridMotion, NodeSamples, VehicleMotion, node_samples, vehicle_motion
 from ingest.align.window_samples import gaps_of, good_samples, gridded, on_section, range_of
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
+from ingest.codec import Counts
 from ingest.plausibility import off_line_m
 
 OF_BOX = [ACCELERATIONS.index(name) for name in ("lateral_acceleration", "yaw_acceleration", "roll_acceleration")]
@@ -87,7 +81,7 @@ class VehicleSamples:
 
 
 @dataclass(frozen=True, slots=True)
-class WindowCounts:
+class WindowCounts(Counts):
     """What became of the windows that a recording touches."""
 
     windows: int = 0
@@ -188,7 +182,10 @@ def _window(
     slot = (t_ns - extent[0]) // samples.interval_ns
     hunting, blows = _found(node, span, motion, slot, samples.interval_ns * 1e-9)
     guard = round((BLOW_GUARD_S if blows.sustained else CLIPPING_GUARD_S) * 1e9 / samples.interval_ns)
-    clipped = _clipped(node, span, samples.interval_ns * 1e-9)
+    clipped = node.clipped[span]
+    if node.clipped_seconds is not None:
+        struck_out = narrowed(node.clipped_seconds[span], node.saturated[span], samples.interval_ns * 1e-9)
+        clipped = np.asarray(clipped | struck_out)
     good, many = good_samples(slot, node.block.valid[span], clipped, motion.speed, guard)
     section, number = _section(motion, slot, good, lookup) if many else (None, NO_SECTION)
     distance = np.full(len(motion.distance), np.nan)
@@ -249,12 +246,6 @@ def _section(motion: GridMotion, slot: IntArray, good: BoolArray, lookup: Regist
     return (None if number == NO_SECTION else lookup.section_codes.get(number)), number
 
 
-def _clipped(node: NodeSamples, span: slice, interval_s: float) -> BoolArray:
-    if node.clipped_seconds is None:
-        return node.clipped[span]
-    return np.asarray(node.clipped[span] | narrowed(node.clipped_seconds[span], node.saturated[span], interval_s))
-
-
 def _quality(
     node: NodeSamples,
     span: slice,
@@ -286,11 +277,3 @@ def _found(
     lateral, yaw, roll = gridded(node.saturated[span], slot, every, len(motion.speed), len(OF_WHEELSET))
     hunting = find_hunting(lateral, yaw, motion.speed, interval_s)
     return hunting, blows_unless_hunting(hunting, lateral, roll, motion.speed, interval_s)
-
-
-def add_counts(first: WindowCounts, second: WindowCounts) -> WindowCounts:
-    """Return the sums."""
-    return replace(
-        first,
-        **{name: getattr(first, name) + getattr(second, name) for name in WindowCounts.__slots__},
-    )
