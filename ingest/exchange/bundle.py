@@ -17,18 +17,13 @@ from ingest.exchange.description import ExchangeFile, read_description
 from ingest.exchange.run import ExchangeRun, RegistryFacts, exchange_run
 from ingest.exchange.table import PARQUET, SUFFIXES, read_table
 from ingest.exchange.table_process import read_table_apart
-from ingest.input_file import InputTable, read_json
+from ingest.file_value import read_value
+from ingest.input_file import read_json
 
 SUFFIX = ".exchange"
 DESCRIPTION, TABLE, FACTS = "exchange.toml", "table", "registry.json"
 TIMESTAMP = (1980, 1, 1, 0, 0, 0)
 LARGEST_BYTES = 4 << 30
-
-
-class _Facts(InputTable):
-    section_number: int
-    axle_offset_m: float
-    measures_gravity: bool
 
 
 def read_run(file: ExchangeFile, table: Path, facts: RegistryFacts) -> ExchangeRun:
@@ -57,8 +52,7 @@ def read_bundle(path: Path) -> tuple[ExchangeFile, ExchangeRun, RegistryFacts]:
         folder = Path(name)
         table = _unpack(path, folder)
         file, _ = read_description(folder / DESCRIPTION)
-        stored = read_json(folder / FACTS, ExchangeError).parse(_Facts)
-        facts = RegistryFacts(stored.section_number, stored.axle_offset_m, stored.measures_gravity)
+        facts = read_value(read_json(folder / FACTS, ExchangeError), RegistryFacts)
         return file, read_run(file, table, facts), facts
 
 

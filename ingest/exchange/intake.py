@@ -266,14 +266,20 @@ def checked_exchange(description: Path, unit: SqlUnitOfWork) -> Exchange:
             and field.
     """
     file, toml = read_description(description)
-    vehicle, section = _vehicle(file, toml, unit), _section(file, toml, unit)
+    vehicle = _vehicle(file, toml, unit)
+    try:
+        section = unit.tracks.section(file.run.section)
+    except NotFoundError as error:
+        raise toml.error(f"the registry has {error}", ("run", "section")) from error
     on_file = unit.registry.vehicle_class(vehicle.vehicle_class)
     if on_file is None:
         reason = f"the registry has no class {vehicle.vehicle_class!r}, of which vehicle {vehicle.code} is"
         raise toml.error(reason, ("run", "vehicle"))
     gravity = on_file.vehicle_class.sensors.measures_gravity
     in_bogie = on_file.vehicle_class.bogie is not None
-    facts = RegistryFacts(section.number, _offset(file, vehicle), measures_gravity=gravity)
+    axle = file.run.position_of_axle
+    offset = 0.0 if axle is None else vehicle.axle_offsets_m[axle - 1]
+    facts = RegistryFacts(section.number, offset, measures_gravity=gravity)
     table = description.parent / file.data
     if not table.is_file():
         raise toml.error(f"{table} does not exist", ("data",))
@@ -297,18 +303,6 @@ def _vehicle(file: ExchangeFile, toml: InputFile, unit: SqlUnitOfWork) -> Vehicl
         if number > vehicle.axles:
             raise toml.error(f"{number}: vehicle {vehicle.code} has {vehicle.axles} axles", location)
     return vehicle
-
-
-def _section(file: ExchangeFile, toml: InputFile, unit: SqlUnitOfWork) -> TrackSectionRecord:
-    try:
-        return unit.tracks.section(file.run.section)
-    except NotFoundError as error:
-        raise toml.error(f"the registry has {error}", ("run", "section")) from error
-
-
-def _offset(file: ExchangeFile, vehicle: VehicleRecord) -> float:
-    axle = file.run.position_of_axle
-    return 0.0 if axle is None else vehicle.axle_offsets_m[axle - 1]
 
 
 def _check_section(

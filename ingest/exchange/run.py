@@ -39,6 +39,7 @@ FLAT, STOPPED = 0.36, 0.64
 """End of the flat band and begin of the stop band of the filter, as shares of the lower of the two rates."""
 
 ATTENUATION_DB = 80.0
+BETA = 0.1102 * (ATTENUATION_DB - 8.7)  # Kaiser 1974
 CHUNK = 2048
 FEWEST = 3
 
@@ -119,17 +120,12 @@ def resampled(values: FloatArray, at: FloatArray) -> FloatArray:
     for part in np.array_split(inside, -(-len(inside) // CHUNK) or 1):
         nearest = np.rint(at[part]).astype(np.int64)
         index = nearest[:, None] + np.arange(-reach, reach + 1)
-        weights = _weights(index - at[part, None], half, lower)
+        distance = index - at[part, None]
+        shape = scipy.special.i0(BETA * np.sqrt(np.clip(1.0 - (distance / half) ** 2, 0.0, None)))
+        weights = np.where(np.abs(distance) <= half, shape, 0.0) * np.sinc((FLAT + STOPPED) * lower * distance)
+        weights = np.asarray(weights / weights.sum(axis=1, keepdims=True))
         result[part] = np.einsum("kt,ktm->km", weights, values[np.clip(index, 0, len(values) - 1)])
     return result
-
-
-def _weights(distance: FloatArray, half: float, lower: float) -> FloatArray:
-    """Return the weights (k, t) of samples at distances (k, t) from each place; each row adds up to 1."""
-    beta = 0.1102 * (ATTENUATION_DB - 8.7)  # Kaiser 1974
-    shape = scipy.special.i0(beta * np.sqrt(np.clip(1.0 - (distance / half) ** 2, 0.0, None)))
-    weights = np.where(np.abs(distance) <= half, shape, 0.0) * np.sinc((FLAT + STOPPED) * lower * distance)
-    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
 INTERVAL_NS = 4_000_000
@@ -187,7 +183,7 @@ def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts)
     speed = np.interp(at, samples, speed)
     run = np.concatenate([[0.0], np.cumsum(0.5 * INTERVAL_NS * 1e-9 * (speed[1:] + speed[:-1]))])
     accelerations = _accelerations(file, table, at, measures_gravity=facts.measures_gravity)
-    kept = _whole(accelerations)
+    kept = np.logical_and.reduce([~np.isnan(v).any(axis=1) for v in accelerations.values()])  # filters lose both ends
     if not kept.any():
         raise ExchangeError(f"is too short: {time.count} samples", file=table.path)
     return ExchangeRun(
@@ -266,11 +262,6 @@ def _angle(acceleration: FloatArray) -> FloatArray:
     result = np.full(len(acceleration), np.nan)
     result[known] = angle
     return result
-
-
-def _whole(accelerations: Mapping[int, FloatArray]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Return the samples (n,) that every signal reaches: filters lose some at both ends."""
-    return np.asarray(np.logical_and.reduce([~np.isnan(v).any(axis=1) for v in accelerations.values()]))
 
 
 @cache

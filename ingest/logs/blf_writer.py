@@ -58,48 +58,34 @@ def blf_bytes(batch: FrameBatch) -> bytes:
 def _objects(batch: FrameBatch, start_ns: int) -> memoryview:
     error = (batch.arbitration_id & ERROR_FLAG) != 0
     if not error.any():
-        return memoryview(_frame_objects(batch, slice(None), start_ns).tobytes())
+        return memoryview(_of_kind(batch, slice(None), start_ns, blf.CAN_MESSAGE).tobytes())
     frame_size = HEADER_SIZE + blf.CAN_BODY.itemsize
     error_size = HEADER_SIZE + blf.ERROR_BODY.itemsize
     ends = np.cumsum(np.where(error, error_size, frame_size))
     out = np.zeros(int(ends[-1]), dtype=np.uint8)
     starts = np.concatenate([[0], ends[:-1]])
-    frames = _frame_objects(batch, ~error, start_ns).view(np.uint8).reshape(-1, frame_size)
-    errors = _error_objects(batch, error, start_ns).view(np.uint8).reshape(-1, error_size)
+    frames = _of_kind(batch, ~error, start_ns, blf.CAN_MESSAGE).view(np.uint8).reshape(-1, frame_size)
+    errors = _of_kind(batch, error, start_ns, blf.CAN_ERROR_EXT).view(np.uint8).reshape(-1, error_size)
     out[starts[~error][:, None] + np.arange(frame_size)] = frames
     out[starts[error][:, None] + np.arange(error_size)] = errors
     return memoryview(out.tobytes())
 
 
-def _head(layout: np.dtype[np.void], n: int, kind: int, t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
-    objects = np.zeros(n, dtype=layout)
+def _of_kind(batch: FrameBatch, which: npt.NDArray[np.bool_] | slice, start_ns: int, kind: int) -> npt.NDArray[np.void]:
+    """Return frames as objects of one kind."""
+    identifier = batch.arbitration_id[which]
+    layout = blf.object_layout(blf.CAN_BODY if kind == blf.CAN_MESSAGE else blf.ERROR_BODY, HEADER_SIZE)
+    objects = np.zeros(len(identifier), dtype=layout)
     objects["signature"] = blf.OBJECT_SIGNATURE
     objects["header_size"] = HEADER_SIZE
     objects["header_version"] = 1
     objects["size"] = layout.itemsize
     objects["type"] = kind
     objects["flags"] = blf.NANOSECONDS
-    objects["time"] = t_ns
-    return objects
-
-
-def _frame_objects(batch: FrameBatch, which: npt.NDArray[np.bool_] | slice, start_ns: int) -> npt.NDArray[np.void]:
-    identifier = batch.arbitration_id[which]
-    layout = blf.object_layout(blf.CAN_BODY, HEADER_SIZE)
-    objects = _head(layout, len(identifier), blf.CAN_MESSAGE, batch.t_ns[which] - start_ns)
+    objects["time"] = batch.t_ns[which] - start_ns
     objects["body_channel"] = channel_number(batch.channel)
-    objects["body_flags"] = np.where(identifier & REMOTE_FLAG, blf.REMOTE, 0)
-    objects["body_dlc"] = batch.dlc[which]
-    objects["body_id"] = identifier & (IDENTIFIER_BITS | EXTENDED_FLAG)
-    objects["body_data"] = batch.data[which]
-    return objects
-
-
-def _error_objects(batch: FrameBatch, which: npt.NDArray[np.bool_], start_ns: int) -> npt.NDArray[np.void]:
-    identifier = batch.arbitration_id[which]
-    layout = blf.object_layout(blf.ERROR_BODY, HEADER_SIZE)
-    objects = _head(layout, len(identifier), blf.CAN_ERROR_EXT, batch.t_ns[which] - start_ns)
-    objects["body_channel"] = channel_number(batch.channel)
+    if kind == blf.CAN_MESSAGE:
+        objects["body_flags"] = np.where(identifier & REMOTE_FLAG, blf.REMOTE, 0)
     objects["body_dlc"] = batch.dlc[which]
     objects["body_id"] = identifier & (IDENTIFIER_BITS | EXTENDED_FLAG)
     objects["body_data"] = batch.data[which]

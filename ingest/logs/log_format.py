@@ -173,7 +173,8 @@ class FrameSink:
         """Write what was held back and return what there is."""
         if self._held is not None:
             held, self._held = self._held, None
-            if self._before is not None and len(held[0]) and int(held[0][-1]) > self._latest(held) + ALONE_NS:
+            latest = int(held[0][-2]) if len(held[0]) > 1 else int(self._before or 0)
+            if self._before is not None and len(held[0]) and int(held[0][-1]) > latest + ALONE_NS:
                 held = [column[:-1] for column in held]
                 self.count(FRAMES_OUT_OF_TIME)
             self._write(held, len(held[0]))
@@ -187,9 +188,6 @@ class FrameSink:
         frames = self._frames - self._counts[FRAMES_OUT_OF_TIME]
         return SinkSummary(self._channel or DEFAULT_CHANNEL, frames, {k: n for k, n in self._counts.items() if n})
 
-    def _latest(self, held: Sequence[npt.NDArray[np.generic]]) -> int:
-        return int(held[0][-2]) if len(held[0]) > 1 else int(self._before or 0)
-
     def _write(self, columns: Sequence[npt.NDArray[np.generic]], decided: int) -> None:
         if decided <= 0 and len(columns[0]) > 0:
             self._held = list(columns)
@@ -202,8 +200,7 @@ class FrameSink:
         if self._before is None and len(t_ns) > 1 and int(t_ns[1]) > int(t_ns[0]) + ALONE_NS:
             out[0] = True
         self._before = int(t_ns[decided - 1])
-        kept = slice(None, decided)
-        chosen = [column[kept] for column in columns]
+        chosen = [column[:decided] for column in columns]
         if out.any():
             self.count(FRAMES_OUT_OF_TIME, int(np.count_nonzero(out)))
             chosen = [column[~out] for column in chosen]

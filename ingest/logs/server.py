@@ -21,13 +21,13 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from estimation.errors import LogFileError, PassingFaultError
 from estimation.values.reasons import ReasonCode
 from ingest.input_file import end_with, limit_memory
 from ingest.logs.formats import format_of
-from ingest.logs.log_format import COLUMNS, MEBIBYTE, FrameSink, ReadLimits, SinkSummary
+from ingest.logs.log_format import COLUMNS, MEBIBYTE, FrameSink, ReadLimits
 
 REQUEST_BYTES = 16_384
 DESCRIPTORS = 1 + len(COLUMNS)
@@ -135,7 +135,10 @@ def read_and_end(path: Path, limits: ReadLimits, answer: int, columns: Sequence[
     try:
         files = [os.fdopen(column, "wb", closefd=False) for column in columns]
         _limit(limits)
-        found = _read(path, limits, files)
+        sink = FrameSink(files, limits)
+        format_of(path).read(path, limits, sink)
+        summary = sink.finish()
+        found = {"channel": summary.channel, "frames": summary.frames, "counts": summary.counts}
     except LogFileError as error:
         found = {"error": error.reason, "line": error.line}
     except PassingFaultError as error:
@@ -174,13 +177,6 @@ def _limit(limits: ReadLimits) -> None:
     largest = limits.frames * max(layout.itemsize for layout in COLUMNS) + RESERVE_BYTES
     resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
     limit_memory(limits.memory_bytes)
-
-
-def _read(path: Path, limits: ReadLimits, files: Sequence[BinaryIO]) -> dict[str, Any]:
-    sink = FrameSink(files, limits)
-    format_of(path).read(path, limits, sink)
-    summary: SinkSummary = sink.finish()
-    return {"channel": summary.channel, "frames": summary.frames, "counts": summary.counts}
 
 
 if __name__ == "__main__":

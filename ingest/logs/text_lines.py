@@ -275,7 +275,10 @@ class TextLog:
             self.lines += len(block.starts)
             shift = self._shifts(block)
             frames = block.is_frame & self._of_the_bus(block)
-            self._put(block, frames, shift)
+            if frames.any():
+                assert self.channel is not None
+                columns = (block.identifier[frames], block.dlc[frames], block.data[frames])
+                self.sink.add(FramePart(self.channel, block.t_ns[frames] + shift[frames], *columns))
             self._check_lost(max(LOST_AT_ONCE, self.lines // LINES_PER_LOST))
         self._check_lost(max(1, self.lines // LINES_PER_LOST))
         self.sink.count(LINES_LOST, self.lost)
@@ -306,31 +309,12 @@ class TextLog:
             self._lose(block.first_line + index, f"holds several buses ({self.channel}, {name}): one file, one bus")
         return np.asarray(own)
 
-    def _put(self, block: LineBlock, frames: BoolArray, shift: IntArray) -> None:
-        if not frames.any():
-            return
-        assert self.channel is not None
-        part = FramePart(
-            self.channel,
-            block.t_ns[frames] + shift[frames],
-            block.identifier[frames],
-            block.dlc[frames],
-            block.data[frames],
-        )
-        try:
-            self.sink.add(part)
-        except LogFileError as error:
-            raise LogFileError(error.reason, file=self.path) from error
-
     def _lose(self, number: int, reason: str) -> None:
         self.lost += 1
         if self.first_lost is None:
-            self.first_lost = LogFileError(reason, file=self.path, line=number)
+            self.first_lost = LogFileError(reason, line=number)
 
     def _check_lost(self, most: int) -> None:
         if self.lost > most and self.first_lost is not None:
-            raise LogFileError(
-                f"{self.first_lost.reason}; {self.lost} such lines, at most {most}",
-                file=self.path,
-                line=self.first_lost.line,
-            )
+            reason = f"{self.first_lost.reason}; {self.lost} such lines, at most {most}"
+            raise LogFileError(reason, line=self.first_lost.line)

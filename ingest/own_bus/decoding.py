@@ -32,11 +32,9 @@ from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from ingest.own_bus.bus import (
     CanopenClock,
     OwnBus,
-    OwnMessage,
     OwnNode,
     SignalBits,
     SignalReference,
-    StampClock,
     StateReference,
 )
 
@@ -60,19 +58,16 @@ def align_own(bus: OwnBus, batch: FrameBatch) -> AlignedFrames:
         clock, counts = sync_clock(named, batch, bus.sample_interval_ns)
         times = time_frames(named, batch)
     else:
-        stamps = batch.t_ns[_frames_of(bus.clock, bus, batch)]
+        reference = bus.clock.reference
+        stamps = batch.t_ns[(batch.arbitration_id == reference) & (batch.dlc == bus.lengths[reference])]
         _check_rate(bus, stamps)
         clock, counts = stamp_clock(stamps, bus.sample_interval_ns)
         ends = batch.t_ns[[0, -1]] if len(batch) else batch.t_ns
         times = TimeFrames(ends, ends)
     found = align_decoded(decoded, batch, clock, times)
-    samples = sum(len(found.messages[key].tick) for key in _sampled(bus) if key in found.messages)
+    sampled = {node.sensors[0].message for node in bus.nodes}  # one sample each
+    samples = sum(len(found.messages[key].tick) for key in sampled if key in found.messages)
     return replace(found, align_counts=found.align_counts + counts + AlignCounts(samples=samples))
-
-
-def _sampled(bus: OwnBus) -> set[int]:
-    """Return the keys of the messages with a lateral acceleration: one sample each."""
-    return {node.sensors[0].message for node in bus.nodes}
 
 
 def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
@@ -96,7 +91,8 @@ def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
             strange_multiplexers[index] |= ~np.isin(value, bus.multiplexers[message.identifier])
             index = index[value == message.multiplexer_value]
         if len(index):
-            messages[key] = MessageValues(message.plan, index, _unpacked(message, batch, index))
+            columns = [_raw(batch, index, *pair) for pair in zip(message.plan.signals, message.bits, strict=True)]
+            messages[key] = MessageValues(message.plan, index, np.column_stack(columns))
     extended = unknown & ((identifier & EXTENDED_FLAG) != 0)
     counts = FrameCounts(
         frames=len(batch),
@@ -109,11 +105,6 @@ def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
         invalid_values=sum(int(np.count_nonzero(values.invalid())) for values in messages.values()),
     )
     return Decoded(MappingProxyType(messages), counts)
-
-
-def _unpacked(message: OwnMessage, batch: FrameBatch, index: IntArray) -> IntArray:
-    columns = [_raw(batch, index, *pair) for pair in zip(message.plan.signals, message.bits, strict=True)]
-    return np.column_stack(columns)
 
 
 def _raw(batch: FrameBatch, index: IntArray, plan: SignalPlan, bits: SignalBits) -> IntArray:
@@ -153,10 +144,6 @@ def _plan(name: str, identifier: int, limits: dict[str, tuple[int, int]]) -> Mes
         for signal, (low, high) in limits.items()
     )
     return MessagePlan(name, name, None, identifier, 0, 0, signals)
-
-
-def _frames_of(clock: StampClock, bus: OwnBus, batch: FrameBatch) -> BoolArray:
-    return np.asarray((batch.arbitration_id == clock.reference) & (batch.dlc == bus.lengths[clock.reference]))
 
 
 def _check_rate(bus: OwnBus, stamps: IntArray) -> None:
@@ -266,9 +253,10 @@ def _node_samples(
             good = np.rint(good / step) * step  # the same bits wherever a recording was cut
         saturated[at, column] = good
         values[at, column] = np.where(cut_off, np.nan, good)
-    fault = np.empty(0, np.int64)
-    if node.fault is not None:
-        fault = _states(node.fault, messages) * interval_ns
+    fault: IntArray = np.empty(0, np.int64)
+    if node.fault is not None and (ticked := messages.get(node.fault.signal.message)) is not None:
+        failed = (ticked.raw[:, node.fault.signal.column] != node.fault.good) & ~ticked.conflict
+        fault = ticked.tick[failed] * interval_ns
         counts += AlignCounts(self_test_failures=len(fault))
     block = SampleBlock(vehicle, node.axle, ACCELERATIONS, tick * interval_ns, values, ~np.isnan(values))
     return NodeSamples(block, saturated, clipped, invalid, fault), counts
@@ -281,7 +269,8 @@ def _values(signal: SignalReference, messages: Messages) -> _Values:
         return _Values(empty, np.empty(0), empty.astype(np.bool_), empty.astype(np.bool_))
     raw, plan = np.asarray(ticked.raw[:, signal.column], np.int64), signal.plan
     if signal.is_float:
-        numbers = _floats(raw, plan.bits)
+        whole = plan.bits == raw.itemsize * 8
+        numbers = raw.view(np.float64) if whole else raw.astype(np.uint32).view(np.float32).astype(np.float64)
         invalid = ~np.isfinite(numbers)
         ends = np.zeros(len(raw), np.bool_)
     else:
@@ -295,12 +284,6 @@ def _values(signal: SignalReference, messages: Messages) -> _Values:
         clipped = ~invalid & (ends | (np.abs(values) >= signal.limit))
     values[invalid | ticked.conflict] = np.nan
     return _Values(ticked.tick, values, invalid, clipped)
-
-
-def _floats(raw: IntArray, bits: int) -> FloatArray:
-    if bits == raw.itemsize * 8:
-        return raw.view(np.float64)
-    return raw.astype(np.uint32).view(np.float32).astype(np.float64)
 
 
 def _sequence(signal: SignalReference, messages: Messages, interval_ns: int) -> tuple[IntArray, AlignCounts]:
@@ -320,13 +303,6 @@ def _sequence(signal: SignalReference, messages: Messages, interval_ns: int) -> 
         counter_mismatches=int(np.count_nonzero(repeated)),
     )
     return tick[1:][repeated], counts
-
-
-def _states(state: StateReference, messages: Messages) -> IntArray:
-    ticked = messages.get(state.signal.message)
-    if ticked is None:
-        return np.empty(0, np.int64)
-    return np.asarray(ticked.tick[(ticked.raw[:, state.signal.column] != state.good) & ~ticked.conflict])
 
 
 def _not_good(state: StateReference, messages: Messages, tick: IntArray, interval_ns: int) -> BoolArray:
