@@ -81,9 +81,7 @@ def registry_lookup(unit: SqlUnitOfWork, vehicle: VehicleRecord, from_ns: int, t
     )
 
 
-OWN_TIME = "own_time"
-"""Key among the counts of a receipt: 1 where the recording has a TIME frame of its own, else 0."""
-
+OWN_TIME = "own_time"  # key among the counts of a receipt: 1 where the recording has a TIME frame of its own, else 0
 WAITING = Reason(ReasonCode.WAITS_FOR_TIME, "no TIME frame in it or beside it: it waits for the recording next to it")
 
 

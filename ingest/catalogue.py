@@ -245,13 +245,10 @@ def resolution(plan: MessagePlan) -> np.ndarray[Any, np.dtype[np.float64]]:
 SYNC_ID = 0x080
 TIME_ID = 0x100
 
-SYNC_PERIOD = 240
-"""The counter runs 1..240 (CiA 301, object 1019h)."""
-
+SYNC_PERIOD = 240  # the counter runs 1..240 (CiA 301, object 1019h)
 NANOSECONDS = 1_000_000_000
 DAY_MS = 86_400_000
-EPOCH_DAYS = 5113
-"""Days from 1970-01-01 to 1984-01-01, where CANopen's TIME_OF_DAY begins."""
+EPOCH_DAYS = 5113  # days from 1970-01-01 to 1984-01-01, where CANopen's TIME_OF_DAY begins
 
 
 def sync_counter(tick: npt.ArrayLike) -> IntArray:

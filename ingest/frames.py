@@ -172,9 +172,7 @@ def between(batch: FrameBatch, from_ns: int, to_ns: int) -> FrameBatch:
     return take(batch, slice(int(first), int(last)))
 
 
-OVERFLOW_ID = ERROR_FLAG | 0x004
-"""Class CAN_ERR_CRTL of linux/can/error.h."""
-
+OVERFLOW_ID = ERROR_FLAG | 0x004  # class CAN_ERR_CRTL of linux/can/error.h
 _OVERFLOW = 0x01  # CAN_ERR_CRTL_RX_OVERFLOW in byte 1
 _COUNTED = 0xDD  # in byte 0, which has no meaning in this class: a number follows in bytes 4 to 7
 _MOST = 0xFFFF_FFFF

@@ -31,12 +31,8 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from estimation.errors import InputError
 
 MEBIBYTE = 1 << 20
-SETTINGS_BYTES = 64 * MEBIBYTE
-"""Of a TOML, JSON or DBC file: a registry of ten thousand vehicles has 40 MiB."""
-
-TABLE_BYTES = 256 * MEBIBYTE
-"""Of a table of text: an hour at 250 Hz with 25 columns has 225 MiB."""
-
+SETTINGS_BYTES = 64 * MEBIBYTE  # of a TOML, JSON or DBC file: a registry of ten thousand vehicles has 40 MiB
+TABLE_BYTES = 256 * MEBIBYTE  # of a table of text: an hour at 250 Hz with 25 columns has 225 MiB
 PROFILE_BYTES = 16 * MEBIBYTE
 
 
@@ -133,9 +129,7 @@ def increasing(values: Values) -> Values:
     return values
 
 
-CODE_LENGTH = 64
-"""Letters of a code or a serial number that a database column holds."""
-
+CODE_LENGTH = 64  # letters of a code or a serial number that a database column holds
 FreeText = Annotated[str, AfterValidator(_printable)]
 Text = Annotated[FreeText, AfterValidator(_not_empty)]
 Code = Annotated[Text, AfterValidator(_one_short_line)]

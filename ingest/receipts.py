@@ -56,8 +56,7 @@ def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> Non
             raise ConflictError(f"recording {receipt.digest[:12]} changed meanwhile", kind="chunk", key=receipt.digest)
 
 
-TAKE_DELETED = "--take-deleted"
-"""The option that asks for it."""
+TAKE_DELETED = "--take-deleted"  # the option that asks for it
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,14 +153,11 @@ def _number(path: Path, line: int, cells: list[str], name: str, place: int) -> f
 LINE_COLUMNS = ("s_m", "latitude_deg", "longitude_deg")
 FEWEST_LINE_POINTS = 2
 MOST_LINE_POINTS = 20_000
-MOST_APART_M = 200.0
-"""Between two points: the chord of a radius of 300 m is 17 m from the rail in its middle."""
+MOST_APART_M = 200.0  # between two points: the chord of a radius of 300 m is 17 m from the rail in its middle
 LONGER_SHARE, LONGER_M = 0.02, 20.0
 """By which points may be further apart than their distances along the line say: of a map, and rounded."""
-SHORTER_SHARE = 0.1
-"""By which they may be nearer to each other: 200 m along a radius of 150 m have a chord of 186 m."""
-BEYOND_M = 50.0
-"""By which the points may reach beyond the ends of the section."""
+SHORTER_SHARE = 0.1  # by which they may be nearer to each other: 200 m along a radius of 150 m have a chord of 186 m
+BEYOND_M = 50.0  # by which the points may reach beyond the ends of the section
 
 
 def read_line(path: Path, section: TrackSectionRecord) -> SectionLine:

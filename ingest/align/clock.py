@@ -31,9 +31,7 @@ from ingest.codec import Counts, Decoded, FrameCounts, RawArray, decode
 from ingest.frames import FrameBatch, between
 from ingest.plausibility import believed, possible, without_odd_ones
 
-TIME_REACH_NS = 3_000_000_000
-"""How far from a TIME frame a SYNC may be: two lost TIME frames are bridged."""
-
+TIME_REACH_NS = 3_000_000_000  # how far from a TIME frame a SYNC may be: two lost TIME frames are bridged
 TIME_TOLERANCE_NS = 100_000_000
 """How far TIME frames may disagree with each other and with the SYNC counter; half a counter period is 480 ms."""
 

@@ -137,9 +137,7 @@ def _spans(tick: IntArray, after: IntArray, until: IntArray) -> BoolArray:
     return np.cumsum(edges[:-1]) > 0
 
 
-LONGEST_GAP_NS = 1_000_000_000
-"""Frames further apart than this are not interpolated between."""
-
+LONGEST_GAP_NS = 1_000_000_000  # frames further apart than this are not interpolated between
 NO_SECTION = -1
 
 

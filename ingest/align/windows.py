@@ -53,9 +53,7 @@ def narrowed(marked: BoolArray, values: FloatArray, interval_s: float) -> BoolAr
     return found
 
 
-MIN_PRESENCE = 0.2
-"""Share of a window that frames of its node must be there for."""
-
+MIN_PRESENCE = 0.2  # share of a window that frames of its node must be there for
 CLIPPING_GUARD_S = 0.04
 """Samples this near to a clipped one are left out with it: the sensor's filter has spread what was cut off."""
 
@@ -65,8 +63,7 @@ BLOW_GUARD_S = 0.004
 OF_WHEELSET = ACCELERATIONS[:3]
 """Lateral and yaw acceleration show hunting, lateral and roll acceleration show blows."""
 
-MOVING_M_S = 0.5
-"""A window in which the vehicle never ran faster is no running time."""
+MOVING_M_S = 0.5  # a window in which the vehicle never ran faster is no running time
 
 
 @dataclass(frozen=True, slots=True)

@@ -242,8 +242,7 @@ def check_alone(unit: SqlUnitOfWork, vehicle: str, first_ns: int, last_ns: int, 
             raise ConflictError(reason, kind="chunk", key=other.digest)
 
 
-BEYOND_M = 1.0
-"""How far beyond the ends of its section a position may be: sections are surveyed to that."""
+BEYOND_M = 1.0  # how far beyond the ends of its section a position may be: sections are surveyed to that
 
 
 @dataclass(frozen=True, slots=True)

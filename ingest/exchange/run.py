@@ -29,9 +29,7 @@ from ingest.exchange.description import SIGNALS, Column, ExchangeFile, unit
 from ingest.exchange.table import ExchangeTable
 from ingest.units import DERIVATIVES, Quantity
 
-RATE_TOLERANCE = 1e-3
-"""How far the rate of the table may be from the declared one."""
-
+RATE_TOLERANCE = 1e-3  # how far the rate of the table may be from the declared one
 TIME_TOLERANCE = 0.3
 """How far a time may be from its place in the uniform series, in sampling intervals: printed times are rounded."""
 
@@ -137,9 +135,7 @@ LARGEST: Mapping[str, float] = MappingProxyType(
 )
 """Magnitudes in SI that no vehicle has: beyond them a unit is wrong."""
 
-LONGEST_S = 5e9
-"""Seconds from ``start`` to the first row: 1970 may be the start."""
-
+LONGEST_S = 5e9  # seconds from ``start`` to the first row: 1970 may be the start
 RUN_SHARE, RUN_M = 0.05, 2.0
 """How far the change of position may be from the integral of the speed: share of the distance run, and m."""
 

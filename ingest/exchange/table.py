@@ -20,8 +20,7 @@ PARQUET = ".parquet"
 SUFFIXES = (".csv", ".txt", PARQUET)
 MAGIC = b"PAR1"
 BATCH_ROWS = 65_536
-UNPACKED_BYTES = 512 * MEBIBYTE
-"""Of a Parquet file, unpacked: an hour at 250 Hz with 25 columns has 180 MiB."""
+UNPACKED_BYTES = 512 * MEBIBYTE  # of a Parquet file, unpacked: an hour at 250 Hz with 25 columns has 180 MiB
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,9 +30,7 @@ from ingest.input_file import MEBIBYTE, end_with, limit_memory
 MEMORY_BYTES = 2048 * MEBIBYTE
 """Of address space, beyond what the process has before it reads: four times the largest table that is taken."""
 
-CPU_S = 120
-"""An hour at 250 Hz with 25 columns takes 10 s as text."""
-
+CPU_S = 120  # an hour at 250 Hz with 25 columns takes 10 s as text
 WALL_S = 600.0
 COLUMNS = "columns.npy"
 

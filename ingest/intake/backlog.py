@@ -17,8 +17,7 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.receiver import ChunkReceipt, Receiver
 
-LOOK_EVERY_S = 1.0
-"""How long what the database said counts; what was taken since is added to it."""
+LOOK_EVERY_S = 1.0  # how long what the database said counts; what was taken since is added to it
 
 
 class Limit(StrEnum):
@@ -108,8 +107,7 @@ def free_bytes(folder: Path) -> int:
         return shutil.disk_usage(there).free
 
 
-AT_ONCE = 100
-"""Receipts in memory; the log of one is read at a time, in a process of its own."""
+AT_ONCE = 100  # receipts in memory; the log of one is read at a time, in a process of its own
 
 
 @dataclass(slots=True)

@@ -24,10 +24,8 @@ from ingest.receipts import Chunk
 
 DONE, REFUSED = "done", "refused"
 REASON_SUFFIX = ".reason.txt"
-UNFINISHED = (".part", ".partial", ".tmp", ".filepart")
-"""Endings that programs give a file while they write it."""
-AT_ONCE = 16
-"""Files that get their receipts in one transaction."""
+UNFINISHED = (".part", ".partial", ".tmp", ".filepart")  # endings that programs give a file while they write it
+AT_ONCE = 16  # files that get their receipts in one transaction
 LOCK = ".treadwatch-drop-folder"
 
 

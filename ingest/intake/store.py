@@ -87,8 +87,7 @@ class ChunkStorage:
                     answers[number] = error
 
 
-AT_ONCE = 64
-"""Receipts of one transaction at most."""
+AT_ONCE = 64  # receipts of one transaction at most
 
 
 @dataclass(frozen=True, slots=True)

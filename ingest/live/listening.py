@@ -23,9 +23,7 @@ from ingest.live.status import LiveStatus, Reports
 PATIENCE_S = 0.2
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 30.0
 
-SILENT_S = 10.0
-"""After so long without a frame the bus is called silent."""
-
+SILENT_S = 10.0  # after so long without a frame the bus is called silent
 REOPENED_AFTER_S = 60.0
 """A silent bus is opened again so often: an interface that went down and up may have left its group."""
 

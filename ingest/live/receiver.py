@@ -15,15 +15,10 @@ from ingest.live.spool import DropCount, Spool, spool_folder
 from ingest.live.status import LiveStatus, Reports
 from ingest.live.storing import Stores, Storing
 
-EVERY_S = 0.5
-"""Between two writes: with the fsync behind it, a frame is on the disk within a second of its reception."""
-
+EVERY_S = 0.5  # between two writes: with the fsync behind it, a frame is on the disk within a second of its reception
 RECORD_FRAMES = 40_000
-PIECE_BYTES = 1 << 24
-"""A piece is closed early when it is as large: it is held in memory while it is stored."""
-
-REPORT_EVERY_S = 60.0
-"""Drops that go on are reported so often, and at least once a piece."""
+PIECE_BYTES = 1 << 24  # a piece is closed early when it is as large: it is held in memory while it is stored
+REPORT_EVERY_S = 60.0  # drops that go on are reported so often, and at least once a piece
 
 
 class Spooling:

@@ -74,12 +74,9 @@ PASSING = (StorageError, PassingFaultError, OSError, MemoryError)
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 15.0
 DECODE_FIRST_DELAY_S, DECODE_LONGEST_DELAY_S = 1.0, 300.0
 
-ATTEMPTS = 3
-"""With a piece that fails for a reason of its own."""
-
+ATTEMPTS = 3  # with a piece that fails for a reason of its own
 LOOK_EVERY_S = 0.5
-CHECK_EVERY_S = 15.0
-"""The database is asked whether it answers when nothing was stored for so long."""
+CHECK_EVERY_S = 15.0  # the database is asked whether it answers when nothing was stored for so long
 
 
 @dataclass(frozen=True, slots=True)

@@ -146,12 +146,8 @@ def _inflate(contents: bytes, declared: int, at: int) -> bytes:
     return inflated
 
 
-PIECE_BYTES = 1 << 20
-"""Containers are joined to pieces of so many bytes, inflated."""
-
-RUN_OBJECTS = 32_768
-"""Objects that are decoded at once."""
-
+PIECE_BYTES = 1 << 20  # containers are joined to pieces of so many bytes, inflated
+RUN_OBJECTS = 32_768  # objects that are decoded at once
 HEADER_TOLERANCE_NS = 2_000_000_000
 """How far the last stamp may be from the stop time in the header, which is of whole seconds with some writers."""
 

@@ -15,9 +15,7 @@ from ingest.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch, ch
 from ingest.logs import blf_layout as blf
 
 CONTAINER_BYTES = 128 * 1024
-COMPRESSION = 1
-"""zlib's fastest: 48-byte objects that are mostly equal shrink well at any level."""
-
+COMPRESSION = 1  # zlib's fastest: 48-byte objects that are mostly equal shrink well at any level
 HEADER_SIZE = blf.OBJECT_HEAD.itemsize
 IDENTIFIER_BITS = 0x1FFF_FFFF
 MILLISECOND = 1_000_000

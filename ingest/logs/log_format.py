@@ -60,8 +60,7 @@ def limits_of(size_bytes: int, bytes_per_s: int, more_memory: int = 0) -> ReadLi
     )
 
 
-OWN_BYTES_PER_S = 2 << 20
-"""What a reader of our own reads at least, of the slowest format on a slow machine."""
+OWN_BYTES_PER_S = 2 << 20  # what a reader of our own reads at least, of the slowest format on a slow machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +100,7 @@ STEP_BACK_NS = 100_000_000
 """How far a stamp may be before the one that stands before it: recorders that read two queues write frames out of order
 by some milliseconds."""
 
-ALONE_NS = 3_600_000_000_000
-"""A first or last frame that is further from all others has a wrong stamp."""
-
+ALONE_NS = 3_600_000_000_000  # a first or last frame that is further from all others has a wrong stamp
 FRAMES_OUT_OF_TIME = "frames_out_of_time"
 STEPS_BACK = "recorder_steps_back"
 

@@ -120,8 +120,7 @@ PASSING = {
 }
 """Errors of the machine, not of the file: the same file can be read later."""
 
-RESERVE_BYTES = 1 << 20
-"""Of memory that is given back so that the answer can be written when memory has run out."""
+RESERVE_BYTES = 1 << 20  # of memory that is given back so that the answer can be written when memory has run out
 
 
 def read_and_end(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], parent: int) -> None:

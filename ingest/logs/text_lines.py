@@ -25,12 +25,8 @@ from ingest.logs.log_format import FramePart, FrameSink
 
 BLOCK_BYTES = 1 << 20
 LONGEST_LINE = 1000
-LAYOUTS = 4
-"""Layouts that are tried of lines of one length; the rest is read line by line."""
-
-FEWEST = 8
-"""Lines of one length that are worth a layout."""
-
+LAYOUTS = 4  # layouts that are tried of lines of one length; the rest is read line by line
+FEWEST = 8  # lines of one length that are worth a layout
 STANDARD_BITS, EXTENDED_BITS = 0x7FF, 0x1FFF_FFFF
 LARGEST_BYTE = 0xFF
 DECIMAL, HEXADECIMAL = 10, 16
@@ -243,9 +239,7 @@ def identifier_limits(extended: bool) -> tuple[int, int]:  # noqa: FBT001 - the 
 LINES_PER_LOST = 1000
 """Of so many lines one may be damaged; at least one of a log. More are no damage to a log, but no such log."""
 
-LOST_AT_ONCE = 100
-"""So many lost lines may come before the others are counted."""
-
+LOST_AT_ONCE = 100  # so many lost lines may come before the others are counted
 LINES_LOST = "lines_lost"
 LINES_SKIPPED = "lines_not_frames"
 

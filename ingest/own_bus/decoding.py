@@ -43,9 +43,7 @@ PHASE_REACH_NS = 1_000_000_000
 
 RATE_TOLERANCE = 0.25
 FEWEST_FRAMES = 50
-LEAD = 4
-"""A sampling instant begins a fourth of a cycle before the stamp of its reference message."""
-
+LEAD = 4  # a sampling instant begins a fourth of a cycle before the stamp of its reference message
 LARGEST_COUNTER, LARGEST_DAYS, DAY_MS = SYNC_PERIOD, 65_535, 86_400_000
 
 
@@ -183,9 +181,7 @@ def stamp_clock(stamps: IntArray, interval_ns: int) -> tuple[SyncClock, AlignCou
 
 
 BRIDGED = SignalParameters().bridged_samples
-FLOAT_COUNT = 2.0**-20
-"""SI; what derivatives of signals without counts are rounded to."""
-
+FLOAT_COUNT = 2.0**-20  # SI; what derivatives of signals without counts are rounded to
 Messages = Mapping[int, TickedValues]
 
 

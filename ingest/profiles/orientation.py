@@ -34,9 +34,7 @@ from ingest.profiles.points import FilePoints, Origin
 _GAUGE_DEPTH = GAUGE_DEPTH * 1e3  # mm
 _DEPTHS = np.arange(14.5, 30.1, 0.5)  # mm below the crown, where sides are straight and not worn
 _FEWEST_DEPTHS = 9
-LEAST_LEAN = 0.012
-"""Tangent from which a head counts as leaning; rails are inclined by 1:40 to 1:20."""
-
+LEAST_LEAN = 0.012  # tangent from which a head counts as leaning; rails are inclined by 1:40 to 1:20
 _MOST_LEAN = 0.07
 _MOST_DIVERGENCE = 0.15  # of the sides, whose own slopes are 1:20 at most; a worn gauge face exceeds it
 _ALIKE = 0.05  # mm, root mean square

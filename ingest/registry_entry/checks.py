@@ -80,9 +80,7 @@ def unknown_profile(record: RecordName, field: str, name: str) -> list[Contradic
     return []
 
 
-TOLERANCE_KM = 1000.0
-"""By which books, odometers and the sums of trips may differ."""
-
+TOLERANCE_KM = 1000.0  # by which books, odometers and the sums of trips may differ
 _SECOND = 1_000_000_000
 
 
@@ -143,8 +141,7 @@ def _contradiction(entered: DistancePoint, others: list[DistancePoint], rule: Ru
     return Contradiction(rule, entered.record, entered.field, reason, tuple(other.record for other in others))
 
 
-AHEAD_NS = 86_400 * 1_000_000_000
-"""By which the clock of a vehicle or of a depot may be ahead of ours."""
+AHEAD_NS = 86_400 * 1_000_000_000  # by which the clock of a vehicle or of a depot may be ahead of ours
 
 
 def in_the_future(record: RecordName, field: str, at_ns: int, now_ns: int) -> list[Contradiction]:

@@ -23,9 +23,7 @@ from ingest.simulator.scenario import NORMAL_REACH, BusPlan, FaultKind, Scenario
 from ingest.simulator.sensors import SensorRecord
 
 SECOND_NS = 1_000_000_000
-SLOT_NS = 230_000
-"""Time on a 500 kbit/s bus of a frame with 8 bytes, stuffing included."""
-
+SLOT_NS = 230_000  # time on a 500 kbit/s bus of a frame with 8 bytes, stuffing included
 FRAME_BITS = 47  # base format, with the space between frames
 STUFFING = 1.035  # a bit in 29: recorded traffic has less than the one in 5 that is possible
 

@@ -346,8 +346,7 @@ def _recordings(
             raise
 
 
-PAUSE_S = 5.0
-"""Pause between two campaigns: longer than a receiver extrapolates the vehicle's clock."""
+PAUSE_S = 5.0  # pause between two campaigns: longer than a receiver extrapolates the vehicle's clock
 
 
 def transmit(

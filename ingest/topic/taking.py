@@ -28,8 +28,7 @@ STAGE = "consume"
 MOST_ATTEMPTS = 30
 """Over some 23 hours, as their delays grow; behind it a new message or ``treadwatch quarantine retry`` is needed."""
 NEVER_NS = (1 << 63) - 1
-AT_ONCE = 100
-"""References that are tried again between two messages."""
+AT_ONCE = 100  # references that are tried again between two messages
 
 
 @dataclass(frozen=True, slots=True)
