@@ -49,17 +49,11 @@ _MILLIMETRE = 1e-3
 
 
 class ProfileOptions(TypedDict, total=False):
-    """What a file leaves open.
+    """What a file leaves open; None: the shape and the points show it."""
 
-    Attributes:
-        mirror: Of a rail: True if its gauge side is at positive y of the file, False if at negative y; None decides
-            from the shape.
-        noise_std: Known noise of the instrument, m; 0 takes the points as they are; None estimates it from the points.
-    """
-
-    mirror: bool | None
+    mirror: bool | None  # of a rail: whether its gauge side is at positive y of the file
     origin: Origin
-    noise_std: float | None
+    noise_std: float | None  # of the instrument, m; 0 takes the points as they are
 
 
 def read_profile(path: Path | str, kind: ProfileKind, **options: Unpack[ProfileOptions]) -> Profile:
@@ -94,7 +88,11 @@ def measured_profile_of(text: str, file: Path, kind: ProfileKind, **options: Unp
     parse = next((item.parse for item in FORMATS if suffix in item.suffixes), parse_columns)
     noise = None if noise_std is None else noise_std / _MILLIMETRE
     origin = options.get("origin", Origin.AUTO)
-    return oriented(parse(text, str(file)), kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)
+    points = parse(text, str(file))
+    try:
+        return oriented(points, kind, file.stem, mirror=mirror, origin=origin, noise_std=noise)
+    except ProfileError as error:
+        raise ProfileError(error.reason, file=file, line=error.line, field=error.field) from error
 
 
 def _refuse_lists(file: Path) -> None:
