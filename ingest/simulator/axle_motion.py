@@ -45,7 +45,7 @@ def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
     """Return the lateral displacement, m, beyond which a wheelset of the scenario derails."""
     recipe = scenario.section.recipe
     _, widest = track.gauge_range()
-    more = _rounded_up(0.5 * max(widest, 0.0))
+    more = LIMIT_STEP * math.ceil(0.5 * max(widest, 0.0) / LIMIT_STEP - 1e-9)
     varied = track.surface is not None or bool(scenario.running.stretches)
     if recipe is None or not recipe.plain or scenario.files or varied:
         return ROUGH_LIMIT + more
@@ -53,10 +53,6 @@ def displacement_limit(scenario: Scenario, track: TrackTruth) -> float:
         wide = GAUGE_LIMIT + more
         return wide if scenario.drawn is None else max(wide, DRAWN_LIMIT_WIDE)
     return more + (DISPLACEMENT_LIMIT if scenario.drawn is None else DRAWN_LIMIT)
-
-
-def _rounded_up(length: float) -> float:
-    return LIMIT_STEP * math.ceil(length / LIMIT_STEP - 1e-9)
 
 
 def first_climb(table: ContactTable, motion: WheelsetMotion) -> int | None:

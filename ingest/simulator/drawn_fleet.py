@@ -12,7 +12,7 @@ from estimation.errors import ScenarioError
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import BogieParameters
-from ingest.simulator.drawn_plan import DrawnFleet, FleetWear, ProfilePair, WearDistribution
+from ingest.simulator.drawn_plan import DrawnFleet, ProfilePair, WearDistribution
 from ingest.simulator.scenario import (
     Scenario,
     Stream,
@@ -179,18 +179,15 @@ def _depth(fleet: DrawnFleet, pair: ProfilePair, rank: int, rng: np.random.Gener
     if wear.distribution is WearDistribution.UNIFORM:
         return rng.uniform(wear.lowest, highest)
     for _ in range(MOST_DRAWS):
-        depth = _unlimited(wear, rng)
+        if wear.distribution is WearDistribution.NORMAL:
+            depth = rng.normal(wear.mean, wear.std)
+        else:
+            variance = math.log1p((wear.std / wear.mean) ** 2)  # of the logarithm
+            depth = rng.lognormal(math.log(wear.mean) - 0.5 * variance, math.sqrt(variance))
         if wear.lowest <= depth <= highest:
             return depth
     reason = f"{MOST_DRAWS} draws gave no wear between {1e3 * wear.lowest:g} and {1e3 * highest:g} mm"
     raise ScenarioError(reason, field="drawn_fleet.wear.mean_mm")
-
-
-def _unlimited(wear: FleetWear, rng: np.random.Generator) -> float:
-    if wear.distribution is WearDistribution.NORMAL:
-        return rng.normal(wear.mean, wear.std)
-    variance = math.log1p((wear.std / wear.mean) ** 2)  # of the logarithm
-    return rng.lognormal(math.log(wear.mean) - 0.5 * variance, math.sqrt(variance))
 
 
 def _wheel_files(pair: ProfilePair, seed: int, rank: int) -> SideFiles:

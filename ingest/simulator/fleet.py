@@ -59,7 +59,7 @@ def surveyed(scenario: Scenario, track: TrackTruth) -> TrackTruth:
         other = _other_section(scenario, track)
         source = other if plan.other_section else replace(track, gauge_deviation=other.gauge_deviation)
     if plan.shift:
-        source = _shifted(source, plan.shift)
+        source = replace(_on_grid(source, source.s - plan.shift), s=source.s)  # at its ends the first and last value
     rng = generator(scenario.seed, Stream.SURVEY)
     alignment_error = _error(len(track.s), section.survey_alignment_std, track.interval, rng)
     gauge_error = _error(len(track.s), section.survey_gauge_std, track.interval, rng)
@@ -80,11 +80,6 @@ def _other_section(scenario: Scenario, track: TrackTruth) -> TrackTruth:
         reason = f"has {other.length:.0f} m of track, the section {track.length:.0f} m"
         raise ScenarioError(reason, file=section.survey.file, field="section.survey.file")
     return _on_grid(other, track.s)
-
-
-def _shifted(track: TrackTruth, shift: float) -> TrackTruth:
-    """Return a track whose irregularities are ``shift`` m further on; at its ends the first and last value."""
-    return replace(_on_grid(track, track.s - shift), s=track.s)
 
 
 def _on_grid(track: TrackTruth, s: FloatArray) -> TrackTruth:
@@ -158,7 +153,10 @@ def run_fleet(
     chosen = [scenario.vehicle(code) for code in vehicles] if vehicles is not None else list(scenario.vehicles)
     track = scenario_track(scenario)
     registry = prepare(scenario, out)
-    tasks = _tasks(scenario, chosen)
+    every = tuple(range(scenario.sessions.campaigns))
+    tasks: list[tuple[str, Campaigns]] = [(plan.code, (campaign,)) for campaign in every for plan in chosen]
+    if scenario.drawn is not None:  # the wear of a drawn vehicle follows from all of its campaigns
+        tasks = [(plan.code, every) for plan in chosen]
     total = sum(len(campaigns) for _, campaigns in tasks)
     count = workers if workers is not None else min(os.cpu_count() or 1, len(tasks))
     recordings: list[Recording] = []
@@ -181,14 +179,6 @@ def prepare(scenario: Scenario, out: Path) -> Path:
 
 Campaigns = tuple[int, ...]
 """Campaigns (from 0) of one vehicle that are simulated together."""
-
-
-def _tasks(scenario: Scenario, vehicles: Sequence[VehiclePlan]) -> list[tuple[str, Campaigns]]:
-    """Return what is simulated together: all campaigns of a drawn vehicle, whose wear follows from all of them."""
-    every = tuple(range(scenario.sessions.campaigns))
-    if scenario.drawn is not None:
-        return [(plan.code, every) for plan in vehicles]
-    return [(plan.code, (campaign,)) for campaign in every for plan in vehicles]
 
 
 def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campaigns: Campaigns) -> list[Recording]:

@@ -176,16 +176,31 @@ def simulate_wheelset(
         out,
     )
     out.flags.writeable = False
+    sensed = None if path is None else path.accelerations
+    return motion_of(out, speed, distance, outside=int(outside), path_accelerations=sensed)
+
+
+def motion_of(
+    out: FloatArray,
+    speed: FloatArray,
+    distance: FloatArray,
+    *,
+    outside: int,
+    path_accelerations: FloatArray | None,
+    frame_yaw: FloatArray | None = None,
+    mass_roll: FloatArray | None = None,
+) -> WheelsetMotion:
+    """Return the motion of a wheelset of which the loop wrote ``out`` (17, n), in the order of ``OUTPUTS``."""
     named = dict(zip(OUTPUTS, out, strict=True))
-    roll_acceleration = time_derivative(named["roll_rate"], STEP)
-    t = STEP * np.arange(len(speed), dtype=np.float64)
     return WheelsetMotion(
-        t=t,
+        t=STEP * np.arange(len(speed), dtype=np.float64),
         distance=distance,
         speed=speed,
-        roll_acceleration=roll_acceleration,
-        outside=int(outside),
-        path_accelerations=path.accelerations if path is not None else None,
+        roll_acceleration=time_derivative(named["roll_rate"], STEP),
+        outside=outside,
+        path_accelerations=path_accelerations,
+        frame_yaw=frame_yaw,
+        mass_roll=mass_roll,
         **named,
     )
 

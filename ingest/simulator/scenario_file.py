@@ -105,7 +105,10 @@ class ScenarioTable:
         if self.drawn_fleet is not None and "vehicles" in given:
             raise field_error("cannot be given beside 'drawn_fleet'", "vehicles")
         self._check_unique()
-        self._check_campaigns()
+        for index, vehicle in enumerate(self.vehicles):
+            for k, wheelset in enumerate(vehicle.wheelsets):
+                if wheelset.fault is not None:
+                    self._check_campaign(wheelset.fault.from_campaign, "vehicles", index, "wheelsets", k, "fault")
         for index, vehicle in enumerate(self.vehicles):
             if math.isfinite(vehicle.longest_run) and self.sessions.whole_section:
                 reason = "runs over the whole section are not shorter for one vehicle"
@@ -130,12 +133,6 @@ class ScenarioTable:
             for name, count in names.items():
                 if count > 1:
                     raise field_error(f"{what} {name!r} occurs twice", "vehicles")
-
-    def _check_campaigns(self) -> None:
-        for i, vehicle in enumerate(self.vehicles):
-            for k, wheelset in enumerate(vehicle.wheelsets):
-                if wheelset.fault is not None:
-                    self._check_campaign(wheelset.fault.from_campaign, "vehicles", i, "wheelsets", k, "fault")
 
     def _check_campaign(self, campaign: int, *place: str | int) -> None:
         if campaign > self.sessions.campaigns:

@@ -19,7 +19,7 @@ import numpy as np
 from estimation.values.arrays import FloatArray
 from estimation.values.json_value import JsonValue
 from ingest.simulator.campaign import failed
-from ingest.simulator.scenario import ClassOnFile, Scenario, VehiclePlan, WheelsetPlan
+from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan
 from ingest.simulator.section import SectionPlan
 from ingest.simulator.sensors import Channel
 from ingest.simulator.track import TrackTruth, write_track
@@ -116,7 +116,9 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
         "track_sections": [_section(section, length, track_file)],
     }
     if scenario.class_on_file is not None:
-        content["vehicle_classes"] = [_class_file(folder, scenario.class_on_file)]
+        path = scenario.class_on_file.path
+        shutil.copyfile(path, folder / path.name)
+        content["vehicle_classes"] = [{"file": path.name}]
     if scenario.drawn is not None and scenario.drawn.profiles_measured:
         content["measured_profiles"] = _measured_profiles(folder, scenario, scenario.drawn.profiles_measured)
     return write_json(folder / REGISTRY_FILE, content)
@@ -196,11 +198,6 @@ def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[Jso
             entry[side] = {"file": name}
         entries.append(entry)
     return entries
-
-
-def _class_file(folder: Path, on_file: ClassOnFile) -> JsonValue:
-    shutil.copyfile(on_file.path, folder / on_file.path.name)
-    return {"file": on_file.path.name}
 
 
 def _vehicle(scenario: Scenario, plan: VehiclePlan) -> JsonValue:

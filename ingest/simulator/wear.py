@@ -13,7 +13,7 @@ from estimation.contact.conicity import equivalent_conicity, nonlinearity_parame
 from estimation.contact.geometry import ContactTable, WheelsetOnTrack, contact_table, refined_curve
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
-from estimation.contact.wear import RailWear, TreadWear, worn, worn_rail
+from estimation.contact.wear import TreadWear, worn, worn_rail
 from estimation.values.arrays import FloatArray, FrozenArrays
 from ingest.profiles.files import read_profile, read_wheel_profile
 from ingest.simulator.running import CONTACT_STEP
@@ -36,12 +36,8 @@ def section_at(scenario: Scenario, odometer: float) -> SectionPlan:
     gained = depth_gained(section, (odometer - sessions.first_odometer) / sessions.distance_per_day)
     if gained == 0.0:
         return section
-    left, right = (_deeper(one, gained) for one in section.rail_wear)
+    left, right = (one and replace(one, depth=one.depth + gained) for one in section.rail_wear)
     return replace(section, rail_wear=(left, right))
-
-
-def _deeper(wear: RailWear | None, gained: float) -> RailWear | None:
-    return None if wear is None else replace(wear, depth=wear.depth + gained)
 
 
 @lru_cache(maxsize=256)
@@ -68,21 +64,17 @@ def wheels_of(plan: WheelsetPlan) -> tuple[Profile, Profile]:
 
 def rails_of(section: SectionPlan) -> tuple[Profile, Profile, float]:
     """Return left and right rail of a section as worn, and the inclination (a tangent) that is to be given to them."""
-    left, right, inclination = _unworn_rails(section)
+    left = right = rail_profile(section.rail_profile)
+    inclination = section.inclination
+    if section.rail_files != (None, None):
+        inclination = section.file_inclination
+        left, right = (
+            rail_profile(section.rail_profile) if path is None else rail_in(path, mirror)
+            for path, mirror in zip(section.rail_files, section.rail_mirrors, strict=True)
+        )
     of_left, of_right = section.rail_wear
     left = left if of_left is None else worn_rail(left, of_left)
     return left, right if of_right is None else worn_rail(right, of_right), inclination
-
-
-def _unworn_rails(section: SectionPlan) -> tuple[Profile, Profile, float]:
-    if section.rail_files == (None, None):
-        rail = rail_profile(section.rail_profile)
-        return rail, rail, section.inclination
-    left, right = (
-        rail_profile(section.rail_profile) if path is None else rail_in(path, mirror)
-        for path, mirror in zip(section.rail_files, section.rail_mirrors, strict=True)
-    )
-    return left, right, section.file_inclination
 
 
 AMPLITUDES = tuple(float(a) for a in np.arange(2, 21) * 0.25e-3)  # m
@@ -132,7 +124,9 @@ def worn_contact(
         step: m of lateral displacement between the points of the table.
     """
     wheelset = _on_track(plan, wear, section)
-    return WornContact(wheelset, contact_table(wheelset, _grid(limit, step), gauge_deviation, outside="hold"))
+    half = round(limit / step)
+    grid = np.asarray(step * np.arange(-half, half + 1))
+    return WornContact(wheelset, contact_table(wheelset, grid, gauge_deviation, outside="hold"))
 
 
 def _on_track(plan: WheelsetPlan, wear: WearState, section: SectionPlan) -> WheelsetOnTrack:
@@ -148,11 +142,6 @@ def _on_track(plan: WheelsetPlan, wear: WearState, section: SectionPlan) -> Whee
         left_radius=plan.nominal_radius + 0.25 * plan.diameter_difference,
         right_radius=plan.nominal_radius - 0.25 * plan.diameter_difference,
     )
-
-
-def _grid(limit: float, step: float) -> FloatArray:
-    half = round(limit / step)
-    return np.asarray(step * np.arange(-half, half + 1))
 
 
 @dataclass(frozen=True, slots=True)
