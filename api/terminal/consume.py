@@ -30,10 +30,9 @@ from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.storage import SqlStorage
 from ingest.live.backoff import Backoff
 from ingest.topic.client import Topic
-from ingest.topic.consuming import Consuming, Decoding
+from ingest.topic.consuming import Consuming, Decoding, ReferenceTaking
 from ingest.topic.reading import TopicReader
 from ingest.topic.reference import ConsumerStatus
-from ingest.topic.taking import ReferenceTaking
 
 WATCH_EVERY_S = 0.2
 FIRST_DELAY_S, LONGEST_DELAY_S = 1.0, 30.0

@@ -23,8 +23,19 @@ from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality
 from ingest.align.clock import AlignCounts, TickedValues
-from ingest.align.samples import NO_SECTION, GridMotion, NodeSamples, VehicleMotion, node_samples, vehicle_motion
-from ingest.align.window_samples import gaps_of, good_samples, gridded, on_section, range_of
+from ingest.align.samples import (
+    NO_SECTION,
+    GridMotion,
+    NodeSamples,
+    VehicleMotion,
+    gaps_of,
+    good_samples,
+    gridded,
+    node_samples,
+    on_section,
+    range_of,
+    vehicle_motion,
+)
 from ingest.catalogue import ACCELERATION, Catalogue, resolution
 from ingest.codec import Counts
 from ingest.plausibility import off_line_m

@@ -15,8 +15,7 @@ from pathlib import Path
 from estimation.errors import ExchangeError
 from ingest.exchange.description import ExchangeFile, read_description
 from ingest.exchange.run import ExchangeRun, RegistryFacts, exchange_run
-from ingest.exchange.table import PARQUET, SUFFIXES, read_table
-from ingest.exchange.table_process import read_table_apart
+from ingest.exchange.table import PARQUET, SUFFIXES, read_table, read_table_apart
 from ingest.file_value import read_value
 from ingest.input_file import read_json
 

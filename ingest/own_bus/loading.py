@@ -14,17 +14,22 @@ from ingest.catalogue import NO_SCALE, MessagePlan, SignalPlan, parse_dbc, plan_
 from ingest.frames import DATA_BYTES, EXTENDED_FLAG
 from ingest.input_file import InputFile, Location
 from ingest.own_bus.bus import (
+    QUANTITIES,
     CanopenClock,
+    NodeTable,
     OwnBus,
     OwnMessage,
     OwnNode,
     OwnVehicle,
+    SensorTable,
     SignalBits,
     SignalReference,
+    SignalTable,
     StampClock,
     StateReference,
+    StateTable,
+    read_mapping,
 )
-from ingest.own_bus.mapping_file import QUANTITIES, NodeTable, SensorTable, SignalTable, StateTable, read_mapping
 from ingest.units import DERIVATIVES, Quantity, unit_of
 
 FIRST_KEY = 1 << 32  # behind every identifier with its flags

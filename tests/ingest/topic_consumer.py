@@ -21,10 +21,9 @@ from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import BacklogLimits, BacklogWatch
 from ingest.receiver import Receiver
-from ingest.topic.consuming import Consuming, Decoding
+from ingest.topic.consuming import STAGE, Consuming, Decoding, ReferenceTaking
 from ingest.topic.reading import TopicReader
 from ingest.topic.reference import ConsumerStatus, Outcome, Reference, message_of
-from ingest.topic.taking import STAGE, ReferenceTaking
 
 ROOM = BacklogLimits(chunks=1000, size_bytes=1 << 30, free_bytes=0)
 LENGTH_S = 5.0
