@@ -132,9 +132,7 @@ class CreepTable(InputTable):
     wheel_rolling_radius_mm: PositiveUncertain | None = None  # by default the nominal radius
     shear_modulus_pa: Annotated[float, Field(ge=1e10, le=1e12)] | None = None
     poisson_ratio: Annotated[float, Field(ge=0.0, lt=0.5)] | None = None
-    relative_std: Annotated[float, Field(ge=0.0, le=1.0)] | None = (
-        None  # of all coefficients, beside what radii and load leave open
-    )
+    relative_std: Annotated[float, Field(ge=0.0, le=1.0)] | None = None  # of all, beside what radii and load leave open
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
@@ -210,9 +208,9 @@ class VehicleClassEntry(InputTable):
             source=self.source,
             arrangement=Arrangement(self.arrangement),
             parameters=VehicleParameters(**{name: value for name, (value, _) in numbers.items()}),
-            bogie=BogieParameters(**{name: value for name, (value, _) in bogie_numbers.items()})
-            if bogie_numbers
-            else None,
+            bogie=None
+            if self.bogie is None
+            else BogieParameters(**{name: v for name, (v, _) in bogie_numbers.items()}),
             sensors=self.sensors.layout(),
             relative_std={
                 name: std for name, (_, std) in (numbers | bogie_numbers).items() if std != default_relative_std(name)

@@ -116,7 +116,7 @@ def class_refusals(source: Source, contents: RegistryContents, registry: Registr
     if not (contents.classes or contents.vehicles or contents.wheelsets or contents.mountings):
         return
     classes = {one.code: one for one in contents.classes}
-    for code in _classes_of(contents) - set(classes):
+    for code in {vehicle.vehicle_class for vehicle in contents.vehicles} - set(classes):
         known = _on_file(registry, code)
         if known is not None:
             classes[code] = known
@@ -138,12 +138,9 @@ def class_refusals(source: Source, contents: RegistryContents, registry: Registr
 
 def without_class(contents: RegistryContents, registry: RegistryStore) -> tuple[VehicleRecord, ...]:
     """Return the vehicles that were entered and whose class nobody knows."""
-    known = {code for code in _classes_of(contents) if registry.vehicle_class(code) is not None}
+    codes = {vehicle.vehicle_class for vehicle in contents.vehicles}
+    known = {code for code in codes if registry.vehicle_class(code) is not None}
     return tuple(vehicle for vehicle in contents.vehicles if vehicle.vehicle_class not in known)
-
-
-def _classes_of(contents: RegistryContents) -> set[str]:
-    return {vehicle.vehicle_class for vehicle in contents.vehicles}
 
 
 def _running(

@@ -52,15 +52,14 @@ def enter(
     entering.refusals += [Refusal(error) for error in class_refusals(source, contents, unit.registry)]
     again = entering.store(contents)
     found = contradictions(unit, entering.entered, entry.now_ns)
-    entering.refusals += [_refusal(one, contents, source) for one in found if one.rule not in entry.confirmed]
+    for one in found:
+        if one.rule not in entry.confirmed:
+            advice = f" (if it is so all the same, confirm {one.rule})" if one.rule in CONFIRMABLE else ""
+            error = source.error(one.reason + advice, (*_place(one.record, contents), one.field))
+            entering.refusals.append(Refusal(error, one))
     if entering.refusals:
         raise RegistryRefusedError(tuple(entering.refusals))
     return LoadedRegistry(contents, tuple(one for one in again if one.subjects), without_class(contents, unit.registry))
-
-
-def _refusal(found: Contradiction, contents: RegistryContents, source: Source) -> Refusal:
-    advice = f" (if it is so all the same, confirm {found.rule})" if found.rule in CONFIRMABLE else ""
-    return Refusal(source.error(found.reason + advice, (*_place(found.record, contents), found.field)), found)
 
 
 def _place(record: RecordName, contents: RegistryContents) -> Location:
@@ -192,7 +191,13 @@ class _Entering:
             if was is None or (was.rail_profile, was.nominal_gauge_m) != (one.rail_profile, one.nominal_gauge_m):
                 self.entered.sections.append(one)
         self._each(Kind.SECTION, contents.alignments, lambda one: _add_alignment(self.unit, one))
-        self._each(Kind.SECTION, contents.layouts, lambda one: _add_layout(self.unit, one))
+
+        def add_layout(one: TrackLayout) -> None:
+            before = tracks.layout(one.section)
+            if tracks.add_layout(one) != (None if before is None else before.version):
+                self.unit.windows.requeue_section(one.section)
+
+        self._each(Kind.SECTION, contents.layouts, add_layout)
 
 
 def _is_found(look_up: Callable[[str], object], code: str) -> bool:
@@ -214,13 +219,6 @@ def _add_alignment(unit: SqlUnitOfWork, alignment: TrackAlignment) -> None:
     if before is not None and version > before.version:
         tracks.forget_positions(alignment.section)
         unit.windows.requeue_section(alignment.section)
-
-
-def _add_layout(unit: SqlUnitOfWork, layout: TrackLayout) -> None:
-    before = unit.tracks.layout(layout.section)
-    version = unit.tracks.add_layout(layout)
-    if before is None or before.version != version:
-        unit.windows.requeue_section(layout.section)
 
 
 def refuse_contradicted(unit: SqlUnitOfWork, key: RecordKey, now_ns: int) -> None:

@@ -39,9 +39,9 @@ from ingest.simulator.drawn_fleet import no_wear_left, shares_of_wear, with_less
 from ingest.simulator.motion import WheelsetMotion
 from ingest.simulator.scenario import Scenario, Stream, VehiclePlan, generator, seed_of
 from ingest.simulator.sensors import SensorRecord
-from ingest.simulator.side_files import WheelsetTruth, wheelset_truth, write_registry, write_truth
+from ingest.simulator.side_files import WheelsetTruth, write_registry, write_truth
 from ingest.simulator.track import TrackTruth, from_zero, make_track, read_track
-from ingest.simulator.wear import GeometryTruth, WornContact
+from ingest.simulator.wear import GeometryTruth, WornContact, wear_at
 
 LEAST_SHARE = 0.9  # of the section that the survey of another one must cover
 
@@ -280,7 +280,11 @@ def _campaign(
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
     run = vehicle_run(scenario, track, vehicle, campaign)
     batch = vehicle_frames(default_catalogue(), scenario, run, [axle.records[campaign] for axle in axles])
-    truths = (wheelset_truth(vehicle, place, campaign, run.odometer, axle.geometry) for place, axle in enumerate(axles))
+    wears = [wear_at(wheelset, run.odometer) for wheelset in vehicle.wheelsets]
+    truths = (
+        WheelsetTruth(vehicle.code, place, campaign + 1, wear, axle.geometry)
+        for place, (wear, axle) in enumerate(zip(wears, axles, strict=True), start=1)
+    )
     return batch, tuple(truths)
 
 

@@ -12,7 +12,6 @@ ALLOWED = (
     "estimation.vehicle",
     "ingest.bus",
     "ingest.catalogue",
-    "ingest.catalogue",
     "ingest.codec",
     "ingest.file_value",
     "ingest.frames",
