@@ -108,9 +108,6 @@ class Assembler:
         """Return the receipt of a stored recording with its place on the vehicle's clock, if it has one.
 
         It comes first; those that had waited for its TIME frames follow.
-
-        Raises:
-            StorageError: A recording that is needed cannot be read any more.
         """
         waiting = list(waiting_beside(unit, record.vehicle, recording))
         beside = list(waiting)
@@ -149,11 +146,7 @@ class Assembler:
     def sources(
         self, unit: SqlUnitOfWork, vehicle: str, span: Span, coming: Sequence[ChunkRecord] = ()
     ) -> list[ChunkRecord]:
-        """Return the receipts of all recordings that the windows of a vehicle in a span depend on.
-
-        Args:
-            coming: Receipts of recordings that are about to be decoded, with their place.
-        """
+        """Return the receipts of all recordings that the windows of a vehicle in a span depend on."""
         decoded = unit.chunks.overlapping(vehicle, span[0] - CONTEXT_NS, span[1] + CONTEXT_NS)
         found = {other.digest: other for other in (*decoded, *coming)}
         for source in list(found.values()):
@@ -177,9 +170,6 @@ class Assembler:
         Args:
             keep_unreadable: Whether what is stored of a recording that cannot be read any more stays, and the others go
                 on.
-
-        Raises:
-            StorageError: A recording that is needed cannot be read any more.
         """
         on_file = unit.registry.vehicle(vehicle)
         first = span[0] // self.length_ns * self.length_ns

@@ -121,9 +121,6 @@ def load_catalogue(path: Path) -> Catalogue:
 
     Args:
         path: The DBC file; 11-bit identifiers, little endian, integers, no multiplexing.
-
-    Raises:
-        CatalogueError: The file cannot be read, or lacks what the codec needs; names file and field.
     """
     database = parse_dbc(path)
     messages = {message.frame_id: _message_plan(message, path) for message in database.messages}

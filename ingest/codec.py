@@ -29,7 +29,6 @@ def count_by_identifier(
     """Count the frames that have an 11-bit identifier by identifier.
 
     Args:
-        arbitration_id, dlc: (n,) as in a batch.
         lengths: (2048,) bytes that a frame must have, -1 for unknown identifiers.
 
     Returns:
@@ -271,9 +270,6 @@ def encode(
 
     Args:
         values: (n,) or one value per signal, in the units of the catalogue.
-
-    Raises:
-        ParameterError: A name that the message does not have; NaN in a signal without a code for it.
     """
     unknown = set(values) - set(plan.names)
     if unknown:

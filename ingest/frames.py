@@ -108,11 +108,7 @@ def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
 
 
 def concatenate(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
-    """Return the frames of all batches, one after the other, as one bus.
-
-    Args:
-        channel: Name of the bus; by default that of the first batch.
-    """
+    """Return the frames of all batches, one after the other, as one bus."""
     if not batches:
         return empty_batch(channel or DEFAULT_CHANNEL)
     if len(batches) == 1 and channel in (None, batches[0].channel):
@@ -163,11 +159,7 @@ def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBat
 
 
 def between(batch: FrameBatch, from_ns: int, to_ns: int) -> FrameBatch:
-    """Return the frames of a time-ordered batch with ``from_ns <= t < to_ns``.
-
-    Args:
-        from_ns, to_ns: Span of the recorder's clock, ns.
-    """
+    """Return the frames of a time-ordered batch with ``from_ns <= t < to_ns``."""
     first, last = np.searchsorted(batch.t_ns, [from_ns, to_ns])
     return take(batch, slice(int(first), int(last)))
 

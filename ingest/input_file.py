@@ -39,14 +39,7 @@ PROFILE_BYTES = 16 * MEBIBYTE
 def read_text_within(
     path: Path, most: int, error_type: type[InputError], *, encoding: str = "utf-8", errors: str = "strict"
 ) -> str:
-    """Return the content of a text file, without the byte order mark that some editors put first.
-
-    Args:
-        most: Bytes that it may have.
-
-    Raises:
-        InputError: As ``error_type``: the file cannot be read, is too large, or no text.
-    """
+    """Return the content of a text file, without the byte order mark that some editors put first."""
     try:
         with path.open("rb") as file:
             content = file.read(most + 1)

@@ -90,11 +90,7 @@ STEPS = 2.0  # of the odometer, besides
 
 
 def possible_motion(values: FloatArray) -> FloatArray:
-    """Return speed and odometer (n, 2) with NaN where no vehicle has such a one.
-
-    Args:
-        values: (n, 2) m/s and m.
-    """
+    """Return speed and odometer (n, 2) with NaN where no vehicle has such a one."""
     found = values.copy()
     with np.errstate(invalid="ignore"):
         found[~(np.abs(found[:, 0]) <= MOST_SPEED), 0] = np.nan
@@ -196,7 +192,6 @@ def without_repeats(tick: IntArray, values: FloatArray, run: FloatArray) -> Floa
     vehicle has been where the speed puts it in between; otherwise its place is not known there.
 
     Args:
-        tick: (n,) instants of the frames.
         values: (n, m) section and distance, m, and what else is sent; NaN where not available.
         run: (n,) m that the vehicle has run by the speed; NaN where that is not known.
     """

@@ -117,11 +117,7 @@ def to_nobody(_record: ChunkRecord) -> None:
 
 
 def enter_receipt(unit: SqlUnitOfWork, record: ChunkRecord, deleted: DeletedRecordings) -> tuple[ChunkRecord, bool]:
-    """Store the receipt of a recording, and return what stands there now, and whether it had been there before.
-
-    Raises:
-        ConflictError: The recording was deleted, and is not wanted again; or it is of another vehicle.
-    """
+    """Store the receipt of a recording, and return what stands there now, and whether it had been there before."""
     if unit.chunks.put(record):
         return record, False
     found = unit.chunks.get(record.digest)

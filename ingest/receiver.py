@@ -66,7 +66,6 @@ class Receiver:
     """Takes recordings in.
 
     Args:
-        window_length_s: Length of a window; a whole number of sampling intervals.
         deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
     """
 
@@ -161,9 +160,6 @@ class Receiver:
 
         Returns:
             tuple[ChunkRecord, bool]: The receipt, and whether it had been there before.
-
-        Raises:
-            ConflictError: The same recording was received from another vehicle.
         """
         self._check_raw()
         deleted = self._deleted.receipt(hashlib.sha256(content).hexdigest())

@@ -96,7 +96,6 @@ class Recordings:
         """Return the recording of a receipt.
 
         Raises:
-            LogFileError: Its file is no log that can be read.
             PassingFaultError: Its file is missing, holds something else, or cannot be read now.
         """
         kept = self._kept.get(record.digest)
@@ -107,11 +106,7 @@ class Recordings:
         return self._kept[record.digest]
 
     def load_neighbour(self, record: ChunkRecord) -> Recording:
-        """Return a recording that could be read before.
-
-        Raises:
-            StorageError: It cannot any more: the raw store has lost or damaged it.
-        """
+        """Return a recording that could be read before."""
         try:
             return self.load(record)
         except (LogFileError, PassingFaultError) as error:
@@ -125,11 +120,7 @@ class Recordings:
 
 
 def align_frames(catalogue: Catalogue, batch: FrameBatch) -> AlignedFrames:
-    """Decode a batch and put its frames on the vehicle's clock.
-
-    Args:
-        batch: Frames in merged order (:func:`ingest.frames.merge`).
-    """
+    """Decode a batch and put its frames on the vehicle's clock."""
     return align_own(catalogue, batch) if isinstance(catalogue, OwnBus) else align_to_clock(catalogue, batch)
 
 

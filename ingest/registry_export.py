@@ -67,9 +67,6 @@ def write_export(path: Path, unit: SqlUnitOfWork) -> ExportedRegistry:
     """Write the registry of a store as a file and the folder ``<name>-files`` beside it; return what was written.
 
     The registry itself is written last: where it is, it is whole.
-
-    Args:
-        path: Of the registry file, which must not exist.
     """
     folder = f"{path.stem}-files"
     if path.exists() or (path.parent / folder).exists():

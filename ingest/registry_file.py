@@ -186,7 +186,6 @@ def load_registry(
 
     Args:
         path: The registry file; the files it names are relative to its folder.
-        unit_of_work: An open transaction; nothing is committed here.
         entry: Who loads it, our time to tell the future by, and what has been confirmed; by default nobody, none and
             nothing.
 

@@ -23,11 +23,7 @@ class VehicleClassFile(VehicleClassEntry):
 
 
 def read_vehicle_class(path: Path, error_type: type[InputError] = InputError) -> VehicleClass:
-    """Return the class of a file.
-
-    Raises:
-        InputError: As ``error_type``: the file cannot be read, or something in it is wrong; names file, line and field.
-    """
+    """Return the class of a file."""
     return parse_vehicle_class(read_toml(path, error_type))
 
 

@@ -108,11 +108,7 @@ class TimeFrames:
 
 
 def time_frames(decoded: Decoded, batch: FrameBatch) -> TimeFrames:
-    """Return the TIME frames of a batch; those with an impossible time are left out, and odd ones among others.
-
-    Args:
-        decoded, batch: The batch, in the order of time, and what it contains.
-    """
+    """Return the TIME frames of a batch; those with an impossible time are left out, and odd ones among others."""
     values = decoded.messages.get(TIME_ID)
     if values is None:
         return TimeFrames(np.empty(0, np.int64), np.empty(0, np.int64))
@@ -277,12 +273,7 @@ def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
 
 
 def by_tick(plan: MessagePlan, tick: IntArray, raw: RawArray) -> tuple[TickedValues, AlignCounts]:
-    """Order values by tick and keep one of each tick; equal ones are dropped, unequal ones conflict.
-
-    Args:
-        tick: (n,) sampling instant of each frame.
-        raw: (n, m) raw values of its signals.
-    """
+    """Order values by tick and keep one of each tick; equal ones are dropped, unequal ones conflict."""
     none = np.zeros(len(tick), dtype=np.bool_)
     if np.all(tick[1:] > tick[:-1]):
         return TickedValues(plan, tick, raw, none), AlignCounts()
@@ -307,9 +298,6 @@ def frames_near(
     """Return the frames of one recorder's clock that can matter to windows of a span; all, where that is not clear.
 
     It is clear where every TIME frame agrees with the one before: others are judged by those far from them.
-
-    Args:
-        batches, alone: Of recordings that are merged: their frames, and what they are when each is aligned alone.
     """
     offsets = _steady_offsets(alone)
     if offsets is None:

@@ -98,10 +98,6 @@ def sync_clock_of(t_ns: IntArray, tick: IntArray, interval_ns: int) -> SyncClock
 
     When each was sent follows from its stamp and those of its neighbours, where they are in time. The mean is over
     whole numbers, so it does not depend on where a recording was cut.
-
-    Args:
-        t_ns: (k,) stamps, ascending, ns.
-        tick: (k,) numbers.
     """
     if len(t_ns) == 0:
         return SyncClock(t_ns, tick, t_ns, interval_ns)

@@ -89,7 +89,6 @@ def gridded(values: FloatArray, slot: IntArray, good: BoolArray, count: int, sig
 
     Args:
         values: (k, m) by sample.
-        slot, good: (k,) of the samples.
         count, signals: Length of the grid; how many of the m signals.
     """
     found = np.full((signals, count), np.nan)

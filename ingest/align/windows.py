@@ -48,9 +48,6 @@ def narrowed(marked: BoolArray, values: FloatArray, interval_s: float) -> BoolAr
     """Return the marked samples (n,), of seconds that blows explain only those that the blows have spoilt.
 
     They do where the largest accelerations of the axle box are in them. What hunts or runs rough clips all the time.
-
-    Args:
-        marked: (n,) samples of the seconds in which the axle box clipped.
     """
     if not marked.any():
         return marked
@@ -146,11 +143,7 @@ def vehicle_samples(
 def windows_of(
     samples: VehicleSamples, starts: Iterable[int], length_ns: int, lookup: RegistryLookup
 ) -> Iterator[MountedWindow | WindowCounts]:
-    """Yield the windows, and counts of those that are not made.
-
-    Raises:
-        ParameterError: The window length is no whole number of sampling intervals.
-    """
+    """Yield the windows, and counts of those that are not made."""
     if length_ns % samples.interval_ns:
         raise ParameterError(
             f"{length_ns} ns is no whole number of sampling intervals of {samples.interval_ns} ns",

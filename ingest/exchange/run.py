@@ -52,14 +52,7 @@ class UniformTime:
 
 
 def uniform_time(table: ExchangeTable, column: str, factor: float, rate_hz: float) -> UniformTime:
-    """Return the uniform series that the times of a table are.
-
-    Args:
-        factor: Of its unit, to seconds.
-
-    Raises:
-        ExchangeError: Times do not increase, have a gap, are not uniform, or come at another rate; names the line.
-    """
+    """Return the uniform series that the times of a table are."""
     times = table.columns[column] * factor
     if len(times) < FEWEST:
         raise table.error(f"the table has {len(times)} rows", 0, column)
@@ -161,12 +154,7 @@ class ExchangeRun(FrozenArrays):
 
 
 def exchange_run(file: ExchangeFile, table: ExchangeTable, facts: RegistryFacts) -> ExchangeRun:
-    """Return the run that a table describes.
-
-    Raises:
-        ExchangeError: Times are not uniform, a magnitude is impossible, the speed is negative, or the position does not
-            go with it.
-    """
+    """Return the run that a table describes."""
     time = uniform_time(table, file.time.column, unit("time", file.time).factor, file.sampling.rate_hz)
     if abs(time.start_s) > LONGEST_S:
         raise table.error(f"{time.start_s:g} s from the start of the run: another unit?", 0, file.time.column)

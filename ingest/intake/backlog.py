@@ -47,11 +47,7 @@ class Behind:
 
 @dataclass(slots=True)
 class BacklogWatch:
-    """Says whether a chunk may come; asks database and disk at most once a second.
-
-    Args:
-        folder: In which chunks are received before they are stored.
-    """
+    """Says whether a chunk may come; asks database and disk at most once a second."""
 
     storage: SqlStorage
     folder: Path
@@ -69,11 +65,7 @@ class BacklogWatch:
         return self.now_s() - self._looked_s < LOOK_EVERY_S
 
     def behind(self, size_bytes: int) -> Behind | None:
-        """Return the limit that keeps a chunk out; None where it may come, and counts from now on.
-
-        Args:
-            size_bytes: Of the chunk, or what it may have at most.
-        """
+        """Return the limit that keeps a chunk out; None where it may come, and counts from now on."""
         with self._lock:
             if not self.fresh:
                 with self.storage.read() as unit:

@@ -177,11 +177,7 @@ class DropFolder:
 
 @contextmanager
 def held_folder(folder: Path) -> Iterator[None]:
-    """Hold a folder, so that one process watches it.
-
-    Raises:
-        ConflictError: Another process watches it.
-    """
+    """Hold a folder, so that one process watches it."""
     with passing_faults(folder), locked_file(folder / LOCK) as locked:
         if not locked:
             raise ConflictError(f"another process watches {folder}")

@@ -97,11 +97,7 @@ class _Waiting:
 
 
 class ReceiptGroup:
-    """One thread that commits receipts; it starts with the first, and its queue is bounded.
-
-    Args:
-        most_waiting: Arrivals that may wait; more are refused.
-    """
+    """One thread that commits receipts; it starts with the first, and its queue is bounded."""
 
     def __init__(self, storage: ChunkStorage, most_waiting: int) -> None:
         self._storage = storage

@@ -155,11 +155,7 @@ class Listening:
 
 
 def packed(message: can.Message) -> bytes:
-    """Return a frame of python-can as bytes of the spool.
-
-    Raises:
-        ValueError: It is no frame of a classic CAN bus.
-    """
+    """Return a frame of python-can as bytes of the spool."""
     if message.is_fd or message.dlc > DATA_BYTES:
         raise ValueError("a CAN FD frame on a classic CAN bus")
     identifier = message.arbitration_id

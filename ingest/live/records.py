@@ -44,11 +44,7 @@ class Contents:
 
 
 def pack_frame(t_ns: int, arbitration_id: int, dlc: int, data: bytes) -> bytes:
-    """Return the bytes of a frame.
-
-    Args:
-        arbitration_id: With SocketCAN's flags.
-    """
+    """Return the bytes of a frame."""
     return _FRAME.pack(t_ns, arbitration_id, dlc, data)
 
 

@@ -45,10 +45,6 @@ def limits_of(size_bytes: int, bytes_per_s: int, more_memory: int = 0) -> ReadLi
     """Return the limits for a file: a day of a vehicle passes with room to spare, a bomb does not.
 
     Memory does not grow with the file, because no reader keeps more of it than a few containers or lines.
-
-    Args:
-        bytes_per_s: What its reader reads at least.
-        more_memory: Bytes that reading the format needs beyond those of every format.
     """
     seconds = size_bytes / bytes_per_s
     return ReadLimits(
@@ -146,11 +142,7 @@ class FrameSink:
             self._counts[name] += number
 
     def add(self, part: FramePart) -> None:
-        """Write frames.
-
-        Raises:
-            LogFileError: More frames than the limit, a stamp that is no time, or another bus.
-        """
+        """Write frames."""
         if len(part.t_ns) == 0:
             return
         if part.channel != (self._channel or part.channel):
@@ -220,11 +212,7 @@ class FrameSink:
 
 
 def _out_of_time(t_ns: IntArray, before: int | None) -> BoolArray:
-    """Return which stamps (n,) stand alone: far from the ones on both sides, which agree with each other.
-
-    Args:
-        t_ns: (n,) stamps; of the last two it is not known yet.
-    """
+    """Return which stamps (n,) stand alone: far from the ones on both sides, which agree with each other."""
     if np.all(np.diff(t_ns) >= -STEP_BACK_NS) and (before is None or t_ns[0] >= before - STEP_BACK_NS):
         return np.zeros(len(t_ns), dtype=np.bool_)
     previous = np.concatenate([[-LATEST_NS if before is None else before], t_ns[:-1]])

@@ -124,11 +124,7 @@ RESERVE_BYTES = 1 << 20  # of memory that is given back so that the answer can b
 
 
 def read_and_end(path: Path, limits: ReadLimits, answer: int, columns: Sequence[int], parent: int) -> None:
-    """Read one file in this process, write the answer as one line of JSON, and end the process.
-
-    Args:
-        answer: Descriptor that the answer is written to.
-    """
+    """Read one file in this process, write the answer as one line of JSON, and end the process."""
     end_with(parent)
     reserve = bytearray(RESERVE_BYTES)
     try:

@@ -124,11 +124,7 @@ class BusChoice:
     others_missing: bool = False
 
     def of_class(self, vehicle_class: str | None) -> Catalogue:
-        """Return the bus of a class; of a vehicle that the registry does not know, that of all other classes.
-
-        Raises:
-            ParameterError: The mapping file of its bus is missing.
-        """
+        """Return the bus of a class; of a vehicle that the registry does not know, that of all other classes."""
         found = self.others if vehicle_class is None else self.by_class.get(vehicle_class, self.others)
         if vehicle_class in self.missing or (self.others_missing and found is self.others):
             raise ParameterError(

@@ -25,9 +25,6 @@ def parse_columns(text: str, file: str) -> FilePoints:
     """Return the points of a two-column file in mm; separators are commas, semicolons or blanks.
 
     Lines that begin with ``#`` and leading lines without any number are skipped. Further columns are ignored.
-
-    Raises:
-        ProfileError: Decimal commas, a row with fewer than two columns or with something that is not a finite number.
     """
     rows: list[tuple[int, float, float]] = []
     for line, raw in enumerate(text.lstrip("\ufeff").splitlines(), start=1):

@@ -114,10 +114,6 @@ def check_steps(y: FloatArray, z: FloatArray, lines: IntArray, kind: ProfileKind
     At each gap between points straight lines through the 2 mm on either side are continued to it; a step is where
     they differ by more than 0.08 mm and by 6 standard deviations, and both are flatter than 1:2. Single points far from
     their neighbours make no step.
-
-    Args:
-        y, z: (n,) mm, in the axes of the profile, y increasing on the whole.
-        lines: (n,) of the file.
     """
     order = np.argsort(y, kind="stable")
     order = order[_where(y[order], z[order], kind)]
@@ -199,7 +195,6 @@ def oriented(
     Args:
         points: Points in mm in the order of the file, and whether the file fixes z.
         mirror: Of a rail: whether its gauge side is at positive y of the file; None decides from the shape.
-        origin: Of a wheel: what y = 0 of the file is.
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
     """
     _check_span(points, kind)

@@ -24,9 +24,6 @@ def unfit_vehicles(
     """Yield what is wrong with vehicles whose axles are not those of their class.
 
     A vehicle on bogies has an even number of axles, and two axles of a bogie are its wheelbase apart.
-
-    Args:
-        vehicles: As they are entered, in that order.
     """
     for index, vehicle in enumerate(vehicles):
         known = classes.get(vehicle.vehicle_class)

@@ -112,9 +112,6 @@ def axle_motions(
 
     Args:
         tables: Contact geometry of each; None to compute it here.
-
-    Raises:
-        DerailmentError: A wheelset leaves the range of its contact geometry: the scenario lets it derail.
     """
     found = [
         contact_of(scenario, track, run.vehicle.wheelsets[axle], run.odometer).table if table is None else table
@@ -212,11 +209,7 @@ def _check_on_rails(run: VehicleRun, axle: int, table: ContactTable, motion: Whe
 
 
 def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> WornContact:
-    """Return the contact geometry of a wheelset at one mileage of its vehicle.
-
-    Raises:
-        ScenarioError: The profiles do not touch on both sides at every gauge of the track, or cannot wear that much.
-    """
+    """Return the contact geometry of a wheelset at one mileage of its vehicle."""
     gauges, limit = gauge_grid(track), displacement_limit(scenario, track)
     with _named(scenario, plan):
         section, step = section_at(scenario, odometer), scenario.running.contact_step

@@ -185,11 +185,7 @@ def with_margins(scenario: Scenario, recipe: TrackRecipe) -> TrackRecipe:
 
 
 def vehicle_run(scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int) -> VehicleRun:
-    """Return where and how fast ``vehicle`` runs in ``campaign`` (from 0).
-
-    Raises:
-        ScenarioError: The track is too short for the run.
-    """
+    """Return where and how fast ``vehicle`` runs in ``campaign`` (from 0)."""
     rng = generator(scenario.seed, Stream.SPEED, scenario.vehicles.index(vehicle), campaign)
     speed = _speed(scenario, rng)[: round(scenario.duration(vehicle) / STEP) + 1]
     if scenario.sessions.whole_section:

@@ -309,11 +309,7 @@ def _write(
 def simulate_campaign(
     scenario: Scenario, track: TrackTruth, vehicle: VehiclePlan, campaign: int
 ) -> tuple[FrameBatch, tuple[WheelsetTruth, ...]]:
-    """Return all frames of one campaign of one vehicle, and the truth of its wheelsets.
-
-    Raises:
-        DerailmentError: A wheelset leaves the range of its contact geometry.
-    """
+    """Return all frames of one campaign of one vehicle, and the truth of its wheelsets."""
     groups = _groups(scenario, vehicle)
     axles = [axle for group in groups for axle in _group(scenario, track, vehicle.code, group, (campaign,))]
     return _campaign(scenario, track, vehicle, axles, campaign)

@@ -47,10 +47,6 @@ def density(kind: Irregularity, wavenumber: FloatArray, level: float = ALIGNMENT
     """Return the one-sided power spectral density (n,), m2/(rad/m), of an irregularity.
 
     Alignment: S = A Wc^2 / ((W^2 + Wr^2)(W^2 + Wc^2)). Gauge, as cross level: the same times W^2 / (W^2 + Ws^2).
-
-    Args:
-        wavenumber: (n,) angular wavenumber, rad/m.
-        level: A, m2 rad/m.
     """
     w2 = np.asarray(wavenumber, dtype=np.float64) ** 2
     S = level * CRITICAL_WAVENUMBER**2 / ((w2 + LOW_WAVENUMBER**2) * (w2 + CRITICAL_WAVENUMBER**2))
@@ -70,9 +66,6 @@ def synthesise(
 
     Every wavenumber line inside the band carries the amplitude of the density and a random phase. The mean is
     removed and the standard deviation set on the stretch that is returned.
-
-    Args:
-        wavelengths: Shortest and longest, m.
 
     Raises:
         ParameterError: The band is empty or not resolved by ``interval``, or the stretch is shorter than the longest

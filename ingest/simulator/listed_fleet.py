@@ -154,11 +154,7 @@ class VehicleTable:
         return usual_offsets(len(self.wheelsets), bogie) if self.axle_offsets is None else self.axle_offsets
 
     def plan(self, radius: float, bogie: BogieParameters | None) -> VehiclePlan:
-        """Return the vehicle.
-
-        Args:
-            radius: Nominal rolling radius of wheelsets that have none of their own, m.
-        """
+        """Return the vehicle."""
         return VehiclePlan(
             code=self.code,
             vehicle_class=self.vehicle_class,

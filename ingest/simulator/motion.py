@@ -152,9 +152,6 @@ def simulate_wheelset(
     Between samples the speed is linear; it may be zero, where the wheelset stands. ``initial`` (6,) holds y, y', psi,
     psi', ym, ym' in SI; without it wheelset and mass start at rest relative to the track, on its centre line. Two runs
     of the same input give the same bits.
-
-    Raises:
-        ParameterError: Speed that is negative or not finite, or the run leaves the track.
     """
     speed = frozen_array(speed, (None,), name="speed")  # read-only from every caller: it is compiled once
     prepared = table if isinstance(table, PreparedTable) else PreparedTable.of(table)

@@ -250,11 +250,7 @@ def builtin_scenarios() -> tuple[str, ...]:
 
 
 def load_scenario(name_or_path: str | Path) -> Scenario:
-    """Read a scenario.
-
-    Args:
-        name_or_path: The name of a built-in scenario, or else a file.
-    """
+    """Read a scenario."""
     if str(name_or_path) in builtin_scenarios():
         with as_file(files("ingest.simulator") / "scenarios" / f"{name_or_path}.toml") as path:
             return read_scenario(path)

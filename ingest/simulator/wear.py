@@ -120,8 +120,6 @@ def worn_contact(
 
     Args:
         gauge_deviation: (g,) m, for which gauges.
-        limit: m of lateral displacement to either side.
-        step: m of lateral displacement between the points of the table.
     """
     wheelset = _on_track(plan, wear, section)
     half = round(limit / step)
@@ -164,11 +162,7 @@ class GeometryTruth(FrozenArrays):
 
 
 def truth_of(contact: WornContact) -> GeometryTruth:
-    """Return the true geometry of a worn wheelset at nominal gauge, whatever gauge its line has.
-
-    Args:
-        contact: As :func:`worn_contact` returns it; contact is searched again, for the wheelset rolls in its table.
-    """
+    """Return the true geometry of a worn wheelset at nominal gauge, whatever gauge its line has."""
     grid = contact.table.lateral_displacement
     table = contact_table(contact.wheelset, grid, method=ContactMethod.EN15302, outside="hold")
     curve = refined_curve(contact.wheelset, table, 0)

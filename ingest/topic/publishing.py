@@ -48,7 +48,6 @@ class Publisher:
 
     Args:
         fleet_of: Returns the fleet of a vehicle; raises TreadwatchError where it is not known.
-        most_waiting: References that may wait.
     """
 
     def __init__(self, topic: Topic, fleet_of: Callable[[str], str], most_waiting: int = MOST_WAITING) -> None:
