@@ -218,7 +218,9 @@ class Receiver:
         """Decode a stored recording that was read, or keep why it could not be; raises as :meth:`receive_file`."""
         changed = 0
         try:
-            record, changed = self._decode(record, read_or_raise(recording))
+            with trace.get_tracer("treadwatch").start_as_current_span("recording") as span:
+                record, changed = self._decode(record, read_or_raise(recording))
+                span.set_attributes({"treadwatch.frames": record.frames, "treadwatch.windows_changed": changed})
         except LogFileError as error:
             text = error.reason if error.line is None else f"line {error.line}: {error.reason}"
             rejected = replace(record, state=ChunkState.REJECTED, reason=Reason(ReasonCode.LOG_DAMAGED, text))
@@ -288,12 +290,6 @@ class Receiver:
         return found, known
 
     def _decode(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
-        with trace.get_tracer("treadwatch").start_as_current_span("recording") as span:
-            decoded, changed = self._decode_it(record, recording)
-            span.set_attributes({"treadwatch.frames": decoded.frames, "treadwatch.windows_changed": changed})
-            return decoded, changed
-
-    def _decode_it(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
         try:
             for _ in range(ATTEMPTS_BESIDE_OTHERS):
                 with self._storage.read() as unit:

@@ -171,15 +171,13 @@ def align_recordings(recordings: Iterable[Recording], span: Span | None = None) 
             else:
                 apart.append(group)
         groups = [*apart, joined]
-    return [group[0].alone if len(group) == 1 else _align_merged(group, span) for group in groups]
-
-
-def _align_merged(group: Sequence[Recording], span: Span | None) -> AlignedFrames:
-    batches: Sequence[FrameBatch] = [recording.batch for recording in group]
-    catalogue = group[0].catalogue
-    if span is not None and not isinstance(catalogue, OwnBus):
-        batches = frames_near(batches, [recording.alone for recording in group], span)
-    return align_frames(catalogue, merge(batches))
+    aligned = []
+    for group in groups:
+        batches, catalogue = [recording.batch for recording in group], group[0].catalogue
+        if len(group) > 1 and span is not None and not isinstance(catalogue, OwnBus):
+            batches = list(frames_near(batches, [recording.alone for recording in group], span))
+        aligned.append(group[0].alone if len(group) == 1 else align_frames(catalogue, merge(batches)))
+    return aligned
 
 
 def _touch(first: Recording, second: Recording) -> bool:

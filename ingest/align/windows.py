@@ -173,8 +173,9 @@ def _window(
     lookup: RegistryLookup,
 ) -> MountedWindow | WindowCounts:
     t_ns, axle = node.block.t_ns[span], node.block.node
-    mounting = _mounting(lookup, axle, (int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1])))
-    if mounting is None:
+    times_ns = (int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1]))
+    mounting, *others = {lookup.mounting_at(axle, at_ns) for at_ns in times_ns}
+    if mounting is None or others:
         return WindowCounts(windows_unmounted=1)
     if not np.any(motion.speed > MOVING_M_S):
         return WindowCounts(windows_standing=1)
@@ -217,11 +218,6 @@ def _window(
         quality=replace(_quality(node, span, extent, motion, (valid, clipped), slot), hunting=hunting, blows=blows),
     )
     return MountedWindow(window, mounting, motion.odometer_excess_m, _off_line(motion, section, lookup))
-
-
-def _mounting(lookup: RegistryLookup, axle: int, times_ns: tuple[int, ...]) -> Mounting | None:
-    mountings = {lookup.mounting_at(axle, t_ns) for t_ns in times_ns}
-    return mountings.pop() if len(mountings) == 1 else None
 
 
 def _off_line(motion: GridMotion, section: str | None, lookup: RegistryLookup) -> float:

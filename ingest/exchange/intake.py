@@ -285,7 +285,11 @@ def checked_exchange(description: Path, unit: SqlUnitOfWork) -> Exchange:
     run = read_run(file, table, facts)
     _check_section(run, facts, section, toml, table)
     first_ns, last_ns = (int(end) * INTERVAL_NS for end in run.tick[[0, -1]])
-    _check_mountings(file, toml, unit, (first_ns, last_ns))
+    for at, mounted in enumerate(file.axles):
+        begin, end = (unit.registry.mounting_at(vehicle.code, mounted.axle, t_ns) for t_ns in (first_ns, last_ns))
+        if begin is None or begin != end:
+            reason = f"no one wheelset was mounted at axle {mounted.axle} from begin to end of the run"
+            raise toml.error(reason, ("axles", at, "axle"))
     check_signs(run, file, toml, in_bogie=in_bogie)
     return Exchange(description, table, vehicle.code, facts, first_ns, last_ns)
 
@@ -315,11 +319,3 @@ def _check_section(
             f" {section.length_m:.1f} m: another section, or another origin of the position in {table.name}"
         )
         raise toml.error(reason, ("run", "section"))
-
-
-def _check_mountings(file: ExchangeFile, toml: InputFile, unit: SqlUnitOfWork, span: tuple[int, int]) -> None:
-    for at, axle in enumerate(file.axles):
-        ends = [unit.registry.mounting_at(file.run.vehicle, axle.axle, end) for end in span]
-        if ends[0] is None or ends[0] != ends[1]:
-            reason = f"no one wheelset was mounted at axle {axle.axle} from begin to end of the run"
-            raise toml.error(reason, ("axles", at, "axle"))

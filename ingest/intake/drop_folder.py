@@ -9,7 +9,7 @@ from __future__ import annotations
 import stat
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -143,19 +143,17 @@ class DropFolder:
 
     def _stored(self, arrivals: Sequence[tuple[Path, Arrival]]) -> list[tuple[Path, Stored | ConflictError]]:
         """Store what is still as it was when it was read; the others have been written to, and wait again."""
-        same = [(path, arrival) for path, arrival in arrivals if self._unchanged(path, arrival)]
+        same = []
+        for path, arrival in arrivals:
+            with suppress(FileNotFoundError):
+                status = path.lstat()
+                now = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, 0.0)
+                if _same(self._seen[path], now) and arrival.file.size_bytes == status.st_size:
+                    same.append((path, arrival))
         if not same:
             return []
         answers = self.storage.store([arrival for _, arrival in same])
         return [(path, answer) for (path, _), answer in zip(same, answers, strict=True)]
-
-    def _unchanged(self, path: Path, arrival: Arrival) -> bool:
-        try:
-            status = path.lstat()
-        except FileNotFoundError:
-            return False
-        now = _Seen(status.st_size, status.st_mtime_ns, status.st_ino, 0.0)
-        return _same(self._seen[path], now) and arrival.file.size_bytes == status.st_size
 
     def _refuse(self, path: Path, reason: str) -> str:
         place = self._move(path, REFUSED)

@@ -169,7 +169,10 @@ class Spool:
             if contents.end == 0:
                 path.unlink()
                 continue
-            _cut(path, len(content), contents.end)
+            if contents.end < len(content):  # so that the piece is the same whenever it is read
+                with path.open("r+b") as file:
+                    file.truncate(contents.end)
+                    os.fsync(file.fileno())
             last = max(record.dropped_total for record in contents.records)
             count = DropCount(max(count.total, last), max(count.recorded, last))
             found.append(Piece(path.replace(path.with_suffix(PIECE_SUFFIX)), contents.end))
@@ -275,15 +278,6 @@ class _OpenPiece:
 
     def close(self) -> None:
         os.close(self._handle)
-
-
-def _cut(path: Path, size: int, end: int) -> None:
-    """Cut what a killed process has written of a record, so that the piece is the same whenever it is read."""
-    if end == size:
-        return
-    with path.open("r+b") as file:
-        file.truncate(end)
-        os.fsync(file.fileno())
 
 
 def _hold(folder: Path) -> int:

@@ -196,11 +196,6 @@ class FrameSink:
         if len(chosen[0]) == 0:
             return
         stamps = chosen[0].astype(np.int64, copy=False)
-        self._follow(stamps)
-        for file, column, layout in zip(self._files, chosen, COLUMNS, strict=True):
-            file.write(np.ascontiguousarray(column, dtype=layout.base).data)
-
-    def _follow(self, stamps: IntArray) -> None:
         steps = int(np.count_nonzero(np.diff(stamps) < -STEP_BACK_NS))
         if self._written is not None:
             steps += int(stamps[0]) < self._written - STEP_BACK_NS
@@ -209,6 +204,8 @@ class FrameSink:
         low, high = int(stamps.min()), int(stamps.max())
         self._first = low if self._first is None else min(self._first, low)
         self._last = high if self._last is None else max(self._last, high)
+        for file, column, layout in zip(self._files, chosen, COLUMNS, strict=True):
+            file.write(np.ascontiguousarray(column, dtype=layout.base).data)
 
 
 def _out_of_time(t_ns: IntArray, before: int | None) -> BoolArray:

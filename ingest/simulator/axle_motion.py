@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import convolve1d
@@ -181,17 +182,8 @@ def averaged(table: ContactTable, half_width: float) -> ContactTable:
         return table
     weights = np.sqrt(1.0 - (step * np.arange(-reach, reach + 1) / half_width) ** 2)
     weights /= weights.sum()
-    left, right, angle_left, angle_right, roll = (
-        convolve1d(getattr(table, name), weights, axis=0, mode="nearest") for name in MEANS
-    )
-    return replace(
-        table,
-        rolling_radius_left=left,
-        rolling_radius_right=right,
-        contact_angle_left=angle_left,
-        contact_angle_right=angle_right,
-        roll=roll,
-    )
+    means: dict[str, Any] = {name: convolve1d(getattr(table, name), weights, axis=0, mode="nearest") for name in MEANS}
+    return replace(table, **means)
 
 
 def _check_on_rails(run: VehicleRun, axle: int, table: ContactTable, motion: WheelsetMotion) -> None:

@@ -30,7 +30,6 @@ from ingest.simulator.running import (
 from ingest.simulator.scenario import (
     NORMAL_REACH,
     Scenario,
-    SpeedRange,
     Stream,
     VehiclePlan,
     WheelsetPlan,
@@ -293,12 +292,8 @@ def _speed(scenario: Scenario, rng: np.random.Generator) -> FloatArray:
             rng.uniform(0.5, 1.0) / order * np.sin(2.0 * np.pi * order * t / plan.period + rng.uniform(0, 2 * np.pi))
         )
     middle, half = 0.5 * (plan.lowest + plan.highest), 0.5 * (plan.highest - plan.lowest)
-    return np.minimum(middle + half * np.tanh(wave), _stopping(scenario.speed, np.asarray(t)))
-
-
-def _stopping(plan: SpeedRange, t: FloatArray) -> FloatArray:
-    """Return the speed (n,) that the next and the last stop allow; infinite where there are none."""
+    speed = middle + half * np.tanh(wave)
     if plan.stop_every <= 0.0:
-        return np.full(len(t), np.inf)
+        return np.asarray(speed)
     from_stop = np.abs((t % plan.stop_every) - 0.5 * plan.stop_every)  # stops are in the middle of each period
-    return np.asarray(plan.braking * np.maximum(from_stop - 0.5 * plan.stop, 0.0))
+    return np.minimum(speed, plan.braking * np.maximum(from_stop - 0.5 * plan.stop, 0.0))

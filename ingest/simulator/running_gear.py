@@ -206,11 +206,13 @@ def simulate_gear(
         middle = courses[0] - gear.places[0]
         path, sensed = gear_path(gear.parameters, track.curves, track.s, middle, speed, STEP, gear.places)
     out, outside = np.empty((AXLES_OF_A_BOGIE, len(GEAR_OUTPUTS), len(speed))), np.zeros(AXLES_OF_A_BOGIE, np.int64)
+    axles = gear.wheels or ((Wheel(), Wheel()),)
+    (a, b), (c, d) = axles[0], axles[-1]
     integrate_gear(
         GearOnTrack(
             gear.constants(),
             gear.creep.constants()._replace(free_rolling=gear.free_rolling),
-            _wheels(gear),
+            Wheels((a.amplitude, b.amplitude, c.amplitude, d.amplitude), (a.phase, b.phase, c.phase, d.phase)),
             (prepared[0].nodes, prepared[-1].nodes),
             (prepared[0].grid(track), prepared[-1].grid(track)),
             track.spline_coefficients(),
@@ -248,15 +250,6 @@ def _parts(gear: RunningGear, speed: FloatArray) -> np.ndarray:
     fewest = int(np.ceil(gear.fastest_mode() * STEP / RATE_LIMIT))
     stands = np.maximum(speed[1:], speed[:-1]) < STANDSTILL  # without creep
     return np.where(stands, fewest, np.maximum(sub_steps(speed, STEP, rate, RATE_LIMIT), fewest))
-
-
-def _wheels(gear: RunningGear) -> Wheels:
-    axles = gear.wheels or ((Wheel(), Wheel()),)
-    (a, b), (c, d) = axles[0], axles[-1]
-    return Wheels(
-        (a.amplitude, b.amplitude, c.amplitude, d.amplitude),
-        (a.phase, b.phase, c.phase, d.phase),
-    )
 
 
 def _start(gear: RunningGear, track: TrackTruth, start: float, speed: float) -> FloatArray:

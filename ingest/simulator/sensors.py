@@ -130,8 +130,14 @@ def measure(
     values, clipped = np.empty((size, 4)), np.zeros((size, 4), dtype=np.bool_)
     taps = _low_pass(stride) if node.anti_alias and stride > 1 else None
     for place, channel in enumerate(node.channels):
-        true = _rate(signals[place]) if channel.gyroscope else signals[place]
-        raw = _transduce(true, channel, float(offsets[place]), rng)
+        true = signals[place]
+        if channel.gyroscope:  # the integral from its begin: the rate, but for that at first
+            true = np.concatenate([[0.0], np.cumsum(0.5 * STEP * (true[1:] + true[:-1]))])
+        raw = np.asarray(true + float(offsets[place]))
+        if channel.noise_density > 0.0:
+            raw += channel.noise_density * np.sqrt(0.5 / STEP) * rng.standard_normal(n)
+        if channel.drift > 0.0:
+            raw += _random_walk(n, channel.drift, rng)
         if errors is not None and errors.offset_slope[place] != 0.0:
             raw += errors.offset_slope[place] * STEP * np.arange(n)
         if np.isfinite(channel.limit):
@@ -173,23 +179,9 @@ def _with_errors(signals: Sequence[FloatArray], errors: NodeErrors, rng: np.rand
     return np.asarray(late * (errors.scale[:, None] + np.outer(errors.scale_drift, passed)))
 
 
-def _rate(acceleration: FloatArray) -> FloatArray:
-    """Return the integral (n,) of a signal from its begin: what a gyroscope measures, but for the rate at first."""
-    return np.concatenate([[0.0], np.cumsum(0.5 * STEP * (acceleration[1:] + acceleration[:-1]))])
-
-
 def draw_offsets(node: SensorNode, rng: np.random.Generator) -> FloatArray:
     """Return the constant offsets (4,) of one sensor."""
     return np.array([channel.offset * rng.standard_normal() for channel in node.channels])
-
-
-def _transduce(true: FloatArray, channel: Channel, offset: float, rng: np.random.Generator) -> FloatArray:
-    raw = true + offset
-    if channel.noise_density > 0.0:
-        raw += channel.noise_density * np.sqrt(0.5 / STEP) * rng.standard_normal(len(true))
-    if channel.drift > 0.0:
-        raw += _random_walk(len(true), channel.drift, rng)
-    return np.asarray(raw)
 
 
 def _random_walk(n: int, per_root_second: float, rng: np.random.Generator) -> FloatArray:

@@ -91,7 +91,10 @@ def write_registry(folder: Path, scenario: Scenario, track: TrackTruth, survey: 
     track_file = f"{section.code.lower()}.csv"
     length = track.length if section.recipe is None else section.recipe.length
     if section.surveyed or section.gauge_surveyed:
-        write_track(folder / track_file, _on_section(survey, length), gauge_only=not section.surveyed)
+        on = (survey.s >= 0.0) & (survey.s <= length)
+        if not on.all() and survey.curves is None:
+            survey = TrackTruth(survey.s[on], survey.alignment[on], survey.gauge_deviation[on])
+        write_track(folder / track_file, survey, gauge_only=not section.surveyed)
     content: dict[str, JsonValue] = {
         "format": REGISTRY_FORMAT,
         "fleets": [{"code": scenario.fleet_code, "name": scenario.fleet_name}],
@@ -171,14 +174,6 @@ def _section(section: SectionPlan, length: float, track_file: str) -> JsonValue:
             known["alignment_std_mm"] = 1e3 * section.stated_alignment_std
         entry["alignment"] = known | {"gauge_deviation_std_mm": 1e3 * section.stated_gauge_std}
     return entry
-
-
-def _on_section(track: TrackTruth, length: float) -> TrackTruth:
-    """Return the part of a track on the section itself, 0 to ``length`` m."""
-    on = (track.s >= 0.0) & (track.s <= length)
-    if on.all() or track.curves is not None:
-        return track
-    return TrackTruth(track.s[on], track.alignment[on], track.gauge_deviation[on])
 
 
 def _measured_profiles(folder: Path, scenario: Scenario, count: int) -> list[JsonValue]:
