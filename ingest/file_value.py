@@ -158,8 +158,9 @@ def keys_of(value_type: type) -> tuple[str, ...]:
 
 
 def taken(value_type: type[T], wider: object, **changes: object) -> T:
-    """Return a value with the fields that it shares with a wider one."""
-    shared = {item.name: getattr(wider, item.name) for item in fields(value_type)}  # type: ignore[arg-type]
+    """Return a value with the fields that it shares with another one."""
+    names = (item.name for item in fields(value_type))  # type: ignore[arg-type]
+    shared = {name: getattr(wider, name) for name in names if hasattr(wider, name)}
     return value_type(**(shared | changes))
 
 

@@ -4,51 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 from estimation.errors import InputError, NotFoundError
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
 from fleet_db.stores.registry import RegistryStore
-from ingest.input_file import Location
 from ingest.registry_entry.contents import RegistryContents, Source
 
 WHEELBASE_TOLERANCE = 0.05  # m, between two axle offsets of a bogie and its wheelbase
 RADIUS_TOLERANCE = 0.15  # of the class's nominal radius: new and worn out wheels differ by less
-_FIELD = "vehicle_classes"
 
 
-def unfit_vehicles(
-    source: Source, vehicles: Sequence[VehicleRecord], classes: Mapping[str, VehicleClass]
-) -> Iterator[InputError]:
-    """Yield what is wrong with vehicles whose axles are not those of their class.
+def class_refusals(source: Source, contents: RegistryContents, registry: RegistryStore) -> Iterator[InputError]:
+    """Yield what is wrong with vehicles and wheelsets that do not belong to their class, entered or on file.
 
-    A vehicle on bogies has an even number of axles, and two axles of a bogie are its wheelbase apart.
+    A vehicle on bogies has an even number of axles, and two axles of a bogie are its wheelbase apart; the radius of a
+    wheelset is one of its class.
     """
-    for index, vehicle in enumerate(vehicles):
-        known = classes.get(vehicle.vehicle_class)
-        misfit = None if known is None else _misfit(vehicle, known)
-        if misfit is not None:
-            field, reason = misfit
-            yield source.error(reason, ("vehicles", index, field))
-
-
-def unfit_classes(
-    source: Source, classes: Sequence[VehicleClass], on_file: Mapping[str, Sequence[VehicleRecord]]
-) -> Iterator[InputError]:
-    """Yield what is wrong with classes to which vehicles on file do not belong.
-
-    Args:
-        on_file: By code of the class, its vehicles that are not entered.
-    """
-    for index, one in enumerate(classes):
-        for vehicle in on_file.get(one.code, ()):
-            misfit = _misfit(vehicle, one)
-            if misfit is not None:
-                yield source.error(f"vehicle {vehicle.code!r} on file: {misfit[1]}", (_FIELD, index))
+    if not (contents.classes or contents.vehicles or contents.wheelsets or contents.mountings):
+        return
+    classes = {one.code: one for one in contents.classes}
+    for code in {vehicle.vehicle_class for vehicle in contents.vehicles} - set(classes):
+        known = _on_file(registry, code)
+        if known is not None:
+            classes[code] = known
+    for index, vehicle in enumerate(contents.vehicles):
+        if vehicle.vehicle_class in classes and (misfit := _misfit(vehicle, classes[vehicle.vehicle_class])):
+            yield source.error(misfit[1], ("vehicles", index, misfit[0]))
+    entered = {vehicle.code for vehicle in contents.vehicles}
+    for index, one in enumerate(contents.classes):
+        for vehicle in registry.vehicles_of_class(one.code):
+            if vehicle.code not in entered and (misfit := _misfit(vehicle, one)):
+                yield source.error(f"vehicle {vehicle.code!r} on file: {misfit[1]}", ("vehicle_classes", index))
+    yield from _unfit_wheelsets(source, contents, _running(contents, registry, classes))
 
 
 def _misfit(vehicle: VehicleRecord, known: VehicleClass) -> tuple[str, str] | None:
+    """Return field and reason why the axles of a vehicle are not those of a class; None where they are."""
     if known.bogie is None:
         return None
     if vehicle.axles % AXLES_OF_A_BOGIE:
@@ -63,74 +55,32 @@ def _misfit(vehicle: VehicleRecord, known: VehicleClass) -> tuple[str, str] | No
     return None
 
 
-@dataclass(frozen=True, slots=True)
-class RunningWheelset:
-    """A wheelset, and the vehicle and class that it runs under once the records are entered."""
-
-    wheelset: WheelsetRecord
-    vehicle: str
-    known: VehicleClass
+_Running = tuple[WheelsetRecord, str, VehicleClass]
+"""A wheelset, and the code of the vehicle and the class that it runs under once the records are entered."""
 
 
-def unfit_wheelsets(
-    source: Source, running: Sequence[RunningWheelset], entries: Mapping[str, Sequence[str]]
-) -> Iterator[InputError]:
-    """Yield what is wrong with wheelsets whose radius is not one of their class, where an entry brings them together.
-
-    Args:
-        entries: By array of a registry file, in the order of what is entered: the serials of ``wheelsets``, those of
-            ``mountings``, the codes of ``vehicles`` and of ``vehicle_classes``.
-    """
-    for one in running:
-        radius, expected = one.wheelset.nominal_radius_m, one.known.parameters.nominal_radius
-        location = _brought_by(one, entries)
-        if location is None or abs(radius - expected) <= RADIUS_TOLERANCE * expected:
-            continue
-        reason = (
-            f"{1e3 * radius:g} mm differs by more than {100 * RADIUS_TOLERANCE:g} % "
-            f"from the {1e3 * expected:g} mm of class {one.known.code!r}"
-        )
-        of_file = location[0] == "wheelsets"
-        yield source.error(reason if of_file else f"wheelset {one.wheelset.serial!r} on file: {reason}", location)
-
-
-def _brought_by(one: RunningWheelset, entries: Mapping[str, Sequence[str]]) -> Location | None:
-    """Return the place in the file that brings a wheelset and a class together; None where none does."""
-    serial = one.wheelset.serial
-    for name, key, field in (
-        ("wheelsets", serial, ("nominal_radius_mm",)),
-        ("mountings", serial, ("wheelset",)),
-        ("vehicles", one.vehicle, ("vehicle_class",)),
-        (_FIELD, one.known.code, ()),
-    ):
-        if key in entries[name]:
-            return name, list(entries[name]).index(key), *field
-    return None
-
-
-def class_refusals(source: Source, contents: RegistryContents, registry: RegistryStore) -> Iterator[InputError]:
-    """Yield what is wrong with vehicles and wheelsets that do not belong to their class, entered or on file."""
-    if not (contents.classes or contents.vehicles or contents.wheelsets or contents.mountings):
-        return
-    classes = {one.code: one for one in contents.classes}
-    for code in {vehicle.vehicle_class for vehicle in contents.vehicles} - set(classes):
-        known = _on_file(registry, code)
-        if known is not None:
-            classes[code] = known
-    yield from unfit_vehicles(source, contents.vehicles, classes)
-    changed = {vehicle.code for vehicle in contents.vehicles}
-    on_file = {
-        one.code: [vehicle for vehicle in registry.vehicles_of_class(one.code) if vehicle.code not in changed]
-        for one in contents.classes
-    }
-    yield from unfit_classes(source, contents.classes, on_file)
+def _unfit_wheelsets(source: Source, contents: RegistryContents, running: Sequence[_Running]) -> Iterator[InputError]:
+    """Yield what is wrong with wheelsets that an entry brings together with a class of another radius."""
     entries = {
         "wheelsets": [one.serial for one in contents.wheelsets],
         "mountings": [one.wheelset for one in contents.mountings],
         "vehicles": [one.code for one in contents.vehicles],
         "vehicle_classes": [one.code for one in contents.classes],
     }
-    yield from unfit_wheelsets(source, _running(contents, registry, classes), entries)
+    fields = {"wheelsets": ("nominal_radius_mm",), "mountings": ("wheelset",), "vehicles": ("vehicle_class",)}
+    for wheelset, vehicle, known in running:
+        serial, radius, expected = wheelset.serial, wheelset.nominal_radius_m, known.parameters.nominal_radius
+        keys = {"wheelsets": serial, "mountings": serial, "vehicles": vehicle, "vehicle_classes": known.code}
+        brought_by = next((name for name, key in keys.items() if key in entries[name]), None)
+        if brought_by is None or abs(radius - expected) <= RADIUS_TOLERANCE * expected:
+            continue
+        reason = (
+            f"{1e3 * radius:g} mm differs by more than {100 * RADIUS_TOLERANCE:g} % "
+            f"from the {1e3 * expected:g} mm of class {known.code!r}"
+        )
+        on_file = "" if brought_by == "wheelsets" else f"wheelset {serial!r} on file: "
+        place = entries[brought_by].index(keys[brought_by])
+        yield source.error(on_file + reason, (brought_by, place, *fields.get(brought_by, ())))
 
 
 def without_class(contents: RegistryContents, registry: RegistryStore) -> tuple[VehicleRecord, ...]:
@@ -142,7 +92,7 @@ def without_class(contents: RegistryContents, registry: RegistryStore) -> tuple[
 
 def _running(
     contents: RegistryContents, registry: RegistryStore, classes: Mapping[str, VehicleClass]
-) -> list[RunningWheelset]:
+) -> list[_Running]:
     wheelsets = {one.serial: one for one in registry.wheelsets()}
     mounted = [one.mounting for one in wheelsets.values() if one.mounting is not None]
     latest = {one.wheelset: one.vehicle for one in sorted([*mounted, *contents.mountings], key=lambda m: m.from_ns)}
@@ -156,7 +106,7 @@ def _running(
     for serial, vehicle in latest.items():
         of_vehicle = known.get(class_of.get(vehicle, ""))
         if serial in wheelsets and of_vehicle is not None:
-            found.append(RunningWheelset(wheelsets[serial], vehicle, of_vehicle))
+            found.append((wheelsets[serial], vehicle, of_vehicle))
     return found
 
 

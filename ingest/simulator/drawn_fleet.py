@@ -129,19 +129,17 @@ def no_wear_left(scenario: Scenario, vehicle: str, axle: int, last: ScenarioErro
 
 def _vehicles(scenario: Scenario, fleet: DrawnFleet, seed: int) -> tuple[VehiclePlan, ...]:
     """Return the vehicles: wheelsets are numbered across the vehicles, the first axle of all before the second."""
-    plans = []
-    for number in range(fleet.vehicles):
-        ranks = range(number, fleet.places, fleet.vehicles)
-        plans.append(
-            VehiclePlan(
-                code=f"V{number}",
-                vehicle_class=fleet.vehicle_class,
-                max_speed=fleet.max_speed,
-                axle_offsets=usual_offsets(len(ranks), scenario.bogie),
-                wheelsets=tuple(_wheelset(scenario, fleet, seed, rank) for rank in ranks),
-            )
+    return tuple(
+        VehiclePlan(
+            code=f"V{number}",
+            vehicle_class=fleet.vehicle_class,
+            max_speed=fleet.max_speed,
+            axle_offsets=usual_offsets(len(ranks), scenario.bogie),
+            wheelsets=tuple(_wheelset(scenario, fleet, seed, rank) for rank in ranks),
         )
-    return tuple(plans)
+        for number in range(fleet.vehicles)
+        for ranks in [range(number, fleet.places, fleet.vehicles)]
+    )
 
 
 def _wheelset(scenario: Scenario, fleet: DrawnFleet, seed: int, rank: int) -> WheelsetPlan:

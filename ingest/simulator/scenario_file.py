@@ -204,22 +204,16 @@ class ScenarioTable:
         parameters, bogie, sessions = self.dynamics.parameters, self.dynamics.bogie, self.sessions
         if math.isinf(sessions.duration):
             sessions = replace(sessions, duration=((self.length or 0.0) + 2.0 * MARGIN) / self.speed.lowest)
-        scenario = Scenario(
-            name=self.name,
-            description=self.description,
-            seed=self.seed,
+        scenario = taken(
+            Scenario,
+            self,
             fleet_code=self.fleet.code,
             fleet_name=self.fleet.name,
             parameters=parameters,
             section=self.section.plan(),
-            sensors=self.sensors,
-            speed=self.speed,
             sessions=sessions,
-            bus=self.bus,
-            position=self.position,
             vehicles=tuple(vehicle.plan(parameters.nominal_radius, bogie) for vehicle in self.vehicles),
             drawn=self.drawn_fleet,
-            vehicle_errors=self.vehicle_errors,
             bogie=bogie,
             class_on_file=None if self.class_on_file is None else self.class_on_file.plan(),
             running=self._running(),
@@ -227,18 +221,16 @@ class ScenarioTable:
         return with_seed(scenario, self.seed)
 
     def _running(self) -> RunningPlan:
-        return RunningPlan(
+        return taken(
+            RunningPlan,
+            self.wheels,
             creep=taken(Creep, self.creep),
             friction=self.creep.friction_plan(),
             cross_level=self.section.cross_level,
             load_variation=self.section.load_variation,
-            out_of_round=self.wheels.out_of_round,
             traction=self.traction is not None,
             driven_axles=() if self.traction is None else self.traction.driven_axles,
-            contact_half_width=self.wheels.contact_half_width,
-            contact_step=self.wheels.contact_step,
             stretches=self.creep.stretches,
-            flats=self.wheels.flats,
             track_blows=self.section.blows,
         )
 
