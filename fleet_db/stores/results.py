@@ -67,7 +67,7 @@ class ResultStore:
         """Return what :meth:`in_force` does now, without values and parameters."""
         statement = _chosen(kind, subjects, None, parts).with_only_columns(*OF_HEAD)
         rows = self.connection.execute(statement.order_by(RESULTS.c.subject, RESULTS.c.part))
-        return [_result(kind, row) for row in rows]
+        return [_result(kind, row, whole=False) for row in rows]
 
     def latest(self, kind: ResultKind[V], subject: str, as_of_ns: int | None = None) -> Result[V] | None:
         """Return the result of a subject that was put last, as it was recorded at ``as_of_ns``."""
@@ -80,7 +80,7 @@ class ResultStore:
 
         def read(some: Collection[str]) -> Mapping[str, Result[V]]:
             found = _in_force(kind, some).with_only_columns(*OF_HEAD).order_by(RESULTS.c.result_id)
-            return {row.subject: _result(kind, row) for row in self.connection.execute(found)}
+            return {row.subject: _result(kind, row, whole=False) for row in self.connection.execute(found)}
 
         return self.once.of_wheelsets(f"head {kind.stage}", [subject], read).get(subject)
 
@@ -219,8 +219,8 @@ def _values(kind: ResultKind[Any], result: AnyResult) -> dict[str, Any]:
     }
 
 
-def _result(kind: ResultKind[V], row: Row[Any]) -> Result[V]:
-    where, blob = f"{kind.stage} {row.result_id}", getattr(row, "value", None)
+def _result(kind: ResultKind[V], row: Row[Any], *, whole: bool = True) -> Result[V]:
+    where, blob = f"{kind.stage} {row.result_id}", row.value if whole else None
     return Result(
         subject=row.subject,
         part=row.part,
@@ -231,7 +231,7 @@ def _result(kind: ResultKind[V], row: Row[Any]) -> Result[V]:
         status=Status(row.status),
         reason=stored_reason(row),
         head=_head(row.head, where),
-        parameters=getattr(row, "parameters", {}),
+        parameters=row.parameters if whole else {},
         number=row.result_id,
     )
 
