@@ -16,7 +16,8 @@ from sqlalchemy import Connection, Insert, Table, case, func, insert, literal, s
 
 from api.settings import Settings
 from bench.idle_opinions import DAY_NS, KEPT_BYTES, opinions_copied, put_friction
-from bench.wheelset_year import SERIAL, At, WheelsetYear, recorded
+from bench.wheelset_recording import recorded
+from bench.wheelset_year import SERIAL, At, WheelsetYear
 from estimation.jobs.catalogue import job_named
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.settings import JobSettings

@@ -24,7 +24,6 @@ from importlib.resources import as_file, files
 from typing import Annotated
 
 import numpy as np
-from scipy.stats.qmc import Halton
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
@@ -201,6 +200,8 @@ def wheelsets(pair: Pair) -> Iterator[tuple[tuple[Profile, Profile], Profile]]:
 
 def _hollows(pair: Pair) -> Iterator[tuple[TreadWear, TreadWear, RailWear]]:
     """Yield the wear of left wheel, right wheel and rails, drawn over its ranges; each pair has draws of its own."""
+    from scipy.stats.qmc import Halton  # noqa: PLC0415 - slow to import, and few need it
+
     draws = Halton(7, scramble=False)
     draws.fast_forward(1 + HOLLOWS * PAIRS.index(pair))
     for depth_share, place, width, flange, unlike, rail, band in draws.random(HOLLOWS):
@@ -217,6 +218,8 @@ def _hollows(pair: Pair) -> Iterator[tuple[TreadWear, TreadWear, RailWear]]:
 
 def _bands(pair: Pair) -> Iterator[list[RailWear]]:
     """Yield for each way of running the wear of the rails under the wheel of each depth, drawn as that of hollows."""
+    from scipy.stats.qmc import Halton  # noqa: PLC0415 - slow to import, and few need it
+
     draws = Halton(2, scramble=False)
     draws.fast_forward(1 + len(RUNNING) * len(DEPTHS) * PAIRS.index(pair))
     for _ in RUNNING:
