@@ -25,15 +25,18 @@ because its steep surface is lowered.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from importlib.resources import as_file, files
 from typing import Annotated
 
 import numpy as np
 
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
-from estimation.values.arrays import FloatArray
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.served import MM, Served
 
 DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
@@ -253,3 +256,35 @@ def worn_rail(rail: Profile, wear: RailWear) -> Profile:
     rest = 1.0 - u * u
     loss, slope = wear.depth * rest**3, -6.0 * wear.depth / wear.half_width * u * rest**2
     return Profile("rail", f"{rail.name} worn", rail.y, rail.z + loss, rail.slope + slope)
+
+
+HOLLOWS: Mapping[str, tuple[float, float]] = {  # centre and half width of the hollow of each design wheel, m
+    "P8": (3e-3, 44e-3),
+    "S1002": (4e-3, 33e-3),
+    "EN13715-1/40/h28/e32.5": (3e-3, 38e-3),
+    "EN13715-S1002/h30/e29": (4e-3, 36e-3),
+    "EN15302-A": (3e-3, 40e-3),
+    "EN15302-B": (3e-3, 40e-3),
+    "EN15302-H": (3e-3, 40e-3),
+    "EN15302-I": (3e-3, 40e-3),
+}
+TABLE = "worn_family.npy"  # written by ``python -m bench.worn_family``
+UNIT = 1e-4  # of a stored conicity
+AMPLITUDES: FloatArray = np.arange(2, 13, dtype=np.float64) * 0.25e-3  # m
+
+
+@dataclass(frozen=True, slots=True)
+class WornFamily(FrozenArrays):
+    """Conicities by amplitude of many wheelsets, new and worn: how conicity goes on with amplitude."""
+
+    amplitude: Annotated[FloatArray, "a"]  # m
+    conicity: Annotated[FloatArray, "m", "a"]
+    pair: Annotated[IntArray, "m"]  # number of the pair of design wheel and rail
+
+
+@cache
+def worn_family() -> WornFamily:
+    """Return all pairs, as they are kept beside this module."""
+    with as_file(files("estimation.contact") / TABLE) as path:
+        stored = np.load(path, allow_pickle=False)
+    return WornFamily(AMPLITUDES, np.asarray(stored[:, 1:] * UNIT), stored[:, 0].astype(np.int64))
