@@ -37,7 +37,7 @@ import numpy as np
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
-from estimation.values.served import MM, Served
+from estimation.values.fields import IN_MM, Served
 
 DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
 
@@ -150,7 +150,7 @@ class WearMeasures:
         Served(
             "Sh: tip of the flange over the tread 70 mm from the flange back.",
             "flange_height_mm",
-            MM,
+            IN_MM,
             28.0,
             finite=False,
         ),
@@ -158,7 +158,7 @@ class WearMeasures:
     flange_thickness: Annotated[
         float,
         Served(
-            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", MM, 32.5, finite=False
+            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", IN_MM, 32.5, finite=False
         ),
     ]
     flange_gradient: Annotated[
@@ -166,7 +166,7 @@ class WearMeasures:
         Served(
             "qR: lateral distance of the face 10 mm beyond the tread from that 2 mm short of the tip.",
             "flange_gradient_mm",
-            MM,
+            IN_MM,
             10.8,
             finite=False,
         ),
@@ -176,7 +176,7 @@ class WearMeasures:
         Served(
             "Depth of the tread below the highest point farther out; 0 for a new wheel.",
             "hollow_mm",
-            MM,
+            IN_MM,
             0.0,
             finite=False,
         ),

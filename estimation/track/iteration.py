@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.track.convergence import Convergence, Iterated
 from estimation.track.gauge.search import (
     FEWEST_PASSES,
     GaugePrior,
@@ -28,22 +27,31 @@ from estimation.track.gauge.wheel_functions import (
 from estimation.track.gridded_pass import GriddedPass, Placed, all_passes, place, with_ratios
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.instrumental_slope import (
+    Ratio,
     SlopeCorrection,
     common_slope,
     corrected,
+    ratio_values,
+    refine_ratios,
     slope_correction,
     with_instrument,
+    with_ratio_std,
 )
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, init, update
-from estimation.track.panel.prior_alignment import PriorAlignment, add_prior, fleet_step
-from estimation.track.panel.solution import PanelSolution, residual_of_passes, result
-from estimation.track.panel.stiffness_ratio import Ratio, ratio_values, refine_ratios, with_ratio_std
+from estimation.track.panel.solution import (
+    PanelSolution,
+    PriorAlignment,
+    add_prior,
+    fleet_step,
+    residual_of_passes,
+    result,
+)
 from estimation.track.passes import Journey, Pass, PositionParameters
 from estimation.track.positions import compose, correlate_positions, refine, register
 from estimation.track.survey_positions import positions_on_survey
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.track import Correction
+from estimation.values.track import Convergence, Correction, Iterated
 
 Grouped = Mapping[Journey, Sequence[Pass]]
 

@@ -12,27 +12,26 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from estimation.track.alignment_std import merged_alignment
-from estimation.track.convergence import Iterated
 from estimation.track.iteration import Grouped, IterationResult, iterate, with_slope
 from estimation.track.panel.basis import KnownBeforehand, Panel, pass_residual
+from estimation.track.panel.instrumental_slope import error_of_difference
 from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.prior_alignment import PriorAlignment, prior_on_grid
 from estimation.track.panel.solution import (
     LEAST_WHEELSETS,
     SINGLE_WHEELSET,
     PanelSolution,
+    PriorAlignment,
     between_pass_std_ratio,
+    prior_on_grid,
     too_few_passes,
 )
-from estimation.track.panel.stiffness_ratio import error_of_difference
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
-from estimation.track.results import AlignmentReport, JourneyReport, nothing
+from estimation.track.results import AlignmentReport, JourneyReport, merged_alignment, nothing
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, combined
-from estimation.values.track import Correction, TrackAlignment, evidence_of_measurement, evidence_of_version
+from estimation.values.track import Correction, Iterated, TrackAlignment, evidence_of_measurement, evidence_of_version
 
 USUAL_FACTOR = 1.5  # times the median of the wheelsets
 LEAST_USUAL = 0.12e-3  # m

@@ -19,10 +19,10 @@ import numpy as np
 from scipy import fft
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
-from estimation.track.alignment_std import GAUGE_EFFECT
-from estimation.track.correlation import peak_position
 from estimation.track.gauge.wheel_functions import LEAST_GAUGE, contact_samples, gauge_factor_with_std
 from estimation.track.iteration import IterationResult
+from estimation.track.positions import peak_position
+from estimation.track.results import GAUGE_EFFECT
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import log10_chance
 from estimation.values.reasons import Reason, ReasonCode, combined

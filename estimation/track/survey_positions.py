@@ -21,7 +21,7 @@ import numpy as np
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import GriddedPass, Placed, PlacedJourney, SectionGrid
-from estimation.track.panel.prior_alignment import PriorAlignment
+from estimation.track.panel.solution import PriorAlignment
 from estimation.track.passes import Journey, ProfileLife
 from estimation.track.positions import compose
 from estimation.values.arrays import BoolArray, FloatArray, IntArray

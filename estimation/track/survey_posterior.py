@@ -28,10 +28,9 @@ from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_
 from estimation.track.gridded_pass import Placed, SectionGrid
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import Panel, unfiltered_residual
+from estimation.track.panel.instrumental_slope import error_of_difference
 from estimation.track.panel.solution import PanelSolution
-from estimation.track.panel.stiffness_ratio import error_of_difference
-from estimation.track.placing import position_std
-from estimation.track.results import findings
+from estimation.track.results import findings, position_std
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import TrackAlignment

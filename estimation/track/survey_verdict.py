@@ -22,8 +22,7 @@ from scipy import linalg
 
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.normal_equations import PanelState, groups_of
-from estimation.track.panel.prior_alignment import PriorAlignment
-from estimation.track.panel.solution import curves_of_sum, prior_of_curves
+from estimation.track.panel.solution import PriorAlignment, curves_of_sum, prior_of_curves
 from estimation.track.passes import Journey
 from estimation.values.arrays import FloatArray, IntArray
 from estimation.values.quantities import jackknife_std

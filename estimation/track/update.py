@@ -14,10 +14,10 @@ import numpy as np
 from estimation.track.gauge.wheel_functions import LEAST_GAUGE
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.prior_alignment import prior_on_grid
-from estimation.track.passes import Pass, ProfileLife
-from estimation.track.placing import shrunk
-from estimation.track.screening.screen import PassOutcome, PassStatus, Screened, screen
+from estimation.track.panel.solution import prior_on_grid
+from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
+from estimation.track.results import shrunk
+from estimation.track.screening.screen import Screened, screen
 from estimation.track.section import SectionEstimate, estimate_section
 from estimation.track.settings import AlignmentSettings, SectionParameters
 from estimation.track.survey_check import check_survey, judge_gauge, worth_more

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from enum import EnumType, StrEnum
 from typing import Any, Self
 
@@ -319,3 +320,18 @@ def text_of(reason: Reason | None) -> str | None:
 def code_of(reason: Reason | None) -> ReasonCode | None:
     """Return the code; None where there is no reason."""
     return None if reason is None else reason.code
+
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_SECOND = 1_000_000_000
+
+
+def utc_text(t_ns: int) -> str:
+    """Return a time in UTC, to the second where it is a whole one.
+
+    Args:
+        t_ns: ns since 1970, UTC.
+    """
+    seconds, rest = divmod(t_ns, _SECOND)
+    decimals = f".{rest:09d}".rstrip("0") if rest else ""
+    return f"{(_EPOCH + timedelta(seconds=seconds)).strftime('%Y-%m-%dT%H:%M:%S')}{decimals}Z"

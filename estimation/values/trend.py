@@ -15,12 +15,11 @@ from typing import Annotated, Protocol, TypeVar
 
 from estimation.values.alerts import Alert
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import IN_MM, JsonValue, Served
 from estimation.values.quantities import Estimate, Forecast, Status, with_interval
 from estimation.values.reasons import Reason
 from estimation.values.results import History, ResultKind
 from estimation.values.runs import SubjectKind
-from estimation.values.served import MM, Served
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +33,7 @@ class TrendStep:
     found_ns: int  # end of the data that showed it first
     size: Annotated[Estimate, Served("By how much the indicator has changed, at `amplitude_mm`.", "size_1")]
     level_before: Annotated[float, Served("The indicator before it.", "level_before_1", finite=False)]
-    amplitude: Annotated[float, Served("Amplitude that size and level are of.", "amplitude_mm", MM, finite=False)]
+    amplitude: Annotated[float, Served("Amplitude that size and level are of.", "amplitude_mm", IN_MM, finite=False)]
     probability: Annotated[float, Served("That there is a step there.", "probability_1", finite=False)]
     before: Annotated[int, Served("Intervals before it.", "intervals_before")]
     behind: Annotated[int, Served("Intervals behind it.", "intervals_behind")]

@@ -15,14 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.sparse.linalg import spsolve
 
-from estimation.track.passes import Pass, journeys
+from estimation.track.passes import Pass, PassOutcome, PassStatus, journeys
 from estimation.track.screening.agreement import (
     Agreement,
     FilteredPass,
@@ -221,25 +220,6 @@ def _camps(comparisons: Sequence[Comparison], count: int) -> IntArray:
             first, second = sorted((head(c.first), head(c.second)))
             camp[second] = first
     return np.array([head(i) for i in range(count)], dtype=np.int64)
-
-
-class PassStatus(StrEnum):
-    """What became of a pass."""
-
-    USED = "used"
-    REFUSED = "refused"
-    TOO_SHORT = "too_short"  # for the filter: of no use here, but not refused
-
-
-@dataclass(frozen=True, slots=True)
-class PassOutcome:
-    """What became of the pass of a wheelset in one window; a reason also where only part of it was used."""
-
-    wheelset: str
-    vehicle: str
-    start_ns: int
-    status: PassStatus
-    reason: Reason | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,16 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.track.alignment_std import LongWaveAlignment, _gauge_std, _scale_std, _std
 from estimation.track.gridded_pass import place
 from estimation.track.iteration import IterationParameters, IterationResult, _largest_move, _ratio_change
 from estimation.track.panel.basis import Panel, PanelParameters
+from estimation.track.panel.instrumental_slope import Ratio
 from estimation.track.panel.normal_equations import init
-from estimation.track.panel.prior_alignment import PriorAlignment
-from estimation.track.panel.solution import result
-from estimation.track.panel.stiffness_ratio import Ratio
+from estimation.track.panel.solution import PriorAlignment, result
 from estimation.track.passes import Pass, ProfileLife
-from estimation.track.results import SectionResults, nothing
+from estimation.track.results import LongWaveAlignment, SectionResults, _gauge_std, _scale_std, _std, nothing
 from estimation.track.section import Residuals, _find_outliers, _MeanSquare, residuals
 from estimation.track.settings import AlignmentSettings, SectionParameters
 from estimation.values.quantities import Status

@@ -9,18 +9,15 @@ import numpy as np
 import pytest
 from test_agreement_limits import smooth
 
-from estimation.track.alignment_std import merged_alignment
-from estimation.track.convergence import Convergence, Iterated
 from estimation.track.gridded_pass import PlacedJourney, grid_pass
 from estimation.track.iteration import IterationResult
 from estimation.track.panel.basis import KnownBeforehand, Panel, PanelParameters
-from estimation.track.panel.instrumental_slope import SlopeCorrection
+from estimation.track.panel.instrumental_slope import Ratio, SlopeCorrection
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import init
-from estimation.track.panel.prior_alignment import prior_on_grid
-from estimation.track.panel.solution import PanelReport, result
-from estimation.track.panel.stiffness_ratio import Ratio
+from estimation.track.panel.solution import PanelReport, prior_on_grid, result
 from estimation.track.passes import Journey, Pass, ProfileLife, journeys
+from estimation.track.results import merged_alignment
 from estimation.track.section import (
     SectionEstimate,
     _Accepted,
@@ -34,7 +31,7 @@ from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.track import AlignmentSource, Correction, TrackAlignment
+from estimation.values.track import AlignmentSource, Convergence, Correction, Iterated, TrackAlignment
 
 LENGTH = 600
 P = SectionParameters(panel=PanelParameters(length=float(LENGTH), groups=4, block=75.0))
