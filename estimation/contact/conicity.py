@@ -40,15 +40,11 @@ _REST = 1e-9  # share by which S is below its running maximum where a wheelset h
 def equivalent_conicity(
     lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitudes: npt.ArrayLike
 ) -> FloatArray:
-    """Return tan(gamma_e) at each amplitude by the integration of EN 15302.
+    """Return tan(gamma_e) (k,) at each amplitude (k,), m, by EN 15302; NaN where the curve does not cover it.
 
     Args:
         lateral_displacement: (n,) m, strictly increasing, positive to the left.
         rolling_radius_difference: (n,) m, left minus right.
-        amplitudes: (k,) m, positive.
-
-    Returns:
-        (k,) tan(gamma_e); NaN where the curve does not cover the amplitude.
 
     Raises:
         ParameterError: Lengths that differ, displacements that do not increase, an amplitude that is not positive.
@@ -58,11 +54,7 @@ def equivalent_conicity(
 
 
 def zero_crossing(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
-    """Return the lateral displacement where the radii are equal (of several, the deepest equilibrium), m, or NaN.
-
-    Args:
-        lateral_displacement, rolling_radius_difference: (n,) m, as :func:`equivalent_conicity` takes them.
-    """
+    """Return the lateral displacement where the radii are equal (of several, the deepest equilibrium), m, or NaN."""
     y, difference = _curve(lateral_displacement, rolling_radius_difference)
     return float(_equilibrium(y, difference)[0])
 
@@ -70,12 +62,7 @@ def zero_crossing(lateral_displacement: npt.ArrayLike, rolling_radius_difference
 def middle_of_travel(
     lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike, amplitude: float
 ) -> float:
-    """Return the middle between the turning points at an amplitude, m; NaN where the curve does not cover it.
-
-    Args:
-        lateral_displacement, rolling_radius_difference: (n,) m, as :func:`equivalent_conicity` takes them.
-        amplitude: m, positive.
-    """
+    """Return the middle between the turning points at an amplitude, m; NaN where the curve does not cover it."""
     y, difference = _curve(lateral_displacement, rolling_radius_difference)
     (a,) = _amplitudes(amplitude)
     crossing = _equilibrium(y, difference)[0]
@@ -87,11 +74,7 @@ def middle_of_travel(
 
 
 def nonlinearity_parameter(lateral_displacement: npt.ArrayLike, rolling_radius_difference: npt.ArrayLike) -> float:
-    """Return NP = (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2, in 1/mm as EN 15302 gives it; NaN if not covered.
-
-    Args:
-        lateral_displacement, rolling_radius_difference: (n,) m, as :func:`equivalent_conicity` takes them.
-    """
+    """Return NP = (tan gamma_e(4 mm) - tan gamma_e(2 mm)) / 2, in 1/mm as EN 15302 gives it; NaN if not covered."""
     low, high = equivalent_conicity(lateral_displacement, rolling_radius_difference, (2e-3, 4e-3))
     return float((high - low) / 2.0)
 
@@ -314,8 +297,7 @@ def conicity_std(
     cover. Errors of an instrument that are alike along the whole profile (scale, tilt) are not in it.
 
     Args:
-        lateral_displacement: (n,) m, strictly increasing: the grid of the contact search.
-        amplitudes: (k,) m, positive.
+        lateral_displacement, amplitudes: (n,) m, strictly increasing; (k,) m.
 
     Raises:
         ContactError: The profiles never touch.

@@ -105,8 +105,7 @@ def fit_spline(
     """Return the smooth curve through points and its uncertainty.
 
     Args:
-        points: (n, 2) mm, in their order along the curve.
-        weight: (n,) 1, or 0 for points that are left out.
+        points, weight: (n, 2) mm, in their order along the curve; (n,) 1, or 0 for points that are left out.
         noise_std: Of the points across the curve, mm; None if it is to be estimated.
         design: The curve is the sum of this and a spline; without, the spline is all of it.
     """
@@ -147,13 +146,10 @@ def _on_design(design: DesignCurve | None, knots: FloatArray) -> BoolArray | Non
 
 
 def correlated_noise(points: FloatArray) -> tuple[float, float]:
-    """Return the noise of points across their curve, and the arc over which it is alike, both mm; before any fit.
+    """Return the noise of points (n, 2) across their curve, and the arc over which it is alike, all mm; before any fit.
 
     Fourth differences at several distances: of white noise they are alike, of noise that neighbours share they grow
     with the distance. The correlation is taken as exponential.
-
-    Args:
-        points: (n, 2) mm, in their order along the curve.
     """
     spacing = float(np.median(np.hypot(*np.diff(points, axis=0).T)))
     steps = sorted({max(1, round(distance / max(spacing, _TINY))) for distance in NOISE_DISTANCES})
@@ -175,11 +171,7 @@ def correlated_noise(points: FloatArray) -> tuple[float, float]:
 
 
 def rough_noise(points: FloatArray, step: int = 1) -> float:
-    """Return the noise of points across their curve from differences of neighbours, mm: robust, before any fit.
-
-    Args:
-        points: (n, 2) mm, in their order along the curve.
-    """
+    """Return the noise of points (n, 2) across their curve from differences of neighbours, mm: robust, before a fit."""
     if len(points) < 4 * step + 1:
         return 0.0
     chord = points[2 * step :] - points[: -2 * step]
@@ -262,7 +254,6 @@ def _over_neighbours(values: FloatArray) -> FloatArray:
 
 
 def _levelled(rows: _Rows, fit: _Fit, *, known: bool) -> _Fit:
-    """Return the fit at the level of the penalty with the best score."""
     design, target = rows
     n = float(len(design))
     normal = design.T @ design, design.T @ target

@@ -100,9 +100,6 @@ class Profile:
 def profile_from_points(kind: ProfileKind, name: str, y: FloatArray, z: FloatArray) -> Profile:
     """Return the profile through points, its slopes those of the cubic spline through them.
 
-    Args:
-        y, z: (n,) m, y strictly increasing.
-
     Raises:
         ProfileError: As `Profile`.
     """

@@ -114,12 +114,7 @@ Segment = Arc | Line | Polynomial
 
 
 def evaluate(segments: Sequence[Segment], y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return height and slope of adjoining segments at y; NaN outside all of them.
-
-    Args:
-        segments: In increasing y, each beginning where the one before ends.
-        y: (n,) mm. A joint belongs to the segment that ends there.
-    """
+    """Return height and slope of adjoining segments at y (n,), mm, NaN outside; a joint is of the one ending there."""
     height = np.full(len(y), np.nan)
     slope = np.full(len(y), np.nan)
     for segment in reversed(segments):
@@ -132,12 +127,9 @@ def evaluate(segments: Sequence[Segment], y: FloatArray) -> tuple[FloatArray, Fl
 def sample(segments: Sequence[Segment], step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return y, z and dz/dy (n,) along adjoining segments, every joint included, without vertical ends; mm.
 
-    Printed coefficients leave steps of up to 8e-4 mm at joints. They are closed by raising or lowering the segments
-    away from y = 0: a step of 5e-5 mm, smeared over one sample, would move a contact on near-conformal arcs by 0.05 mm.
-
-    Args:
-        segments: In increasing y, each beginning where the one before ends; mm.
-        step: Largest distance between points along the surface, mm.
+    Points are at most ``step`` apart along the surface. Printed coefficients leave steps of up to 8e-4 mm at joints.
+    They are closed by raising or lowering the segments away from y = 0: a step of 5e-5 mm, smeared over one sample,
+    would move a contact on near-conformal arcs by 0.05 mm.
     """
     y = np.unique(np.concatenate([segment.knots(step) for segment in segments]))
     y = y[np.concatenate([[True], np.diff(y) > _SAME_POINT])]

@@ -84,7 +84,6 @@ def passes(
     first has not.
 
     Args:
-        vehicle: Parameters of Eq. 2, which turns the yaw motion into rL - rR.
         mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
         integrated: The moving samples of the window, integrated; by default that is done here.
     """
@@ -193,11 +192,7 @@ class Examined:
 
 
 def examine(window: Window, parameters: WindowParameters, *, mounted_reversed: bool = False) -> Examined:
-    """Return the passes of a window along its section, with the reason where there is none or not all of it is used.
-
-    Args:
-        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
-    """
+    """Return the passes of a window along its section, with the reason where there is none or not all of it is used."""
     refusal = gate(window.quality, window.track_section, parameters.gates) or check_moving(window, parameters.signals)
     if refusal is not None:
         return _examined(window, (), refusal)
@@ -245,10 +240,9 @@ def following(items: Sequence[Item], keys: Sequence[tuple[Hashable, int, int]], 
 
 
 def joined(windows: Sequence[Window]) -> Window:
-    """Return windows that follow each other as one; the quality is the worst of each measure, shares are means.
+    """Return windows that follow each other, in order, as one.
 
-    Args:
-        windows: One or more, in order of time, each beginning where the one before ends.
+    The quality is the worst of each measure, shares are means.
     """
     first = windows[0]
     if len(windows) == 1:

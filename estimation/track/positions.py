@@ -39,11 +39,9 @@ from estimation.values.track import Correction
 
 
 def peak_position(score: FloatArray, k: int) -> float:
-    """Return the position, in samples, of the vertex of the parabola through a peak and its neighbours.
+    """Return the position, in samples, of the vertex of the parabola through a peak of a score and its neighbours.
 
-    Args:
-        score: (n,) at equal distances.
-        k: Of the largest one; itself is returned at an end, and where the three do not bend downwards.
+    The largest one itself is returned at an end, and where the three do not bend downwards.
     """
     if not 0 < k < len(score) - 1:
         return float(k)
@@ -96,13 +94,9 @@ def mean_displacement(filtered: Sequence[FilteredDisplacement], grid: SectionGri
 def clear_peaks(
     points: IntArray, y: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> list[Peak]:
-    """Return the peaks of the pieces of a signal that agree with a reference clearly.
+    """Return the peaks of the pieces of a signal (m,) that agree with a reference (n,) on the grid clearly.
 
     In pieces, because over a long pass an error of the scale moves the two ends against each other.
-
-    Args:
-        points, y: (m,) grid points, increasing by one, and the signal there.
-        reference: (n,) on the grid.
     """
     pieces = max(round(len(points) * grid.step / parameters.piece), 1)
     parts = [part for part in np.array_split(np.arange(len(points)), pieces) if len(part)]
@@ -113,12 +107,7 @@ def clear_peaks(
 def peak(
     points: IntArray, y: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> Peak | None:
-    """Return where a piece of a signal agrees best with a reference; None where the piece is too short.
-
-    Args:
-        points, y: (m,) grid points, increasing by one, and the signal there.
-        reference: (n,) on the grid.
-    """
+    """Return where a piece (m,) of a signal agrees best with a reference (n,); None where the piece is too short."""
     reach = int(parameters.largest_offset / grid.step)
     if len(points) < 4 * reach:
         return None
@@ -260,11 +249,8 @@ def correlate_positions(
 ) -> dict[Journey, Correction]:
     """Return a correction for every journey from the correlation of lateral displacements.
 
-    A journey that agrees with nothing keeps its place.
-
-    Args:
-        alignment: (n,) m, as known: every journey is placed by it, and the fleet as a whole is moved to it. By default,
-            journeys are placed by each other.
+    Journeys are placed by a known alignment (n,), m, and without one by each other; one that agrees with nothing keeps
+    its place.
     """
     if alignment is None:
         return adjusted_positions(grouped, grid, parameters)
@@ -284,8 +270,7 @@ def refine(
 ) -> dict[Journey, Correction]:
     """Return better corrections: one Gauss-Newton step on y - d - h(R) = d' (offset + scale (s - middle)).
 
-    Args:
-        anchored: Whether the alignment holds prior knowledge of positions; else the mean journey keeps its place.
+    The mean journey keeps its place, unless the alignment is ``anchored``: it holds prior knowledge of positions.
     """
     slope = np.gradient(np.nan_to_num(solution.alignment), panel.grid.step)
     certain = np.isfinite(solution.alignment)
@@ -312,12 +297,7 @@ def refine(
 def register(
     found: FloatArray, reference: FloatArray, grid: SectionGrid, parameters: PositionParameters
 ) -> tuple[Correction, float]:
-    """Return how ``found`` (n,) must be moved onto ``reference`` (n,), and the mean correlation of its pieces.
-
-    Args:
-        found: (n,) signal along the section.
-        reference: (n,) signal to compare with.
-    """
+    """Return how ``found`` (n,) must be moved onto ``reference`` (n,), and the mean correlation of its pieces."""
     pieces = np.array_split(np.arange(grid.points), max(round(grid.length / (2 * parameters.piece)), 1))
     peaks = [peak(part, found[part], reference, grid, parameters) for part in pieces]
     known = [one for one in peaks if one is not None]
@@ -351,7 +331,6 @@ def _fitted(correction: Correction, peaks: Sequence[Peak]) -> Correction:
 
 
 def _centred(corrections: Mapping[Journey, Correction]) -> dict[Journey, Correction]:
-    """Return the corrections less their mean: the fleet as a whole stays at its reported positions."""
     offset = float(np.mean([c.offset for c in corrections.values()]))
     scale = float(np.mean([c.scale for c in corrections.values()]))
     return {j: replace(c, offset=c.offset - offset, scale=c.scale - scale) for j, c in corrections.items()}

@@ -44,11 +44,7 @@ class SectionResults:
 
 
 def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResults:
-    """Return what the passes show; ``gauge_estimated`` where the gauge of the panel came from them.
-
-    Args:
-        gauge_estimated: Whether the gauge of the panel was estimated from the passes.
-    """
+    """Return what the passes show; ``gauge_estimated`` where the gauge of the panel came from them."""
     ratios = {vehicle: one.value for vehicle, one in iterated.ratios.items()}
     std = max((one.std for one in iterated.ratios.values()), default=0.0)
     gauge = iterated.panel.gauge
@@ -155,11 +151,7 @@ class LongWaveAlignment:
 def long_wave_alignment(
     passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, cutoff_wavelength: float
 ) -> LongWaveAlignment:
-    """Return the alignment from ``passes`` with the curves of ``solution``.
-
-    Args:
-        cutoff_wavelength: Of the alignment that is returned, m.
-    """
+    """Return the alignment, up to a cut-off wavelength, m, from ``passes`` with the curves of ``solution``."""
     weights = local_cubic_kernel(cutoff_wavelength, panel.grid.step)
     total, square, count, curves = np.zeros((4, panel.grid.points))
     for item in passes:
@@ -191,11 +183,7 @@ WIDELY_DIFFERENT = 0.5  # std of R between the passes of a place over the std of
 def merged_alignment(
     section: str, iterated: IterationResult, prior: TrackAlignment | None, p: SectionParameters
 ) -> TrackAlignment:
-    """Return the solution as an alignment, NaN where it is not known; places without a pass stay as they were.
-
-    Args:
-        prior: What was known before; None where nothing was.
-    """
+    """Return the solution as an alignment, NaN where it is not known; places without a pass stay as they were."""
     grid = iterated.panel.grid
     found = long_wave_alignment(iterated.passes, iterated.solution, iterated.panel, p.cutoff_wavelength)
     known = _nothing_known(grid) if prior is None else prior_on_grid(prior, grid, p.cutoff_wavelength)
@@ -255,7 +243,6 @@ def _gauge_std(iterated: IterationResult, known: PriorAlignment, results: Sectio
 
 
 def _scale_std(results: SectionResults, p: SectionParameters) -> float:
-    """Return the relative std of a common scale of y - d."""
     return p.scale_error if results.gauge is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
 
 

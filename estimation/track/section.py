@@ -142,12 +142,7 @@ def estimate_section(
     parameters: SectionParameters,
     measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
 ) -> SectionEstimate:
-    """Return the alignment of a section from ``passes`` and what was known before.
-
-    Args:
-        passes: Of this epoch; passes of one profile life share a curve.
-        prior: The last version, or a survey; None where nothing is known.
-    """
+    """Return the alignment of a section from ``passes`` and what was known before."""
     named = () if prior is None else (evidence_of_version(prior.source, prior.version),)
     grouped: Grouped = journeys(passes, parameters.positions)
     panel = Panel.of(parameters.panel, KnownBeforehand(measured=measured or {}))
@@ -268,7 +263,6 @@ def _report(
 def _state_of(
     accepted: _Accepted, grouped: Grouped, known: PriorAlignment | None, p: SectionParameters
 ) -> tuple[Status, Reason | None]:
-    """Return whether an alignment is estimated, and why not."""
     of_panel = accepted.iterated.solution.report
     status, reason = of_panel.status, of_panel.reason
     if known is not None and known.has_alignment:

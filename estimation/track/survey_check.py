@@ -77,10 +77,8 @@ def check_survey(recorded: TrackAlignment, fleet: TrackAlignment, *, place_std: 
     """Return whether a recorded alignment may be used, by an alignment that was found without it.
 
     Args:
-        recorded: With its standard deviation.
-        fleet: Found by the fleet alone, high-passed at its ``cutoff_wavelength``, with its std; NaN where not known.
-        place_std: Std of the position of the fleet as a whole along the section, m: the scatter of its journeys'
-            positions over the root of their number. A shift within it is not held against the survey.
+        fleet: Found by the fleet alone, high-passed at its ``cutoff_wavelength``; NaN where not known.
+        place_std: Of the position of the fleet as a whole, m: a shift within it is not held against the survey.
     """
     p = SurveyCheckParameters()
     both = _on_one_grid(recorded, fleet)
@@ -236,9 +234,7 @@ def judge_gauge(
 ) -> Reason | None:
     """Return what is wrong with a surveyed gauge; None where nothing is, or where the passes cannot show it.
 
-    Args:
-        iterated: Where the rounds with the survey ended; None where there were none.
-        converged: Whether positions and stiffness ratios have converged: until then nothing is refused.
+    Until positions and stiffness ratios have ``converged`` nothing is refused.
     """
     p = limits or GaugeLimits()
     size = float(np.std(survey.gauge_deviation))

@@ -53,11 +53,7 @@ def positions_on_survey(
 ) -> dict[Journey, Correction] | None:
     """Return corrections of the positions of all journeys on a survey; None where none is found.
 
-    The journeys of a vehicle whose places are not found keep them.
-
-    Args:
-        placed: Passes at first corrections, within a few metres.
-        survey: Alignment on the grid, high-passed as the passes are.
+    The journeys of a vehicle whose places are not found keep them. The first corrections are within a few metres.
     """
     p = parameters or SurveyPositionParameters()
     found = {journey: one.correction for journey, one in placed.items()}

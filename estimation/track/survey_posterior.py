@@ -305,12 +305,7 @@ class SurveyPosterior:
 def survey_posterior(
     iterated: IterationResult, survey: TrackAlignment, parameters: SectionParameters
 ) -> SurveyPosterior | None:
-    """Return what a survey and the passes that were placed on it give together; None where they do not meet.
-
-    Args:
-        survey: With the std on file.
-        parameters: What the scatter of passes does not show of their errors.
-    """
+    """Return what a survey, with the std on file, and the passes on it give together; None where they do not meet."""
     grid, p = iterated.panel.grid, parameters
     of_gauge = p.systematic_per_gauge[0] * float(np.std(survey.gauge_deviation))
     bands = survey_bands(iterated, survey, float(np.hypot(p.systematic, of_gauge)))

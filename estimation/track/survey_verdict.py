@@ -194,10 +194,8 @@ def survey_verdict(fit: SurveyFit | None, witnesses: Witnesses, filed_std: float
 
     Args:
         fit: How well it explains them; None where too little of it was passed.
-        witnesses: Journeys that were placed on it, and what their curves leave open.
         filed_std: Of the survey, m, as on file.
-        converged: Whether positions and stiffness ratios have converged: until then nothing but another section is
-            refused.
+        converged: Whether positions and stiffness ratios have: until then nothing but another section is refused.
     """
     p = VerdictLimits()
     if fit is None or not np.isfinite(fit.factor_std):

@@ -96,7 +96,6 @@ def update_alignment(
     """Return what an epoch of passes makes of the alignment of a section.
 
     Args:
-        in_force: Its alignment so far; None where there is none.
         survey_checked: Whether the survey in force has been confirmed: then it is not refused any more.
     """
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
@@ -309,7 +308,6 @@ def _confirmed(verdict: SurveyVerdict) -> bool:
 
 
 def _of_alignment(verdict: Reason | None) -> Reason | None:
-    """Return the verdict on a survey as one on its alignment alone."""
     return None if verdict is None else prefixed("its alignment: ", verdict)
 
 

@@ -228,11 +228,7 @@ class WheelsetGeometry(FrozenArrays):
         return bin_centres(self.bin_edges)
 
     def against(self, found: Contradiction | None) -> WheelsetGeometry:
-        """Return the geometry beside what contradicts its class: without numbers where that is certain, else wider.
-
-        Args:
-            found: What contradicts it; None changes nothing.
-        """
+        """Return the geometry beside what contradicts its class: without numbers where that is certain, else wider."""
         if found is None or self.status is Status.MODEL_MISMATCH:
             return self
         return self.mismatched(found.reason) if found.certain else self._doubted(found)
@@ -250,11 +246,7 @@ class WheelsetGeometry(FrozenArrays):
         )
 
     def mismatched(self, reason: Reason) -> WheelsetGeometry:
-        """Return the geometry of a wheelset that does not follow the equations: no number is published.
-
-        Args:
-            reason: What does not fit.
-        """
+        """Return the geometry of a wheelset that does not follow the equations: no number is published."""
         nothing, b = np.full(len(self.samples), np.nan), len(self.samples)
         unknown = Estimate.unknown(reason, float(self.windows), Status.MODEL_MISMATCH)
         values = BinValues(nothing, nothing, (BinStatus.UNOBSERVABLE,) * b)

@@ -119,11 +119,7 @@ class RailTrend:
     ] = TONNAGE_NOT_ON_FILE
 
     def with_tonnage(self, tonnage: float | None) -> RailTrend:
-        """Return the trend with that by traffic, which runs evenly.
-
-        Args:
-            tonnage: Million gross tonnes a year; None where it is not on file.
-        """
+        """Return the trend with that by traffic, million gross tonnes a year, which runs evenly; as it is without."""
         if tonnage is None:
             return self
         return replace(self, per_100_mgt=_scaled(self.per_year, 100.0 / tonnage))

@@ -143,11 +143,7 @@ ERROR_LENGTH = 500
 def after_failure(
     before: Quarantined | None, subject: tuple[SubjectKind, str, str], inputs: str, error: Exception, now_ns: int
 ) -> Quarantined:
-    """Return what is kept of a failure.
-
-    Args:
-        before: What is kept of the last failure at this; None for none.
-    """
+    """Return what is kept of a failure, after what is kept ``before`` it of the last one."""
     again = before is not None and before.state is QuarantineState.HELD and before.inputs == inputs
     attempts = before.attempts + 1 if before is not None and again else 1
     code = code_of_error(error)

@@ -206,11 +206,7 @@ def latest_identity_change(alerts: Iterable[Alert]) -> IdentityChange | None:
 
 
 def since_change(records: Sequence[_Record], change: IdentityChange | None) -> list[_Record]:
-    """Return the geometries of the wheelset that it is now.
-
-    Args:
-        records: Geometries of one wheelset, or what is left of them.
-    """
+    """Return the geometries of the wheelset that it is now."""
     return [record for record in records if change is None or record.from_ns >= change.after_ns]
 
 
@@ -220,11 +216,7 @@ def _change(alert: Alert) -> IdentityChange | None:
 
 
 def on_one_side(change: IdentityChange | None, first_ns: int, second_ns: int) -> bool:
-    """Return whether two times are of the same wheelset: both before its identity change, or both after it.
-
-    Args:
-        change: The last one; None where there was none.
-    """
+    """Return whether two times are of the same wheelset: both before its identity change, or both after it."""
     if change is None:
         return True
     before = first_ns <= change.before_ns and second_ns <= change.before_ns

@@ -306,9 +306,5 @@ class WithoutEstimate:
 
 
 def remedies(reasons: Sequence[Reason | None]) -> str:
-    """Return what to do about some reasons, each remedy once, in their order.
-
-    Args:
-        reasons: The most important one first.
-    """
+    """Return what to do about some reasons, each remedy once, in their order."""
     return " ".join(dict.fromkeys(one.code.remedy for one in reasons if one is not None and one.code.remedy))

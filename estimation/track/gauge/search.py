@@ -68,12 +68,7 @@ class _LinearisedPass:
 
 
 def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: Panel) -> PanelSolution:
-    """Return a solution without gauge with h1 put in.
-
-    Args:
-        solution: Solved without gauge.
-        effect: (w, gauge_basis_count) h1, m for ``gauge_unit`` of gauge.
-    """
+    """Return a solution without gauge with h1 (w, gauge_basis_count) put in, m for ``gauge_unit`` of gauge."""
     h0, stiffness_term = solution.curves[:, :, : panel.parameters.basis_count], solution.curves[:, :, -1:]
     h1 = np.broadcast_to(effect, (len(h0), *effect.shape))
     return replace(solution, curves=np.concatenate([h0, h1, np.zeros_like(h1), stiffness_term], axis=2))
@@ -121,7 +116,6 @@ def _linearised(item: GriddedPass, solution: PanelSolution, panel: Panel) -> _Li
 
 
 def _slope(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return dh/de (m,) = h1 + 2 e h2."""
     p = panel.parameters
     R = np.clip(item.difference, -p.reach, p.reach)
     first, second = (np.interp(R, p.gauge_knots, values) for values in gauge_curves(curve, panel))
@@ -202,8 +196,7 @@ def search_gauge(
 ) -> FloatArray:
     """Return the gauge deviation (n,), m, with mean zero, at which ``passes`` agree best.
 
-    Args:
-        passes, solution, panel: As solved last; ``panel.gauge`` is where the slow part of y - d is taken at.
+    The slow part of y - d is taken at ``panel.gauge``.
     """
     levels = parameters.levels
     sums, squares = np.zeros((2, panel.grid.points, len(levels)))

@@ -151,10 +151,7 @@ def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[ProfileLif
 
 
 def gauge_factor(seen: Mapping[ProfileLife, ContactSamples]) -> float:
-    """Return what estimated gauge deviations are to be multiplied with: by the wheels that fit best.
-
-    h1 and e have a common factor that the panel leaves open, a wheel does not.
-    """
+    """Return what estimated gauge deviations are to be multiplied with: h1 and e share a factor, a wheel has none."""
     return _best_factor(_misfits_by_factor(seen).sum(axis=0))
 
 
@@ -231,9 +228,6 @@ def initial_gauge_effect(
     """Return h1 (w, gauge_basis_count), m for ``gauge_unit`` of gauge, from the residuals of a panel without gauge.
 
     None where a gauge that would explain the residuals hardly varies.
-
-    Args:
-        solution, panel: As solved without gauge.
     """
     vectors = _leading_vectors(passes, solution, panel)
     candidates = []

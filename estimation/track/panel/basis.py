@@ -113,21 +113,13 @@ def _knots(reach: float, count: int) -> FloatArray:
 
 
 def unfiltered_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return y - h(R) (m,) of a pass at all its grid points, m, before any filter.
-
-    Args:
-        curve: (unknowns,) coefficients of its wheelset.
-    """
+    """Return y - h(R) (m,) of a pass at all its grid points, m, before any filter."""
     shift = known_shift(item, panel)
     return np.asarray(item.displacement - shift - item.side * curve_displacement(item, curve, panel))
 
 
 def pass_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return the high-passed y - h(R) (m,) of a pass at all its grid points, m.
-
-    Args:
-        curve: (unknowns,) coefficients of its wheelset.
-    """
+    """Return the high-passed y - h(R) (m,) of a pass at all its grid points, m."""
     return high_pass(unfiltered_residual(item, curve, panel), panel.grid.kernel)
 
 
@@ -140,11 +132,7 @@ def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
 
 
 def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatArray:
-    """Return ``curve`` (k,) times the functions that a pass's displacement is a sum of (m,), m, before the filter.
-
-    Args:
-        curve: (k,) coefficients of its wheelset.
-    """
+    """Return ``curve`` (k,) times the functions that a pass's displacement is a sum of (m,), m, before the filter."""
     p = panel.parameters
     R = np.clip(item.difference, -p.reach, p.reach)
     displacement = np.interp(R, p.knots, curve[: p.basis_count]) + curve[-1] * item.stiffness_term
@@ -156,21 +144,13 @@ def curve_displacement(item: GriddedPass, curve: FloatArray, panel: Panel) -> Fl
 
 
 def gauge_curves(curve: FloatArray, panel: Panel) -> tuple[FloatArray, FloatArray]:
-    """Return h1 and h2 at the gauge knots (gauge_basis_count,), m, of the coefficients (unknowns,) of a wheelset.
-
-    Args:
-        curve: (unknowns,) coefficients of a wheelset.
-    """
+    """Return h1 and h2 at the gauge knots (gauge_basis_count,), m, of the coefficients (unknowns,) of a wheelset."""
     start, count = panel.parameters.basis_count, panel.parameters.gauge_basis_count
     return curve[start : start + count], curve[start + count : start + 2 * count]
 
 
 def gauge_at(points: IntArray, panel: Panel) -> FloatArray:
-    """Return the gauge deviation (m,) at grid points, m; zero off the section.
-
-    Args:
-        points: (m,) grid points.
-    """
+    """Return the gauge deviation (m,) at grid points (m,), m; zero off the section."""
     assert panel.gauge is not None
     on = panel.grid.contains(points)
     return np.where(on, panel.gauge[np.clip(points, 0, panel.grid.points - 1)], 0.0)
@@ -187,11 +167,6 @@ def basis_functions(R: FloatArray, knots: FloatArray) -> FloatArray:
 
 
 def knot_shares(R: FloatArray, knots: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the number of the knot below R (n,), and the share of the next knot in it (n,).
-
-    Args:
-        R: (n,) m; beyond the knots shares are below 0 or above 1.
-        knots: (k,) m, increasing.
-    """
+    """Return the number of the knot (k,) below R (n,), m, and the share of the next one: outside 0 to 1 beyond them."""
     cell = np.clip(np.searchsorted(knots, R) - 1, 0, len(knots) - 2)
     return cell, (R - knots[cell]) / (knots[cell + 1] - knots[cell])

@@ -66,11 +66,7 @@ def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrect
 
 
 def corrected(state: PanelState, solution: PanelSolution, factor: float) -> PanelSolution:
-    """Return a solution with its curves multiplied by ``factor``, and the alignment that follows from them.
-
-    Args:
-        factor: Of all curves.
-    """
+    """Return a solution with its curves multiplied by ``factor``, and the alignment that follows from them."""
     passes = np.where(state.passes > 0.0, state.passes, 1.0)
     added = (factor - 1.0) * curves_of_sum(state, _without_stiffness(solution.curves[0])) / passes
     return replace(
@@ -81,11 +77,7 @@ def corrected(state: PanelState, solution: PanelSolution, factor: float) -> Pane
 
 
 def common_slope(solution: PanelSolution, other: PanelSolution) -> float:
-    """Return the factor by which the curves of ``solution`` come nearest to those of another.
-
-    Args:
-        solution, other: Of the same wheelsets, perhaps in another order; the second without a gauge.
-    """
+    """Return the factor by which the curves of ``solution`` come nearest to those of another one, without a gauge."""
     count = len(solution.knots)
     along, own = 0.0, 0.0
     for number, life in enumerate(solution.lives):
@@ -120,11 +112,7 @@ class _Filtered:
 def with_instrument(
     slope: SlopeCorrection, passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel
 ) -> SlopeCorrection:
-    """Return the correction of the curves' slope, with what the instrument shows of it; as it was where that is weak.
-
-    Args:
-        solution, panel: As solved, without a gauge that varies.
-    """
+    """Return the slope's correction with what the instrument shows of it, or as it was where that is weak."""
     if not slope.explained > 0.0:
         return slope  # the curves explain nothing, and nothing is known of their slope
     sums = _sums(passes, solution, panel)
@@ -253,13 +241,9 @@ def refine_ratios(
     """Return the ratios after one Gauss-Newton step from the solution of the adjusted passes.
 
     The step of a vehicle is the mean over its wheelsets, weighted by the squares of their slopes, as far as the data
-    are worth against what is known beforehand. Where measured profiles had to determine the curves, the ratios are as
-    assumed.
-
-    Args:
-        explained: Share r2 of the differences of y between the passes of a place that the curves explain. What they
-            leave is error of R; as far as R is its stiffness term it makes the ratio too small, in every block of data
-            alike.
+    are worth against what is known beforehand. What the curves leave of y, besides the share r2 that is ``explained``,
+    is error of R; as far as R is its stiffness term it makes the ratio too small, in every block of data alike. Where
+    measured profiles had to determine the curves, the ratios are as assumed.
     """
     if solution.report.curves_fixed:
         return {item.source.vehicle: Ratio() for item in passes if item.source.stiffness_term is not None}
@@ -299,11 +283,7 @@ def with_ratio_std(
     panel: Panel,
     explained: float = 1.0,
 ) -> dict[str, Ratio]:
-    """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``.
-
-    Args:
-        solution, panel: As solved, with standard deviations.
-    """
+    """Return the ratios with which ``passes`` were adjusted, each with its std from the groups of ``solution``."""
     found = refine_ratios(ratios, passes, solution, panel, explained)
     return {
         vehicle: replace(ratios.get(vehicle, Ratio()), std=float(np.hypot(one.std, SYSTEMATIC_STD)))
@@ -316,9 +296,6 @@ def error_of_difference(ratios: Mapping[str, Ratio], passes: Sequence[GriddedPas
 
     In a stiff bogie nearly all of R is its stiffness term, a small difference of two yaws, whose errors follow the
     motion as curves do: there the passes determine neither the ratio nor the curves.
-
-    Args:
-        ratios: By vehicle, with their standard deviations.
     """
     shares = _stiffness_shares([item for item in passes if item.source.vehicle in ratios])
     return max((float(np.sqrt(share)) * ratios[vehicle].std for vehicle, share in shares.items()), default=0.0)

@@ -199,14 +199,9 @@ def _by_block(rows: PassRows, panel: Panel) -> Iterator[tuple[int, npt.NDArray[n
 
 
 def groups_of(at: IntArray, panel: Panel) -> IntArray:
-    """Return the group (m,) of each grid point: blocks along the section, assigned in turn.
-
-    Args:
-        at: (m,) grid points.
-    """
+    """Return the group (m,) of each grid point (m,): blocks along the section, assigned in turn."""
     return np.asarray(_block_of(at, panel) % panel.parameters.groups)
 
 
 def _block_of(at: IntArray, panel: Panel) -> IntArray:
-    """Return the number (m,) of the block along the section that each grid point is in."""
     return np.asarray((at * panel.grid.step // panel.parameters.block).astype(np.int64))

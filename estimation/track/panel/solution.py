@@ -136,20 +136,12 @@ def _reduced(state: PanelState, gram: FloatArray, cross: FloatArray, at: IntArra
 
 
 def curves_of_sum(state: PanelState, curves: FloatArray) -> FloatArray:
-    """Return the sum over passes (n,), m, of what curves (w, c) make of displacement.
-
-    Args:
-        curves: (w, c) coefficients of the wheelsets.
-    """
+    """Return the sum over passes (n,), m, of what curves (w, c) make of displacement."""
     return np.asarray(_by_curves(curves[None], state)[0])
 
 
 def prior_of_curves(gram: FloatArray, panel: Panel) -> FloatArray:
-    """Return the normal matrix (c, c) of what is known of one wheelset's columns, for sums (w, c, c) of all.
-
-    Args:
-        gram: (w, c, c) sums of products of the basis functions.
-    """
+    """Return the normal matrix (c, c) of what is known of one wheelset's columns, for sums (w, c, c) of all."""
     size = float(np.einsum("wkk->wk", gram)[:, : panel.parameters.basis_count].mean())
     return _prior(size if size > 0.0 else 1.0, panel)
 
@@ -247,7 +239,6 @@ def _rough(k: int, roughness: float) -> FloatArray:
 
 
 def _residual_rms(state: PanelState, curve: FloatArray, whole: _Equations) -> float:
-    """Return the rms of y - d - h(R) over all passes, degrees of freedom taken off."""
     c = curve.reshape(-1)
     met = state.passes > 0
     within = state.square.sum() - (state.displacement[met] ** 2 / state.passes[met]).sum()
@@ -285,11 +276,7 @@ def between_pass_std_ratio(state: PanelState) -> float:
 
 
 def too_few_passes(least: int, most: int) -> Reason:
-    """Return that no place has enough passes.
-
-    Args:
-        most: How many there are where there are most.
-    """
+    """Return that no place has enough passes, where the best one has ``most``."""
     return Reason(ReasonCode.TOO_FEW_PASSES, f"no place with {least} passes: {most} at most, {least - most} to go")
 
 
@@ -329,7 +316,6 @@ def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength
     """Return the prior alignment on the grid of the panel.
 
     Args:
-        evidence: Alignment of the section, from a survey or an earlier version, on its own grid.
         cutoff_wavelength: Of the panel's high-pass, m; an alignment filtered at this wavelength is not filtered again.
     """
     s = grid.s
@@ -354,11 +340,7 @@ def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength
 
 
 def add_prior(state: PanelState, known: PriorAlignment, noise: float, most_weight: float) -> PanelState:
-    """Return the sums with the evidence added, as heavy as its variance makes it against a pass's ``noise`` (m).
-
-    Args:
-        noise: Std of y - d - h(R) of a pass, m.
-    """
+    """Return the sums with the evidence added, as heavy as its variance makes it against a pass's ``noise`` (m)."""
     with np.errstate(divide="ignore"):
         weight = np.minimum((noise / known.std) ** 2, most_weight)
     d = known.alignment

@@ -55,8 +55,7 @@ def misplaced(links: Sequence[Link], journey_of: IntArray, middle: FloatArray, t
     """Return by pass how far it is from the rest of its journey, m, where its position jumped.
 
     Args:
-        journey_of: (n,) number of each pass's journey.
-        middle: (n,) m along the section.
+        journey_of, middle: (n,) number of each pass's journey; m along the section.
         tolerance: m by which neighbours in a journey may differ, besides the scale of an odometer.
     """
     if not links:
@@ -138,9 +137,7 @@ def compare_pairs(
 ) -> list[Comparison]:
     """Return the comparisons of every pass with up to ``p.peers`` that overlap it most, of as many other journeys.
 
-    Args:
-        journey_of: (n,) number of each pass's journey; those of one journey share their errors and are not compared.
-        p: Limits, and how many peers; the cost is linear in the number of passes.
+    The cost is linear in the number of passes. Those of one journey (``journey_of`` (n,)) share their errors.
     """
     pairs = {(min(i, j), max(i, j)) for i in filtered for j in _peers(i, filtered, journey_of, p.peers)}
     comparisons = (_compare(i, j, filtered, p) for i, j in sorted(pairs))
