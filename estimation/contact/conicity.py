@@ -3,16 +3,7 @@
 The integration (EN 15302:2021 Annex B): with S(y) the integral of Delta r from its zero crossing, a free wheelset
 moves such that psi^2 = 2 (C - S(y)) / (e r0); its wavelength over the travel between the two points where S = C,
 put into Klingel's formula, gives tan(gamma_e) = pi^2 / I^2 with I = integral dy / sqrt(C - S(y)); e and r0 cancel.
-
-Rules for curves that a measurement gives:
-
-- The curve is straight between its points; points that are not finite are left out.
-- Of several upward zero crossings the one counts where the integral of Delta r is lowest, the deepest equilibrium;
-  on an interval of zeros its middle.
-- Where S is not convex nothing changes; where it even falls, going outwards, its running maximum seen from the zero
-  crossing takes its place: the wheelset turns back where it first meets S = C. An amplitude on a level
-  part of that maximum gets 0, because the wheelset would come to rest there.
-- An amplitude whose travel leaves the curve, and every amplitude of a curve without an upward crossing, gives NaN.
+Curves that a measurement gives: ``docs/decisions/contact-conicity-rules.md``.
 """
 
 from __future__ import annotations

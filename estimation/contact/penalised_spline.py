@@ -1,15 +1,10 @@
 """A smooth curve through noisy points along their arc: a quintic spline whose penalty follows the data.
 
-Both coordinates are splines of the arc length s. The penalty is on their third derivative, the change of curvature,
-so that straight lines and arcs, of which new profiles consist, cost next to nothing. Its weight varies along the arc:
-it is the inverse of the local variance of the third derivative, which maximises the evidence (MacKay, 1992; over
-neighbouring coefficients together), so that a corner, or a joint of two arcs, is kept where the data show one. The
-level of the penalty then minimises the generalised cross-validation score (Craven and Wahba, 1979), or, where the
-noise is known, the unbiased estimate of the risk (Mallows' Cp). The covariance is that of Wahba's Bayesian model
-(1983), for white noise with one variance in height and one in lateral position.
-
-Where the points are those of a known design but for their noise, the curve is this design and a spline: the difference,
-of which all third derivatives have one variance, and which no joint of arcs bends.
+The penalty is on the third derivative, weighted by the inverse of its local variance, which maximises the evidence
+(MacKay, 1992), so that corners and joints of arcs are kept where the data show them. Its level minimises the
+generalised cross-validation score (Craven and Wahba, 1979), or, where the noise is known, Mallows' Cp; the covariance
+is that of Wahba (1983). Points of a known design are fitted by this design and a spline, the difference. See
+``docs/decisions/measured-profile-smoothing.md``.
 """
 
 from __future__ import annotations

@@ -1,25 +1,13 @@
-"""Wear of a wheel profile: a hollow in the tread and a thinner flange, both smooth.
+"""Wear of wheels and rail heads, smooth so that it adds no corner to the contact, and what depots measure of it.
 
-A new profile becomes a worn one by two steps. The tread loses ``depth * (1 - u^2)^3`` of height, u the distance from
-the centre of the hollow over its half width: twice continuously differentiable, so that wear adds no corner to the
-contact. The flange face is moved towards the flange back by ``flange_wear``, blended in over the root and out over the
-tip. Reprofiling needs no function: a reprofiled wheel has the new profile again.
+A tread or head loses ``depth * (1 - u^2)^3`` of height, u the distance from the centre of the hollow over its half
+width (``docs/decisions/contact-wear-form.md``). The flange face is moved towards the flange back by ``flange_wear``,
+blended in over the root and out over the tip.
 
-What a depot measures on a wheel: flange height Sh, thickness Sd and gradient qR, and the hollow of the tread.
-
-Sh, Sd and qR are those of EN 15313:2016 (and of profile gauges, which print them): with the tread datum 70 mm from the
-flange back, Sh is the height of the flange tip over the tread there, Sd the distance of the flange face from the flange
-back 10 mm beyond the tread, and qR the lateral distance of that point from the face 2 mm short of the tip. EN 15313
-leaves the hollow to the operator; here it is the depth of the tread below the highest point farther out, which is what
-a straight edge from the field side finds.
-
-Wear of a rail head: a band of the running surface that is worn away, smooth at both ends.
-
-The head loses ``depth * (1 - u^2)^3`` of height, u the distance from the middle of the band over its half width: the
-form of the hollow in a tread (``estimation.contact.wear``), twice continuously differentiable, so that wear adds no
-corner to the contact. A band towards the gauge side lets the contact of a wheel near its flange go down to the field
-side; one in the middle flattens the head. Where the band reaches over the gauge corner, the gauge face is worn too,
-because its steep surface is lowered.
+Flange height Sh, thickness Sd and gradient qR are those of EN 15313:2016: with the tread datum 70 mm from the flange
+back, Sh is the height of the flange tip over the tread there, Sd the distance of the flange face from the flange back
+10 mm beyond the tread, and qR the lateral distance of that point from the face 2 mm short of the tip. The hollow is the
+depth of the tread below the highest point farther out, which is what a straight edge from the field side finds.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
-"""Wheel profiles and rail heads by their standards. Millimetres; y to the field side from the tread datum, z down.
+"""Wheel profiles and rail heads by their standards. Millimetres; y to the field side, z down.
 
-The tread datum is 70 mm from the flange back. Sources: EN 15302:2021 Annex I (wheels A, B, C, H, I; wheel C is the
-BR P8 profile), UIC 510-2 / EN 13715 Annex C (S1002, flange height 28 mm, flange thickness 32.5 mm).
-
-Rail heads as their standards define them. Millimetres; y to the field side, z down.
-
-Sources: EN 13674-1:2017 (radii, widths between the joints of arcs, inclination of the sides; each arc is tangent to the
-one before), UIC 861-3 (the older UIC60 head), EN 15302:2021 Annex I.7 (rail A, given in track axes: inclined
-1:20 already, y = 0 at 750 mm from the track centre at a gauge of 1435.16 mm).
+y of a wheel is from its tread datum, 70 mm from the flange back. Sources: EN 15302:2021 Annex I (wheels A, B, C, H, I;
+wheel C is the BR P8 profile; rail A in track axes, inclined 1:20 already, y = 0 at 750 mm from the track centre at a
+gauge of 1435.16 mm), UIC 510-2 / EN 13715 Annex C (S1002, flange height 28 mm, thickness 32.5 mm), EN 13674-1:2017
+(radii, widths between the joints of arcs, inclination of the sides), UIC 861-3 (the older UIC60 head).
 
 The heads of EN 13674-1 are here whose dimensions agree with each other: their arcs end where the head is a whole
 number of millimetres wide, to 0.001 mm (56E1: 69.85 mm; 46E3: where its sides meet the top). The transcribed 54E2,

@@ -1,24 +1,17 @@
 """Passes put where they were: odometer offsets and scale errors found from what the passes have in common.
 
-The motion of every wheelset at a place is mostly that of the track. So each journey (the windows of one vehicle on one
-run over the section) is shifted and stretched until its lateral displacement agrees with those of the others: first by
-correlation (``position_network``), then by least squares on the slope of the alignment that the panel has found. Where
-the whole fleet is is not observable: the mean journey keeps its place.
+Each journey (the windows of one vehicle on one run over the section) is shifted and stretched until its lateral
+displacement agrees with those of the others: first by correlation, then by least squares on the slope of the alignment
+that the panel has found. Where the whole fleet is is not observable: the mean journey keeps its place.
 
-A worn and a new wheelset answer the track with different lags, so the offset of a journey and the slope of its
-wheelsets' curves trade off; a vehicle whose wheelsets differ in wear separates them.
-
-The journeys of a section placed against each other: a network of shifts between pairs, adjusted by least squares.
-
-Journeys cover parts of a section, each with its own error. The mean of all is blurred by these errors, and where few
-overlap it is one journey's own. So journeys are compared in pairs: of each pair the lateral displacements, averaged
-over the axles, are correlated piece by piece, and each piece gives one equation,
+The mean of all is blurred by the errors of each, so journeys are compared in pairs, piece by piece, and each piece
+gives one equation,
 
     o_i + c_i u - o_j - c_j u = shift,
 
 with the offset o and the scale error c of both journeys and the distance u from the middle of the section. All pieces
-together determine all journeys, up to what is common to those that are connected; equations that contradict the others
-lose their weight. What the equations leave open stays near what was reported.
+together determine all journeys; equations that contradict the others lose their weight. What the equations leave open
+stays near what was reported.
 """
 
 from __future__ import annotations

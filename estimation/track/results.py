@@ -1,4 +1,4 @@
-"""What the passes of a section show besides its alignment, and the report of how it was found."""
+"""What follows from the solution of a section: alignment with its std, findings, places of journeys, report."""
 
 from __future__ import annotations
 

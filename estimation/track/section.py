@@ -1,8 +1,8 @@
 """The alignment of a section from the passes of an epoch and what was known before.
 
-What was known, the last version or a recorded alignment, enters as one more pass of a wheelset with R = 0, weighted
-by its variance against that of a pass. Journeys are placed by it; without it they are placed where they agree. A
-journey that then agrees with nothing is refused and the others are solved again.
+The last version, or a survey, enters as one more pass of a wheelset with R = 0, weighted by its variance. Journeys are
+placed by it; without it they are placed where they agree. A journey that then agrees with nothing is refused and the
+others are solved again.
 """
 
 from __future__ import annotations

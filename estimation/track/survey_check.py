@@ -1,14 +1,10 @@
-"""What is wrong with a surveyed alignment that the passes contradict: section, unit, sign or place.
+"""What is wrong with a survey that the passes contradict: section, unit, sign or place of it, or its gauge.
 
 It is compared with the alignment that the fleet finds without it, both after the same high-pass, at every offset that
-is searched: how much they have in common beyond chance, by what factor and where. Whether the passes contradict it is
-not decided here but by how well it explains them (``survey_fit``, ``survey_verdict``).
-
-What the passes of a section say of its surveyed gauge: a right one makes them agree better, a wrong one does not.
+is searched. Whether the passes contradict it is not decided here but in ``survey_verdict``.
 
 The gauge moves wheelsets of different wear apart. Where the passes of a place disagree by more than their sensors make
-them, and the gauge on file takes less off that than one of its size should, it is that of another place, or of another
-time. A gauge that is too small to be seen beside what else makes passes disagree is not judged.
+them, and the gauge on file takes less off that than one of its size should, it is that of another place or time.
 """
 
 from __future__ import annotations

@@ -1,15 +1,12 @@
-"""Positions of journeys on a surveyed section, from the regression of R on y - d.
+"""Positions of journeys on a survey, from the regression of R on y - d (``docs/decisions/positions-on-a-survey.md``).
 
-On a survey the displacement y - d of a pass is known, but for where the pass was. With g the curve of a wheelset,
+With g the curve of a wheelset, at the true offset a and scale error b of its journey
 
     R(s) = g(y(s) - d(s + a + b (s - middle))) + noise
 
-holds at the true offset a and scale error b of its journey. The noise of the sensors is nearly all in R, which is the
-dependent variable here. The other way round, with R as the regressor, its noise flattens the curves; what they then
-lack of y has the shape of the track's answer, and moves all journeys by up to a metre where primary springs are stiff.
-
-The curves, offsets and scale errors of a vehicle are solved for together (Gauss-Newton), from short waves alone: they
-know the place best, and the noise of R is in the long ones.
+and nearly all noise is in R. The other way round, with R as the regressor, it would flatten the curves, and move all
+journeys. Curves, offsets and scale errors of a vehicle are solved for together (Gauss-Newton), from short waves alone:
+they know the place best, and the noise of R is in the long ones.
 """
 
 from __future__ import annotations

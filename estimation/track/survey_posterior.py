@@ -1,18 +1,10 @@
 """The alignment that follows from a survey and the passes of an epoch: the mean of both, by place and band.
 
-It holds all waves of the survey, and what the passes know better. It is published as the survey with what has been
-found on it; the next epoch takes it as its survey.
-
-What a survey and the passes say of the alignment, band by band of wavelengths, and how far each is to be believed.
-
-Passes know short waves best, for they integrate accelerations; a survey knows long ones. In each band the passes give
-the mean of y - h(R) with a variance from the scatter between journeys, which also holds what their positions leave.
-
-What both differ by has two parts. One follows the motion of the wheelsets: it is an error of the passes' curves and
-equations, of R in a stiff bogie above all, for a survey knows nothing of how anything ran over it. The survey being an
-instrument that holds none of their noise, that part is taken off the passes. The rest is the survey's own error, less
-the passes' noise; so its standard deviation is learnt, whatever is on file. Where both differ by more than they do
-elsewhere, at switches, where a stretch has been tamped, which of them is wrong is open, and neither is believed there.
+In each band of wavelengths the passes give the mean of y - h(R) with a variance from the scatter between journeys
+(``docs/decisions/survey-and-passes.md``). What both differ by has two parts. One follows the motion of the wheelsets:
+an error of the passes' curves and equations, which is taken off them. The rest is the survey's own error, less the
+passes' noise; so its standard deviation is learnt, whatever is on file. Where both differ by more than elsewhere, at
+switches or where a stretch has been tamped, neither is believed.
 """
 
 from __future__ import annotations

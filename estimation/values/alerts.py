@@ -1,8 +1,7 @@
-"""Alerts as values: what a rule finds, what an alert is, what happens to it.
+"""Alerts and the worklist: what a rule finds, what an alert is, and how urgent a wheelset is.
 
 Identity of an open alert is (fleet, wheelset serial, kind); that of a fleet alert, which stands for many of them, is
-(fleet, kind), that of one about a track section (fleet, section, kind). Facts are kept apart instead of one status
-word.
+(fleet, kind), that of one about a track section (fleet, section, kind).
 """
 
 from __future__ import annotations

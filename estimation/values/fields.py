@@ -1,4 +1,4 @@
-"""How a field of a frozen value is served outside: the value's own class is the only description of it."""
+"""How a field of a frozen value is served outside, and how it stands in files: its class is the only description."""
 
 from __future__ import annotations
 

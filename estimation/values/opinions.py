@@ -1,4 +1,4 @@
-"""Creep forces of windows, what they say of the friction of the track by place, and the friction of a section."""
+"""What windows say of the friction of the track and of lateral dampers, and what they say together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Results: what a stage made of a subject, from which inputs, and how results of a kind are kept."""
+"""Results of stages: what they are made from, by facets of their subjects, and how they are kept."""
 
 from __future__ import annotations
 

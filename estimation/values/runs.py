@@ -1,4 +1,4 @@
-"""Jobs: their runs, what a worker has claimed, what a job has looked at, and what failed by itself."""
+"""Jobs: their runs, what a worker has claimed, and what failed by itself."""
 
 from __future__ import annotations
 

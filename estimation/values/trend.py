@@ -1,9 +1,7 @@
 """Trends of wear and of the suspension, and sudden changes in them.
 
-Identity changes: when a wheelset on file stopped being the one that ran, or the way round that it ran.
-
-They are found by the alert rule of this kind and kept in the evidence of its alerts. Geometries and trends read them:
-data from both sides of a change are of two wheelsets and are never merged.
+Identity changes, when a wheelset on file stopped being the one that ran or the way round that it ran, are found by the
+alert rule of this kind and kept in the evidence of its alerts. Data from both sides of a change are never merged.
 """
 
 from __future__ import annotations

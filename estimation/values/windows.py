@@ -1,4 +1,4 @@
-"""Windows of samples, and what is stored of them. SI; times are int64 ns UTC on the vehicle's clock."""
+"""Windows of samples, what is stored of them and became of them. SI; int64 ns UTC on the vehicle's clock."""
 
 from __future__ import annotations
 

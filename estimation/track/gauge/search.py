@@ -1,19 +1,9 @@
-"""The gauge deviation along a section by search: at every place the one at which the passes agree, and smooth.
-
-With h(R, e) of every wheelset known, each gauge deviation puts every pass at a place on the track; at the right one all
-passes agree on the alignment there. Their disagreement has several minima over e, so all of a grid are looked
-at, and the best smooth way through them along the section is found by dynamic programming.
-
-Gauge deviation as a second latent function of the place, from the passes alone.
+"""The gauge deviation along a section from the passes alone: least squares, then a search (``docs/gauge.md``).
 
 Gauge moves each wheel against its own rail: a wheelset of difference R sits at h(R, e) = h0(R) + e h1(R) + e^2 h2(R).
-Over R, unlike over y - d, this is smooth: contact jumps are steps of R and flats of h. For given h it is linear in
-the small change of e, and for given e it is linear in h: the two are solved in turn, each exactly, d eliminated. One
-place is seen by all passes, so 48 passes separate d and e where two would not.
-
-That needs h1 beforehand (``initial_shape``), and ends near where it starts; a search goes on from there (``search``).
-h1 and e have a common factor that this leaves open, with its sign; the wheels' own functions (``wheel_functions``) fix
-it.
+For given h this is linear in a small change of e, and for given e in h: both are solved in turn, d eliminated. That
+ends near where it starts. Disagreement has several minima over e, so all of a grid are looked at then, and dynamic
+programming finds the best smooth way along the section.
 """
 
 from __future__ import annotations

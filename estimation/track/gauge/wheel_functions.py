@@ -1,15 +1,12 @@
-"""One radius function per wheel, and where a gauge deviation puts the wheelset.
+"""One radius function per wheel, where a gauge deviation puts the wheelset, and what a first guess of that is.
 
 With x = y - d and e the gauge deviation, the left wheel sits at x - e/2 against its rail and the right one at -x - e/2,
 positive towards the flange, so R(x, e) = rho_L(x - e/2) - rho_R(-x - e/2): linear in hat functions of the two. Solved
 for x it gives where the wheelset runs at a given R and e.
 
-What the gauge does to wheelsets, from nothing: the residuals of a panel without gauge vary together.
-
-A residual of the panel is nearly e(s) h1(R), so the covariance of residuals at one place over (wheelset, R) is the
-product of h1 with itself: its leading eigenvectors are h1 and, where the gauge varies much, what its square does. No
-start is needed. Passes at a place mostly have R of one sign, so h1 at R > 0 leaves R < 0 open; wheelsets are
-taken as alike on both sides, h1(-R) = -h1(R). A trial shows which mixture of the two leading vectors h1 is.
+A residual of a panel without gauge is nearly e(s) h1(R), so the leading eigenvectors of the covariance of residuals at
+one place over (wheelset, R) are h1 and what the gauge's square does; a trial shows which mixture h1 is. Passes at a
+place mostly have R of one sign: wheelsets are taken as alike on both sides, h1(-R) = -h1(R).
 """
 
 from __future__ import annotations

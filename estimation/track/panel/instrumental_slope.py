@@ -1,22 +1,14 @@
-"""By how much noise of R flattens the curves, from an instrument: R as the mean displacement of the place predicts it.
+"""What errors of R do: they flatten the curves, and make stiffness ratios too small.
 
-Noise of R has no part in what other passes have measured. So each wheelset's R is predicted by a filter along the
-track, fitted to all its passes, from the mean lateral displacement of the place. Between the passes of a place the
-prediction z differs by wheelset, and with the curves h of the panel
+Between the passes of a place noise of R flattens y = d + h(R) (``docs/decisions/errors-in-variables.md``). By how much
+is known from the share r2 of y that the curves explain, and better from an instrument z: each wheelset's R as a filter
+predicts it from the mean displacement of the place, which holds none of that noise,
 
     factor = sum h(z) (y - h_E) / sum h(z) h(R)
 
-is what the curves must be multiplied with, whatever the noise of y and of R (instrumental variables, one common slope;
-h_E stands for the stiffness term). The share of y that the curves explain cannot separate these two noises.
-
-By how much the regression of y on R makes the curves too flat, and what is not known of that.
-
-R of a pass is off: by the noise of its sensors, by terms that its equation leaves out, by a gauge deviation that is not
-modelled. Between the passes of a place such errors stand against differences of R that are small where wheelsets are
-alike. They flatten y = d + h(R) as noise of a regressor does, and what h lacks goes into the alignment, with a small
-standard deviation from blocks of data. Were all of the disagreement in R, the regression of R on y - d would be right,
-and h too flat by the share r2 of the differences of y that the curves explain; were it all in y, h would be right. The
-truth is near the first: the shares that were seen in simulations of many tracks and fleets are below.
+with h_E for the stiffness term. R is a sum of a rolling part, that no uncertain parameter scales, and of the stiffness
+term E, proportional to yaw stiffness over creep coefficient and out of phase with it. A wrong ratio leaves residuals:
+y = d + h(R + delta E) = d + h(R) + h' delta E + ... has one more term, E.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The solution of a panel: every wheelset's curve, the alignment of the place, and whether they can be separated."""
+"""The solution of a panel: curves, alignment, whether they can be separated; and what was known before as a pass."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
 """Whether two signals are of one place: how far what they have in common exceeds chance.
 
-The displacement of a wheelset at a place is y = d + h(R), h near to a straight line. So two passes of one place have a
-combination of (y, R) each that is the same in both, d, whatever their wear; two passes of different places have not.
-The largest canonical correlation between them over the offsets that are searched decides, and its significance is
-that of Wilks' lambda with the number of independent samples that their autocorrelations leave (Bartlett).
+As y = d + h(R), h near to a straight line, two passes of one place have a combination of (y, R) each that is the same
+in both, d, whatever their wear. The largest canonical correlation over the offsets that are searched decides; its
+significance is that of Wilks' lambda with as many samples as the autocorrelations leave independent (Bartlett).
 """
 
 from __future__ import annotations

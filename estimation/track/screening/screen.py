@@ -1,14 +1,9 @@
 """Which passes of a section are used: each is used, or refused with its reason.
 
 First by itself: long enough for the filter. Then against what is known of the place, the alignment and the other
-journeys: two vehicles that ran over the same track have measured the same alignment, whatever their wear. Where passes
-contradict each other, those of more journeys are used; where as many stand on both sides, none is. One pass never
-changes what is done with passes that agree with each other.
-
-Relative positions of passes, from the shifts at which they agree; and which are displaced within their journey.
-
-The passes of a journey share one odometer, whose error grows slowly. Where the position of a vehicle jumped, the passes
-behind the jump are displaced against those before it; the longer part is used.
+journeys. Where passes contradict each other, those of more journeys are used; where as many stand on both sides, none
+is. Where the position of a vehicle jumped, the passes behind the jump are displaced against those before it, by the
+shifts at which passes agree; the longer part is used.
 """
 
 from __future__ import annotations
