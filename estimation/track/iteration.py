@@ -124,7 +124,7 @@ class IterationResult:
     @property
     def measured_curves(self) -> list[MeasuredCurve]:
         """Measured curves of the wheelsets that have passed."""
-        known = self.panel.known.measured
+        known = self.panel.measured
         return [known[name] for name in self.solution.lives if name in known]
 
     def convergence(self, parameters: IterationParameters) -> tuple[Convergence, ...]:

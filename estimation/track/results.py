@@ -13,7 +13,7 @@ from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, total_gauge_shifts
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.iteration import Grouped, IterationResult, Setting, first_rounds
-from estimation.track.panel.basis import KnownBeforehand, Panel, unfiltered_residual
+from estimation.track.panel.basis import Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import PRIOR_STD
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.solution import PanelSolution, PriorAlignment, between_pass_std_ratio, prior_on_grid
@@ -162,7 +162,7 @@ def long_wave_alignment(
         pass_residual, y = high_pass(np.stack([rest, item.displacement]), weights)
         inside = valid_support(item.certain, weights) & panel.grid.contains(item.points)
         at = item.points[inside]
-        weight = panel.known.weight_of(item.life)
+        weight = panel.weight_of(item.life)
         total[at] += weight * pass_residual[inside]
         square[at] += weight * pass_residual[inside] ** 2
         curves[at] += weight * (y - pass_residual)[inside]
@@ -310,7 +310,7 @@ def place_alone(
 
     Nothing is placed on an alignment whose gauge is known to vary: that takes the wheels of all.
     """
-    panel = Panel.of(replace(parameters.panel, length=section.length_m), KnownBeforehand(measured=measured or {}))
+    panel = Panel.of(replace(parameters.panel, length=section.length_m), measured)
     prior = prior_on_grid(alignment, panel.grid, parameters.panel.cutoff_wavelength)
     if not prior.has_alignment or (prior.gauge_known and prior.gauge.any()):
         return {}

@@ -165,7 +165,7 @@ def _passes(placed: Placed, solution: PanelSolution, panel: Panel, kernels: Sequ
             if item.empty or curve is None:
                 continue
             signals = np.stack([unfiltered_residual(item, curve, panel), item.displacement])
-            weight, on = panel.known.weight_of(item.life), panel.grid.contains(item.points)
+            weight, on = panel.weight_of(item.life), panel.grid.contains(item.points)
             for number, (band, kernel) in enumerate(zip(_bands_of(signals, kernels), kernels, strict=True)):
                 inside = valid_support(item.certain, kernel) & on
                 at = item.points[inside]

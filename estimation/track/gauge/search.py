@@ -94,7 +94,7 @@ def _linearised(item: GriddedPass, solution: PanelSolution, panel: Panel) -> _Li
     if item.empty or curve is None:
         return None
     on = panel.grid.contains(item.points)
-    root = float(np.sqrt(panel.known.weight_of(item.life)))
+    root = float(np.sqrt(panel.weight_of(item.life)))
     return _LinearisedPass(
         points=np.clip(item.points, 0, panel.grid.points - 1),
         on=on,
@@ -197,7 +197,7 @@ def search_gauge(
             continue
         at, at_nominal, R = placed
         each = at_nominal[:, None] - item.side * shifts[item.life].over(R, levels)
-        weight = panel.known.weight_of(item.life)
+        weight = panel.weight_of(item.life)
         sums[at] += weight * each
         squares[at] += weight * (each * each)
         count[at] += weight

@@ -142,7 +142,7 @@ def total_gauge_shifts(solution: PanelSolution, panel: Panel) -> dict[ProfileLif
     for name, curve in zip(solution.lives, solution.curves[0], strict=True):
         first, second = (np.interp(R, p.gauge_knots, values) for values in gauge_curves(curve, panel))
         shift = np.outer(first, e) + np.outer(second, e * e)
-        known = panel.known.gauge_shifts.get(name)
+        known = panel.gauge_shifts.get(name)
         found[name] = GaugeShift(DIFFERENCES, GAUGES, shift if known is None else shift + known.shift)
     return found
 
@@ -259,7 +259,7 @@ def _leading_vectors(passes: Sequence[GriddedPass], solution: PanelSolution, pan
         residual = item.side * np.clip(np.where(known, residual, 0.0), -CLIPPED, CLIPPED)
         R = item.difference[item.inside]
         basis = basis_functions(np.minimum(np.abs(R), panel.parameters.reach), knots) * known
-        products = panel.known.weight_of(item.life) * basis * np.sign(R) * residual
+        products = panel.weight_of(item.life) * basis * np.sign(R) * residual
         number = solution.lives.index(item.life)
         columns = slice(number * k, (number + 1) * k)
         sums[at, columns] += item.side * products.T
@@ -283,7 +283,8 @@ def _best_candidate(
     section = panel.grid.length
     length = min(TRIAL_LENGTH, section)
     begin = 0.5 * (section - length)
-    small = Panel.of(replace(panel.parameters, length=length), replace(panel.known, gauge=None))
+    parameters = replace(panel.parameters, length=length)
+    small = replace(panel, parameters=parameters, grid=Panel.of(parameters).grid, gauge=None)
     part = [
         grid_pass(cut, small.grid, item.ratio)
         for item in passes

@@ -60,45 +60,29 @@ class PanelParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class KnownBeforehand:
-    """What is known of a section and its passes before the panel is solved."""
+class Panel:
+    """A panel regression: its parameters, the grid of the section, and what is known before it is solved."""
 
+    parameters: PanelParameters
+    grid: SectionGrid
     gauge: FloatArray | None = None  # (points,) m, deviation; None: none is modelled
-    gauge_shifts: Mapping[ProfileLife, GaugeShift] = field(default_factory=dict)  # by profile life
-    measured: Mapping[ProfileLife, MeasuredCurve] = field(default_factory=dict)  # by profile life
-    weights: Mapping[ProfileLife, float] = field(
-        default_factory=dict
-    )  # of a pass, by profile life; 1 where there is none
+    gauge_shifts: Mapping[ProfileLife, GaugeShift] = field(default_factory=dict)
+    measured: Mapping[ProfileLife, MeasuredCurve] = field(default_factory=dict)
+    weights: Mapping[ProfileLife, float] = field(default_factory=dict)  # of a pass; 1 where there is none
+
+    @classmethod
+    def of(cls, p: PanelParameters, measured: Mapping[ProfileLife, MeasuredCurve] | None = None) -> Panel:
+        """Return the panel with the grid of some parameters."""
+        grid = SectionGrid(p.length, p.step, p.cutoff_wavelength, p.difference_cutoff_wavelength, p.impact)
+        return cls(p, grid, measured=measured or {})
 
     def weight_of(self, life: ProfileLife) -> float:
         """Return how much a pass of this wheelset counts."""
         return self.weights.get(life, 1.0)
 
-
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """A panel regression: its parameters, the grid of the section, and what is known beforehand."""
-
-    parameters: PanelParameters
-    grid: SectionGrid
-    known: KnownBeforehand
-
-    @classmethod
-    def of(cls, parameters: PanelParameters, known: KnownBeforehand | None = None) -> Panel:
-        """Return the panel with the grid of ``parameters``; nothing is known by default."""
-        p = parameters
-        grid = SectionGrid(p.length, p.step, p.cutoff_wavelength, p.difference_cutoff_wavelength, p.impact)
-        return cls(parameters, grid, known or KnownBeforehand())
-
     def with_gauge(self, gauge: FloatArray, gauge_shifts: Mapping[ProfileLife, GaugeShift] | None = None) -> Panel:
         """Return the panel with a gauge deviation (points,), m; its shifts stay as they are by default."""
-        shifts = self.known.gauge_shifts if gauge_shifts is None else gauge_shifts
-        return replace(self, known=replace(self.known, gauge=gauge, gauge_shifts=shifts))
-
-    @property
-    def gauge(self) -> FloatArray | None:
-        """Gauge deviation (points,), m; None where none is modelled."""
-        return self.known.gauge
+        return replace(self, gauge=gauge, gauge_shifts=self.gauge_shifts if gauge_shifts is None else gauge_shifts)
 
     @property
     def unknowns(self) -> int:
@@ -125,7 +109,7 @@ def pass_residual(item: GriddedPass, curve: FloatArray, panel: Panel) -> FloatAr
 
 def known_shift(item: GriddedPass, panel: Panel) -> FloatArray:
     """Return what is known beforehand of what the gauge does to y (m,), m."""
-    shift = panel.known.gauge_shifts.get(item.life)
+    shift = panel.gauge_shifts.get(item.life)
     if shift is None:
         return np.zeros(len(item.points))
     return item.side * shift.at(item.difference, gauge_at(item.points, panel))

@@ -138,7 +138,7 @@ def _sums(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) 
             continue
         used = one.source.inside & _at(known, one.source.points, panel)
         values = _compared(one, curve, predicted[one.source.life], panel)[:, used]
-        at, weight = one.source.points[used], panel.known.weight_of(one.source.life)
+        at, weight = one.source.points[used], panel.weight_of(one.source.life)
         total[:, at] += weight * values
         count[at] += weight
         terms.append((at, values, weight))

@@ -153,7 +153,7 @@ def update(state: PanelState, passes: Sequence[GriddedPass]) -> PanelState:
     )
     for item in passes:
         if not item.empty:
-            _add(sums, lives.index(item.life), pass_rows(item, state.panel), state.panel.known.weight_of(item.life))
+            _add(sums, lives.index(item.life), pass_rows(item, state.panel), state.panel.weight_of(item.life))
     return sums
 
 

@@ -197,7 +197,7 @@ def _prior(scale: float, panel: Panel) -> FloatArray:
 
 def _measured(state: PanelState) -> dict[int, MeasuredCurve]:
     """Return the curves that have been measured, by the number of their wheelset."""
-    known = state.panel.known.measured
+    known = state.panel.measured
     return {number: known[life] for number, life in enumerate(state.lives) if life in known}
 
 
