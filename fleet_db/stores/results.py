@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from sqlalchemy import Connection, Row, Select, bindparam, case, delete, insert, select, update
 
 from estimation.errors import DamagedError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.results import AnyResult, History, Result, ResultKind
 from fleet_db.locks import Subject, serialise
