@@ -120,9 +120,6 @@ def common_std(sums: PassSums, inverse: FloatArray, creep: FloatArray, slope: Fl
     """Return the std of 1/mu (c,) that what all passes of a place have in common leaves.
 
     Args:
-        inverse: (c,) 1/mu of the places.
-        creep: (v,) b of the vehicles.
-        slope: (w,) a of the wheelsets.
         usual: 1/mu about which creep is taken to be in proportion to it.
     """
     b, a = creep[sums.vehicle], slope[sums.wheelset]
@@ -175,7 +172,6 @@ def creep_levels(sums: PassSums, slope: FloatArray, slippery: BoolArray, before:
     """Return b of the vehicles.
 
     Args:
-        slope: (w,) a of the wheelsets.
         slippery: (c,) places that are no usual rails; a vehicle that has met them for the most part is held against all
             of its.
     """

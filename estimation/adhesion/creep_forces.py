@@ -49,11 +49,9 @@ def filter_forward(
 
     Args:
         transition, measured, gain: (n, n), (n, m) and (m, n): columns of the matrices of the filter.
-        measurements: (s, m).
         known: (s,) samples that were measured; over the others the state runs on, and the innovation is zero.
         varying: (a,) states by which the last a measurements vary from sample to sample.
         excess: (s,) what is added to their rows there, of a scaled state.
-        predicted, filtered, innovations: Written: (s, n), (s, n) and (s, m).
     """
     samples, n = predicted.shape
     first = measurements.shape[1] - len(varying)
@@ -78,13 +76,7 @@ def filter_forward(
 
 @compiled(nogil=True)
 def add_product(columns: FloatArray, vector: FloatArray, product: FloatArray) -> None:
-    """Add the product (n,) of a matrix and a vector (m,); every sum goes in the order of its terms.
-
-    Args:
-        columns: (m, n) columns of the matrix: n sums are formed side by side.
-        vector: (m,).
-        product: (n,) changed.
-    """
+    """Add the product (n,) of a matrix and a vector (m,); every sum goes in the order of its terms."""
     for j in range(len(vector)):
         for k in range(len(product)):
             product[k] += columns[j, k] * vector[j]
@@ -92,13 +84,7 @@ def add_product(columns: FloatArray, vector: FloatArray, product: FloatArray) ->
 
 @compiled(nogil=True)
 def smooth_back(back: FloatArray, predicted: FloatArray, filtered: FloatArray) -> None:
-    """Change filtered states (s, n) to what all samples together give.
-
-    Args:
-        back: (n, n) columns of the matrix of the smoother.
-        predicted: (s, n) states before each sample.
-        filtered: (s, n) states after each sample; changed.
-    """
+    """Change filtered states (s, n) to what all samples together give."""
     samples, n = filtered.shape
     gained = np.zeros(n)
     for i in range(samples - 2, -1, -1):
@@ -221,13 +207,7 @@ def _smoothed(
 def smoothed_states(
     made: StationaryFilter, measurements: FloatArray, known: BoolArray, speed: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the smoothed states (s, n), in SI, and the innovations (s, m) of the filter.
-
-    Args:
-        measurements: (s, m).
-        known: (s,) samples that were measured.
-        speed: (s,) m/s.
-    """
+    """Return the smoothed states (s, n), in SI, and the innovations (s, m) of the filter."""
     samples, (n, m) = len(known), made.gain.shape
     predicted, filtered, innovations = np.empty((samples, n)), np.empty((samples, n)), np.empty((samples, m))
     varying = AXLE * np.arange(made.axles) + 1

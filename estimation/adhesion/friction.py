@@ -46,12 +46,7 @@ LEAST_SUPPORT = 0.8  # of the squares that an error of linear creep would leave,
 
 
 def slippery_throughout(sums: PassSums, creep: FloatArray, slope: FloatArray, creep_error_std: float) -> bool:
-    """Return whether it is the rails that make the creep of all vehicles large.
-
-    Args:
-        creep: (v,) b of the vehicles against usual rails.
-        slope: (w,) a of the wheelsets.
-    """
+    """Return whether it is the rails that make the creep of all vehicles large."""
     common = float(np.mean(creep))
     if common < MOST_CREEP * creep_error_std:
         return False
@@ -133,11 +128,7 @@ def section_adhesion(
 def pooled_friction(
     passes: Sequence[WindowAdhesion], parameters: FrictionParameters
 ) -> tuple[tuple[CellFriction, ...], tuple[LeftOut, ...]]:
-    """Return the friction of every place that passes have met, in order of distance, and whose passes are left out.
-
-    Args:
-        parameters: Limits and what is known beforehand.
-    """
+    """Return the friction of every place that passes have met, in order of distance, and whose passes are left out."""
     left_out: list[LeftOut] = []
     while (sums := pass_sums(_staying(passes, left_out))) is not None:
         found = _solved(sums, parameters)
@@ -353,9 +344,6 @@ def low_stretches(cells: Sequence[CellFriction], parameters: FrictionParameters)
     One place of a stretch, at least, is likely to be low by what vehicles agree on, or near to certain by what one
     shows, and is no good rails; the stretch reaches as far as that is not unlikely. One other place may be between.
     The creep of one vehicle is better known on a section where it is held against that of others.
-
-    Args:
-        cells: Of one section, in order of distance.
     """
     reached = min(parameters.at_ends, parameters.likely)
     beside = any(one.vehicles >= parameters.fewest_vehicles for one in cells)
@@ -379,9 +367,6 @@ def certain_stretches(cells: Sequence[CellFriction], parameters: FrictionParamet
     """Return where friction is certainly low: (begin, end) in m of adjoining places, in order of distance.
 
     A vehicle that is alone is certain of nothing: the geometries by which it judges the rails are its own.
-
-    Args:
-        cells: Of one section, in order of distance.
     """
     certain = max(parameters.certain, parameters.likely)
     found: list[tuple[float, float]] = []

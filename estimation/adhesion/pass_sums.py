@@ -39,28 +39,16 @@ class PassSums(FrozenArrays):
         return np.bincount(passed, minlength=len(self.cells)).astype(np.int64)
 
     def by_place(self, values: FloatArray) -> FloatArray:
-        """Return the sums of values of entries, (n,) or (n, k), over each place, (c,) or (c, k).
-
-        Args:
-            values: (n,) or (n, k) of any unit.
-        """
+        """Return the sums of values of entries, (n,) or (n, k), over each place, (c,) or (c, k)."""
         first = np.searchsorted(self.place, np.arange(len(self.cells)))
         return np.asarray(np.add.reduceat(values, first, axis=0), np.float64)
 
     def at(self, inverse: FloatArray) -> FloatArray:
-        """Return the saturated sums (4, n) at 1/mu of the places, linear between those that are kept.
-
-        Args:
-            inverse: (c,) 1/mu.
-        """
+        """Return the saturated sums (4, n) at 1/mu of the places, linear between those that are kept."""
         return self.at_each(inverse[self.place])
 
     def at_each(self, inverse: FloatArray) -> FloatArray:
-        """Return the saturated sums (4, n), each at its own 1/mu; beyond those that are kept the last ones.
-
-        Args:
-            inverse: (n,) 1/mu.
-        """
+        """Return the saturated sums (4, n), each at its own 1/mu; beyond those that are kept the last ones."""
         bounded = np.clip(inverse, INVERSE[0], INVERSE[-1])
         high = np.clip(np.searchsorted(INVERSE, bounded), 1, len(INVERSE) - 1)
         part = (bounded - INVERSE[high - 1]) / (INVERSE[high] - INVERSE[high - 1])

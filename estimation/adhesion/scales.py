@@ -41,9 +41,6 @@ class Scales(FrozenArrays):
         """Return the std (g,) of the difference from other logarithms that the misfit there says; infinite for none.
 
         The scale itself has nearly normal errors, its logarithm has not: a curvature would say too little.
-
-        Args:
-            other: (g,).
         """
         there = np.array([np.interp(at, GRID, misfit) for at, misfit in zip(other, self.misfits.T, strict=True)])
         more = there - self.misfits.min(axis=0)
@@ -68,12 +65,7 @@ class Agreed:
 
 
 def scales(sums: PassSums, group: IntArray, agreed: Agreed) -> Scales:
-    """Return the scales of groups of passes.
-
-    Args:
-        group: (n,) index of the group of each entry.
-        agreed: What all passes gave together.
-    """
+    """Return the scales of groups of passes."""
     inverse, slope = agreed.inverse[sums.place], agreed.slope[sums.wheelset]
     own = np.bincount(group, sums.squares[:, 2]) + agreed.noise / agreed.creep_std**2 + TINY
     misfits = np.empty((len(GRID), len(own)))
@@ -100,9 +92,6 @@ def contradicting(sums: PassSums, agreed: Agreed, file: FileErrors) -> LeftOut |
     """Return the vehicle that differs most from the others by more than is stated; if none, such a wheelset; else None.
 
     One at a time: what all passes agree on has part of its error, until it is left out.
-
-    Args:
-        sums: Of all passes that are left.
     """
     by_vehicle, by_wheelset = (scales(sums, group, agreed) for group in (sums.vehicle, sums.wheelset))
     vehicle_of = np.zeros(len(by_wheelset.logarithm), np.int64)

@@ -51,12 +51,7 @@ def excess_table() -> FloatArray:
 
 @compiled(nogil=True)
 def excess_at(table: FloatArray, utilisation: float) -> float:
-    """Return linear over true creep force of a wheel less 1.
-
-    Args:
-        table: (4097,) of :func:`excess_table`.
-        utilisation: T/(mu N), not negative; of more than 0.98 the excess at 0.98.
-    """
+    """Return linear over true creep force of a wheel less 1 at T/(mu N), beyond 0.98 that at 0.98."""
     at = min(utilisation / MOST_UTILISATION, 1.0) * STEPS
     below = min(int(at), STEPS - 1)
     return float(table[below] + (at - below) * (table[below + 1] - table[below]))
@@ -74,13 +69,10 @@ def add_saturated(
     """Add the sums of g e, g g, g q and g x, g = q times the mean excess of both wheels, to each place and friction.
 
     Args:
-        table: (4097,) of :func:`excess_table`.
         signals: (3, n) e, q and x.
         forces: (3, n) of a wheel: longitudinal and lateral creep force without spin, and the linear lateral force of
             spin, which is the other way round on the right wheel.
-        place: (n,) index of the place.
         bounds: (k,) mu N.
-        saturated: (c, 4, k) changed.
     """
     for i in range(len(place)):
         e, q, x = signals[0, i], signals[1, i], signals[2, i]
@@ -118,11 +110,7 @@ class CreepSignals(FrozenArrays):
     valid: Annotated[BoolArray, "n"]
 
     def resultants(self, half_contact_distance: float) -> FloatArray:
-        """Return the resultant creep force of left and right wheel (2, n), N.
-
-        Args:
-            half_contact_distance: l, m.
-        """
+        """Return the resultant creep force of left and right wheel (2, n), N."""
         lateral = np.stack([0.5 * self.lateral + self.spin, 0.5 * self.lateral - self.spin])
         return np.asarray(np.hypot(0.5 * self.moment / half_contact_distance, lateral))
 
@@ -137,14 +125,7 @@ def creep_signals(
     *,
     mounted_reversed: bool = False,
 ) -> CreepSignals:
-    """Return the creep of a wheelset, high-passed as its motion is.
-
-    Args:
-        motion: (n,) of the same window.
-        cutoff_wavelength: Of the high-pass of the motion, m.
-        angles: dL - dR of the wheelset; None where it is not known.
-        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
-    """
+    """Return the creep of a wheelset, high-passed as its motion is."""
     p, V = vehicle, motion.speed
     f11 = p.longitudinal_creep_coefficient / motion.stiffness_ratio
     turning = 2.0 * p.half_contact_distance * p.nominal_radius / V * forces.yaw_rate
@@ -180,8 +161,6 @@ def friction_sums(
     """Return the sums of a window by place, over samples that are ``SUMMED_S`` apart or what is next below.
 
     Args:
-        signals: (n,) creep.
-        distance: (n,) m along the section.
         curve: (b,) centres of bins of y - d, m, and (b,) rL - rR there, m, NaN where it is not known.
     """
     p, step = vehicle, max(1, int(SUMMED_S / sample_interval_s + 1e-6))
@@ -239,11 +218,7 @@ class AdhesionInputs:
 def window_adhesion(
     window: Window, content_digest: str, forces: ContactForces | Reason, motion: Motion | Reason, inputs: AdhesionInputs
 ) -> WindowAdhesion:
-    """Return the creep of a window, or why there is none.
-
-    Args:
-        forces: On its wheelset, or why they are not known.
-    """
+    """Return the creep of a window, or why there is none."""
     of_window = (window.wheelset, window.start_ns, window.vehicle, window.track_section, content_digest)
     if isinstance(forces, Reason):
         return refused(*of_window, forces)

@@ -42,7 +42,6 @@ def add_innovation_products(
         transition, by_input, measured, gain: (q, v, n, n), (q, v, 2, n), (q, v, n) and (q, v, n) of the filters.
         source: (v,) which row of the accelerations each variant takes.
         below, above: (k, s) accelerations of the wheelsets and of what is above them, m/s2.
-        counted: (s,) samples whose innovations are summed.
         products: (q - 1, v + 1, v + 1) of the innovations of a particle's variants, and of the next particle's first;
             added to.
     """
@@ -92,8 +91,6 @@ def step(
             and gain of the filters.
         now, then: (f,) accelerations of the wheelsets at this sample and at the next, m/s2.
         innovation: (f,) accelerations of what is above at this one, m/s2; changed to the innovations.
-        state: (n, f) changed.
-        corrected: (n, f) work space.
     """
     n, f = state.shape
     for k in range(n):
@@ -112,13 +109,7 @@ def step(
 
 @compiled(nogil=True)
 def add_outer(innovations: FloatArray, signals: FloatArray, products: FloatArray) -> None:
-    """Add the products of the innovations of a sample to the lower half of every particle's.
-
-    Args:
-        innovations: (q, v) of the variants of every particle, m/s2.
-        signals: (v + 1,) work space.
-        products: (q - 1, v + 1, v + 1) added to.
-    """
+    """Add the products of the innovations of a sample to the lower half of every particle's."""
     q, v = innovations.shape
     for particle in range(q - 1):
         for variant in range(v):
@@ -241,11 +232,7 @@ def _of_noise(filters: DamperFilters, vehicle_class: VehicleClass, dt: float) ->
 
 
 def of_signals(filters: DamperFilters, products: FloatArray) -> FloatArray:
-    """Return the products (q - 1, m, m) of the signals.
-
-    Args:
-        products: (q - 1, v + 2, v + 2) of the innovations, lower halves.
-    """
+    """Return the products (q - 1, m, m) of the signals."""
     whole = products + np.tril(products, -1).transpose(0, 2, 1)
     return np.asarray(filters.signals @ whole @ filters.signals.T)
 
@@ -260,8 +247,6 @@ def add_products(
 
     Args:
         below, above: (k, s) accelerations of wheelsets and of what is above, as ``SOURCES`` names them, m/s2.
-        counted: (s,) samples whose innovations are summed.
-        products: (q - 1, v + 2, v + 2) the lower half of each is added to.
     """
     add_innovation_products(
         filters.transition,

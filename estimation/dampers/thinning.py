@@ -32,21 +32,13 @@ def low_pass(sample_interval_s: float) -> FloatArray:
 
 
 def thinned(values: FloatArray, sample_interval_s: float) -> FloatArray:
-    """Return the low-passed samples (s,) at which the filter sees measured values alone.
-
-    Args:
-        values: (n,) as measured.
-    """
+    """Return the low-passed samples (s,) at which the filter sees measured values alone."""
     passed = oaconvolve(values, low_pass(sample_interval_s), mode="valid")
     return np.asarray(passed[:: stride_of(sample_interval_s)])
 
 
 def between_samples(values: FloatArray) -> FloatArray:
-    """Return what, run straight from sample to sample, is the signal (s,): a straight line takes (pi f dt)^2/3 of it.
-
-    Args:
-        values: (s,) of the signal.
-    """
+    """Return what, run straight from sample to sample, is the signal: a straight line takes (pi f dt)^2/3 of it."""
     raised = values.copy()
     raised[1:-1] -= np.diff(values, 2) / 12.0
     return raised

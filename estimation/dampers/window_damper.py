@@ -52,11 +52,7 @@ def looked_at(first: Window) -> bool:
 def window_damper(
     first: Window, content_digest: str, gear: GearSegments | Reason, on_file: ClassOnFile
 ) -> WindowDamper:
-    """Return what a window says of the damper of a running gear, or why it says nothing.
-
-    Args:
-        gear: Segments of all its wheelsets, or why there are none.
-    """
+    """Return what a window says of the damper of a running gear, or why it says nothing."""
     vehicle_class = on_file.vehicle_class
     found = WindowSums(gear) if isinstance(gear, Reason) else window_sums(gear, vehicle_class)
     return WindowDamper(

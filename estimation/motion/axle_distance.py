@@ -184,11 +184,7 @@ def _highest(correlation: FloatArray, ahead: float, least: float) -> AxleDistanc
 
 
 def runs_backwards(window: Window) -> bool | None:
-    """Return whether the axes of a node point against the direction of travel; None where it does not say.
-
-    Args:
-        window: Measured accelerations and speed, (n,) each.
-    """
+    """Return whether the axes of a node point against the direction of travel; None where it does not say."""
     signals = SignalParameters()
     correlation = lateral_yaw_correlation(integrate(window, moving_samples(window, signals), signals))
     if correlation is None or abs(correlation) < abs(BACKWARDS):
@@ -200,9 +196,6 @@ def bogie_runs_backwards(window: Window, partner: Window, ahead: float) -> bool 
     """Return whether a bogie runs with its rear axle first; None where its nodes do not say.
 
     Where they say both, one of them is the wrong way round, and which axle meets the track first decides.
-
-    Args:
-        window, partner: Of the two nodes of a bogie, over the same time, with as many samples.
     """
     said = {runs_backwards(window), runs_backwards(partner)} - {None}
     if len(said) <= 1:

@@ -25,11 +25,7 @@ SAID_BY_MEDIAN = 0.6745  # median of the magnitude of a normal signal over its s
 
 
 def sharp(signals: FloatArray, interval_s: float) -> FloatArray:
-    """Return signals (m, n) less their running mean; 0 where they are not known.
-
-    Args:
-        signals: (m, n); NaN where not known.
-    """
+    """Return signals (m, n), NaN where not known, less their running mean; there 0."""
     known = np.isfinite(signals)
     width = max(round(SLOW_S / interval_s), 3) | 1
     filled = np.where(known, signals, 0.0)
@@ -39,11 +35,7 @@ def sharp(signals: FloatArray, interval_s: float) -> FloatArray:
 
 
 def vibration(sharp_signals: FloatArray, interval_s: float) -> FloatArray:
-    """Return the standard deviation (m, n) of what is sharp, blows apart: by the median of some seconds.
-
-    Args:
-        sharp_signals: (m, n) from :func:`sharp`.
-    """
+    """Return the standard deviation (m, n) of what is sharp, blows apart: by the median of some seconds."""
     size = min(max(round(SCALE_S / interval_s), 1), sharp_signals.shape[1])
     count = max(sharp_signals.shape[1] // size, 1)
     blocks = np.abs(sharp_signals[:, : count * size]).reshape(len(sharp_signals), count, size)

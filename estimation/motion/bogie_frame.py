@@ -16,9 +16,6 @@ def check_frame_sensors(window: Window, partner: Window) -> Reason | None:
     """Return that one of the two frame sensors of a bogie measures nothing; None where both do.
 
     A frame moves above both its axles. A sensor that is dead gives one value, or its noise.
-
-    Args:
-        window, partner: Of the two nodes of a bogie, over the same time, with as many samples.
     """
     known = window.valid & partner.valid
     if not known.any():
@@ -41,8 +38,6 @@ def with_frame_yaw(window: Window, partner: Window, ahead: float) -> Window:
     Gravity is in both sensors alike, for a frame rolls as one piece, and drops out.
 
     Args:
-        window: Of one node; its mass sensor is on the frame above its axle.
-        partner: Of the other node of the bogie, over the same time.
         ahead: By how much the node of ``window`` is ahead of the other, m: the wheelbase, negative at the rear axle.
     """
     if partner.start_ns != window.start_ns or len(partner.valid) != len(window.valid):

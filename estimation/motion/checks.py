@@ -29,11 +29,7 @@ ONE_WAY = 0.98  # share of the samples that must lead one way
 
 
 def gate(quality: WindowQuality, track_section: str | None, gates: Gates) -> Reason | None:
-    """Return why a window of this quality is not looked at; None where it is.
-
-    Args:
-        track_section: Code of its section; None where it is not known.
-    """
+    """Return why a window of this quality is not looked at; None where it is."""
     refused = _too_poor(quality, gates)
     if refused is not None:
         return in_place_of_quality(refused, quality)
@@ -185,11 +181,7 @@ def lateral_yaw_correlation(integrated: IntegratedWindow) -> float | None:
 
 
 def high_pass_running_mean(values: FloatArray, width: int) -> FloatArray:
-    """Return values less their running mean over about ``width`` samples twice, which takes slow wandering out.
-
-    Args:
-        values: (n,) samples.
-    """
+    """Return values less their running mean over about ``width`` samples twice, which takes slow wandering out."""
     rest = values
     for _ in range(2):
         rest = rest - uniform_filter1d(rest, width | 1, mode="constant")  # an odd number, so that nothing is displaced

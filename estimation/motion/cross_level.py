@@ -29,8 +29,6 @@ def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: fl
 
     Args:
         displacement: (n,) y - d, m, at the height of the axle.
-        roll: (n,) phi as measured, rad.
-        radius: Nominal rolling radius, m.
         level: Whether gravity has been taken out of the lateral signals: the track may roll.
     """
     seen = observed_displacement(displacement, roll, radius, level=level)
@@ -38,10 +36,6 @@ def standard_displacement(displacement: FloatArray, roll: FloatArray, radius: fl
 
 
 def observed_displacement(displacement: FloatArray, roll: FloatArray, radius: float, *, level: bool) -> FloatArray:
-    """Return the same (n,), m, as far as it is measured; for a displacement from which no alignment is taken off.
-
-    Args:
-        displacement: (n,) y or y - d, m, at the height of the axle.
-    """
+    """Return the same (n,), m, as far as it is measured; for a displacement from which no alignment is taken off."""
     height = radius if level else radius + RAIL_HEAD_RADIUS
     return displacement + height * roll

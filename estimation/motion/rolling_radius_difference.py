@@ -36,10 +36,8 @@ def sample_smoothed(
     Between samples signals are straight, beyond their ends as at these.
 
     Args:
-        signals: (m, n) in any unit.
         at: (n,) m, increasing.
         first, step: Number of the fine grid point of the first result, and spacing of that grid, m.
-        weights: (2 r + 1,) of the smoothing, symmetric.
     """
     m, n = signals.shape
     taps = len(weights)
@@ -86,13 +84,7 @@ class BogieYaws:
 def long_waves_in_bogie(
     R: FloatArray, yaws: BogieYaws, V: FloatArray, vehicle: VehicleParameters, parameters: FusionParameters
 ) -> tuple[FloatArray, FloatArray]:
-    """Return R and its stiffness term (m,), m, of the lateral motion of a wheelset in a bogie.
-
-    Args:
-        R: (m,) m, by the yaw sensor, on a grid of distance.
-        yaws: (m,) rad, on the same grid.
-        V: (m,) m/s.
-    """
+    """Return R and its stiffness term (m,), m, of the lateral motion of a wheelset in a bogie."""
     p, step = vehicle, parameters.step
     per_moment = -p.nominal_radius / (p.half_contact_distance * p.longitudinal_creep_coefficient)
     rolling = -2 * p.half_contact_distance * p.nominal_radius
@@ -158,11 +150,7 @@ class FusedSignals:
 
 
 def fuse(signals: MotionSignals, vehicle: VehicleParameters, parameters: FusionParameters) -> FusedSignals:
-    """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1.
-
-    Args:
-        signals: (n,) signals of one segment, over an increasing distance.
-    """
+    """Return y, R and its stiffness term on a grid; short waves of R from the yaw sensor, long ones from Eq. 1."""
     step = parameters.step
     run = np.arange(np.ceil(signals.run[0] / step), np.floor(signals.run[-1] / step) + 1) * step
     shortest = _shortest(signals, run, parameters)
@@ -264,7 +252,6 @@ def motion_signals(segment: IntegratedSegment, p: VehicleParameters, run: FloatA
     The suspension of a bogie acts between wheelset and frame, whose motion the mass sensor and the frame's yaw give.
 
     Args:
-        segment: Accelerations, rates and displacements of m samples.
         run: (m,) m, increasing: by default the distance run since the start of the segment.
     """
     accelerations, V = segment.accelerations, segment.speed

@@ -82,9 +82,6 @@ def write_pieces(
 
     Args:
         samples: (6, m) accelerations, that of the frame's yaw, and speed.
-        starts: (k,) first sample of each piece.
-        taper: (n,) of a piece.
-        pieces, speeds: Written: (k, 5, n) and (k,) m/s.
     """
     n = len(taper)
     yaw_rate = np.empty(n)
@@ -112,11 +109,7 @@ def write_pieces(
 
 @compiled(nogil=True)
 def write_terms(omega: float, speed: float, e: Equation, terms: ComplexArray) -> None:
-    """Write the terms (7, 5) of the equation per spectrum at an angular frequency; the others stay zero.
-
-    Args:
-        terms: (7, 5), written.
-    """
+    """Write the terms (7, 5) of the equation per spectrum at an angular frequency; the others stay zero."""
     compliance = speed / (2.0 * e.lateral_creep)
     terms[0, 0], terms[0, 2] = 1.0, e.gravity / omega**2
     terms[0, 1] = e.spin_creep / e.lateral_creep * 1j * omega / speed
@@ -139,9 +132,7 @@ def write_noise(
     """Write the squared noise densities (5,) of the spectra, of sensors and counting.
 
     Args:
-        e: Which sensors are gyroscopes, and how far those on the frame are from each other.
         density, counting: (4,) squared noise densities, of the sensors and of what counting makes of them.
-        noise: (5,), written.
     """
     for j in range(ROWS - 1):
         rate = (j == 1 and e.yaw_is_gyroscope) or (j == 2 and e.roll_is_gyroscope)  # noqa: PLR2004 - the rows
@@ -152,13 +143,7 @@ def write_noise(
 
 @compiled(nogil=True)
 def left_noise(terms: ComplexArray, noise: FloatArray, radius: float) -> float:
-    """Return the squared noise density of the equation at the parameters on file.
-
-    Args:
-        terms: (7, 5) of the equation.
-        noise: (5,) squared noise densities of the spectra.
-        radius: On file, m.
-    """
+    """Return the squared noise density of the equation at the parameters on file."""
     total = 0.0
     for j in range(ROWS):
         left = terms[0, j] - terms[1, j] - radius * terms[2, j] - terms[3, j] - terms[4, j] - terms[5, j]
@@ -177,9 +162,7 @@ def add_spectra(
     Args:
         spectra, speeds: (k, 5, f) of the pieces, and (k,) their mean speeds, m/s.
         part: (k,) to which a piece is added.
-        dt, samples: Sampling interval, s, and samples of a piece.
         wavelengths: The shortest and the longest that are looked at, m.
-        products, of_noise: (parts, bands, 7, 7), added to above their diagonals.
     """
     terms, noise = np.zeros((TERMS, ROWS), np.complex128), np.empty(ROWS)
     values, moved = np.empty(TERMS, np.complex128), np.empty(ROWS, np.complex128)
@@ -239,7 +222,6 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
 
     Args:
         window: Measured accelerations and speed, (n,) each; in a bogie with the yaw of its frame, else it says nothing.
-        vehicle_class: Of its vehicle, with the nominal radius on file of its wheelset.
     """
     if vehicle_class.bogie is not None and window.frame_yaw_acceleration is None:
         return ()

@@ -24,12 +24,7 @@ GRID_STEP = 1.0  # m, to which a layout is refined before it is looked at
 
 
 def straight(distance: FloatArray, layout: TrackLayout, limits: CurveLimits) -> BoolArray:
-    """Return which places (n,) are on track that is straight within ``limits``; places off the layout do not.
-
-    Args:
-        distance: (n,) m along the section; NaN where not known.
-        limits: What counts as straight, and the margin from the rest.
-    """
+    """Return which places (n,) are on track that is straight within ``limits``; places off the layout do not."""
     grid = np.union1d(np.arange(layout.s[0], layout.s[-1], GRID_STEP), layout.s)
     bent = (np.abs(np.interp(grid, layout.s, layout.curvature)) > limits.curvature) | (
         np.abs(np.interp(grid, layout.s, layout.cant)) > limits.cant
@@ -78,12 +73,7 @@ LEAST_SHARE = 0.5  # of the samples that a mean needs
 def detect_uncompensated_acceleration(
     window: Window, usable: BoolArray, max_cant_deficiency_change: float
 ) -> Reason | None:
-    """Return that the window shows a curve; None where it does not.
-
-    Args:
-        usable: (n,) samples that count.
-        max_cant_deficiency_change: m/s2, largest :func:`cant_deficiency_acceleration_range` of straight track.
-    """
+    """Return that the window shows a curve; None where it does not."""
     spread = cant_deficiency_acceleration_range(window, usable)
     if spread <= max_cant_deficiency_change:
         return None
@@ -95,11 +85,7 @@ def detect_uncompensated_acceleration(
 
 
 def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> float:
-    """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2.
-
-    Args:
-        usable: (n,) samples that count.
-    """
+    """Return by how much the slow lateral acceleration of wheelset and mass together changes in a window, m/s2."""
     size = round(MEAN_S / window.sample_interval_s)
     count = len(usable) // size
     known = usable[: count * size].reshape(count, size)

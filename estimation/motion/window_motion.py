@@ -55,10 +55,8 @@ def motion(
     Args:
         track: Alignment of the window's section; samples outside it are left out. Wavelengths that it does not hold are
             taken out of the motion too.
-        layout: Curves of the section, which are left out; None where none is on file.
         gauge_shift: (n,) m, by how much the gauge moves the wheelset, NaN where the table does not reach; None without
             a table.
-        earlier: The same accelerations and speeds, integrated before.
         radius: Nominal rolling radius, m: the height of the axle.
     """
     cutoff_wavelength = min(parameters.cutoff_wavelength, track.cutoff_wavelength)
@@ -194,12 +192,8 @@ def window_motion(
     """Return the motion of ``window`` relative to ``track``, or why the window is refused.
 
     Args:
-        window: Measured accelerations of one wheelset, (n,) each.
         track: Alignment of its track section; None where none is on file, all NaN where that is of the gauge alone.
         correction: From the measured positions to the true ones; None where the measured ones are used.
-        misplaced: Why the position is not certain; None where it is.
-        mounted_reversed: The wheelset's left wheel is on the vehicle's right-hand side.
-        layout: Curves of the section, which are left out; None where none is on file.
 
     Returns:
         (n,) samples of band-limited motion in the axes of the wheelset, or the refusal.

@@ -75,11 +75,7 @@ class _Block:
 def blows_unless_hunting(
     hunting: Hunting, lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float
 ) -> TurnBlows:
-    """Return the blows once a turn, none of a wheelset that hunts: flanges strike at its own wavelength.
-
-    Args:
-        hunting: Of the same running time.
-    """
+    """Return the blows once a turn, none of a wheelset that hunts: flanges strike at its own wavelength."""
     return NO_BLOWS if hunting.sustained else find_turn_blows(lateral, roll, speed, interval_s)
 
 
@@ -88,7 +84,6 @@ def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, in
 
     Args:
         lateral, roll: (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
-        speed: (n,) m/s; NaN where not known.
     """
     running, found = 0, []
     for block in _blocks(lateral, roll, speed, interval_s):
@@ -260,7 +255,6 @@ def turn_blows(signals: FloatArray, at: FloatArray, interval_s: float) -> FloatA
 
     Args:
         signals: (m, n) lateral, yaw and roll acceleration first; NaN where not known.
-        at: (k,) where on the samples they are, increasing.
     """
     turn = float(np.median(np.diff(at))) * interval_s
     reach = min(BEFORE_S + BEHIND_S, MOST_OF_TURN * turn) / (BEFORE_S + BEHIND_S)

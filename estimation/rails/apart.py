@@ -161,11 +161,7 @@ class RailsState:
 
 
 def init(parameters: RailsParameters, amplitude: FloatArray) -> RailsState:
-    """Return the state without cells.
-
-    Args:
-        amplitude: (k,) m, of all cells.
-    """
+    """Return the state without cells."""
     return RailsState(parameters, amplitude)
 
 
@@ -287,13 +283,7 @@ def _trends(
 
 
 def reported(part: tuple[Estimate, ...], amplitude: FloatArray, most: float) -> tuple[Estimate, float] | None:
-    """Return the estimate at the largest amplitude up to ``most`` at which there is one; None where there is none.
-
-    Args:
-        part: (k,) the estimate at each amplitude.
-        amplitude: (k,) m, increasing.
-        most: In m.
-    """
+    """Return the estimate at the largest amplitude up to ``most`` at which there is one; None where there is none."""
     known = [
         (one, float(a))
         for one, a in zip(part, amplitude, strict=True)

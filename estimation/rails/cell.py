@@ -31,8 +31,6 @@ def section_conicity(
     """Return the conicity that windows of a wheelset on one section give, by the estimator of geometries; or why none.
 
     Args:
-        wheel, rail: Wheelset with its mileage interval, section with its period.
-        parameters: Of the estimator; their uncertainty is that on this section.
         scale_std: Relative, of a scale of y - d that the alignment of the section leaves open.
         span_ns: Begin of the first and end of the last window, ns UTC.
     """
@@ -144,12 +142,7 @@ class CellTable:
 
 
 def cell_table(cells: Sequence[SectionConicity], amplitude: FloatArray) -> CellTable:
-    """Return cells as arrays.
-
-    Args:
-        cells: All, in the order of their keys.
-        amplitude: (k,) m, of all.
-    """
+    """Return cells as arrays."""
     wheels, rails = sorted({cell.wheel for cell in cells}), sorted({cell.rail for cell in cells})
     serials = sorted({key.wheelset for key in wheels})
     of_wheel = {key: place for place, key in enumerate(wheels)}

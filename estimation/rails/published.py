@@ -30,12 +30,7 @@ SAME_AMPLITUDE = 1e-9  # m
 
 
 def next_to_jump(curve: FloatArray, amplitude: FloatArray, most: float) -> BoolArray:
-    """Return where (k,) a conicity changes by more than ``most`` within 0.25 mm of amplitude, to either side.
-
-    Args:
-        curve: (k,) conicity; NaN where it is not known.
-        amplitude: (k,) m, increasing.
-    """
+    """Return where (k,) a conicity changes by more than ``most`` within 0.25 mm of amplitude, to either side."""
     return np.asarray((np.abs(_changes(curve, amplitude)) > most).any(axis=1))
 
 

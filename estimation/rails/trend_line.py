@@ -49,13 +49,7 @@ class Line:
 
 
 def line(at: FloatArray, value: FloatArray, covariance: FloatArray) -> Line:
-    """Return the line through correlated values.
-
-    Args:
-        at: (p,) where they are.
-        value: (p,) they.
-        covariance: (p, p) of them.
-    """
+    """Return the line through correlated values."""
     columns = np.column_stack([np.ones(len(at)), at - at.mean()])
     weighted = np.linalg.solve(covariance, columns)
     matrix = columns.T @ weighted

@@ -126,11 +126,7 @@ def _outside(found: Likelihood, library: Library, parameters: SignatureParameter
 
 
 def states(conicity: float, std: float, ends: Sequence[float]) -> tuple[StateProbability, ...]:
-    """Return the probabilities of the states of wear.
-
-    Args:
-        ends: Conicities between the states, increasing.
-    """
+    """Return the probabilities of the states of wear."""
     bounds = [0.0, *ends, float("inf")]
     below = stats.norm.cdf([-np.inf, *ends, np.inf], conicity, std)
     return tuple(
@@ -145,12 +141,7 @@ def most_likely(found: Sequence[StateProbability]) -> StateProbability:
 
 
 def compared(answer: Estimate, geometry: Estimate) -> Disagreement | None:
-    """Return how far signature and geometry are apart; None where one of them says nothing.
-
-    Args:
-        answer: Conicity at 3 mm by the signature.
-        geometry: The same by the geometry.
-    """
+    """Return how far signature and geometry are apart; None where one of them says nothing."""
     numbers = (answer.value, answer.low, answer.high, geometry.value, geometry.low, geometry.high)
     if any(number is None for number in numbers) or answer.std is None or geometry.std is None:
         return None

@@ -45,11 +45,7 @@ class Library:
 
 
 def library(entries: Sequence[LibraryEntry], parameters: SignatureParameters) -> Library | Reason:
-    """Return the library of some entries of one class and axle position, or why they make none.
-
-    Args:
-        entries: That may be learned from (``admission``), with places.
-    """
+    """Return the library of some entries of one class and axle position, or why they make none."""
     ordered = sorted((entry for entry in entries if entry.signature.place is not None), key=_order)
     wheelsets = {entry.wheelset: entry for entry in ordered}
     if len(wheelsets) < parameters.least_wheelsets:

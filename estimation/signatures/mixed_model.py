@@ -95,11 +95,7 @@ def features_of(powers: FloatArray) -> FloatArray:
 
 
 def terms(conicity: FloatArray, speed: FloatArray) -> FloatArray:
-    """Return the terms (..., 5) of the response, the logarithm of the conicity first.
-
-    Args:
-        conicity, speed: Of shapes that broadcast; speed in m/s.
-    """
+    """Return the terms (..., 5) of the response, the logarithm of the conicity first."""
     c, v = np.broadcast_arrays(np.log(conicity / CONICITY), np.log(speed / SPEED))
     return np.stack([c, c * c, v, v * v, c * v], axis=-1)
 
@@ -167,8 +163,6 @@ def scatter_of(residuals: FloatArray, wheelset: IntArray, means: int) -> Scatter
     """Return how residuals scatter from wheelset to wheelset, and within these.
 
     Args:
-        residuals: (n, f) of features.
-        wheelset: (n,) numbers from 0.
         means: How many means, as those of places, have been taken out.
     """
     own = _means(residuals, wheelset)
@@ -236,11 +230,7 @@ def _less(whole: FloatArray, part: FloatArray) -> FloatArray:
 
 
 def level_of(model: MixedModel, rows: Rows, conicity: float) -> float:
-    """Return the level of the track under some signatures, from the mean of the known places.
-
-    Args:
-        rows: Signatures of one wheelset; their conicities are not read.
-    """
+    """Return the level of the track under some signatures, from the mean of the known places."""
     response = terms(np.array(conicity), rows.speed).mean(axis=0) @ model.response[:TERMS, LEVEL]
     return float(features_of(rows.powers)[:, LEVEL].mean() - response - model.mean[LEVEL])
 
@@ -249,9 +239,6 @@ def levels_between(model: MixedModel, section: IntArray, places: int) -> tuple[f
     """Return between which levels the mean of some places is where their section is like those of a library.
 
     It may be as far outside as the outermost section is from the next.
-
-    Args:
-        section: (p,) numbers of the sections of its places.
     """
     section = np.unique(section, return_inverse=True)[1]
     mean = np.bincount(section, model.levels) / np.bincount(section)
@@ -295,7 +282,6 @@ def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: 
     Args:
         rows: Signatures of the wheelset; their conicities are not read.
         known: (n,) numbers of their places in the model; None where the library does not have them.
-        conicity: (k,) increasing.
     """
     n = len(rows.powers)
     features = features_of(rows.powers).mean(axis=0)

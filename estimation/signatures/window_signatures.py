@@ -83,9 +83,6 @@ def window_signatures(
     """Return the signatures of a window, one for each cell of the section that it passed whole.
 
     Where section or position are not known every stretch of that length has one, without a place.
-
-    Args:
-        layout: Curves of the section, which are left out; None where none is on file.
     """
     placed = gate(window.quality, window.track_section, parameters.gates)
     if placed is not None:
@@ -125,10 +122,6 @@ def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
     """Return where the wheelset of a window runs in its bogie.
 
     The axle of the lower number is in front where the vehicle runs forwards.
-
-    Args:
-        window: Its axle, and which end of its vehicle goes first.
-        parameters: Of its vehicle's class.
     """
     partner = parameters.vehicle_class.partner(window.axle)
     if partner is None:

@@ -106,7 +106,6 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
 
     Args:
         packed: (c, packed_size) moments.
-        weight: (c,) sums of weights.
     """
     p, t = regressors, targets
     c = len(packed)
@@ -131,11 +130,7 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
 
 
 def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return X'X (c, p, p), X'Z (c, p, t) and z'z (c,) from packed moments (c, packed_size).
-
-    Args:
-        packed: (c, packed_size) moments.
-    """
+    """Return X'X (c, p, p), X'Z (c, p, t) and z'z (c,) from packed moments (c, packed_size)."""
     p, t = regressors, targets
     c = len(packed)
     triangle = p * (p + 1) // 2

@@ -121,11 +121,7 @@ class Mode:
 
 
 def linear_model(vehicle_class: VehicleClass, speed: float, contact: LinearContact) -> LinearModel:
-    """Return the state space of a class.
-
-    Args:
-        speed: V, m/s, positive.
-    """
+    """Return the state space of a class at V, m/s, positive."""
     if vehicle_class.bogie is None:
         return single_wheelset_model(vehicle_class.parameters, speed, contact)
     return bogie_model(vehicle_class.parameters, vehicle_class.bogie, speed, contact)
@@ -235,7 +231,6 @@ def filtered(coefficients: FloatArray, s: ComplexArray) -> ComplexArray:
     """Return E(s) (f, 2, signals).
 
     Args:
-        coefficients: (2, signals, 3), see :func:`equations`.
         s: (f,) i omega, 1/s.
     """
     powers = np.stack([np.ones_like(s), s, s * s])
@@ -243,11 +238,7 @@ def filtered(coefficients: FloatArray, s: ComplexArray) -> ComplexArray:
 
 
 def true_signals(model: LinearModel, contact: LinearContact, p: VehicleParameters, s: ComplexArray) -> ComplexArray:
-    """Return u (f, signals) of the front wheelset per metre of alignment.
-
-    Args:
-        s: (f,) i omega, 1/s.
-    """
+    """Return u (f, signals) of the front wheelset per metre of alignment at s (f,), i omega."""
     q = model.response(s.imag / (2 * np.pi))
     u = np.zeros((len(s), SIGNALS), dtype=np.complex128)
     u[:, _Y], u[:, _PSI], u[:, _X] = q[:, 0], q[:, 1], q[:, 0] - 1.0
@@ -264,9 +255,6 @@ def sensor_filters(layout: SensorLayout, s: ComplexArray) -> tuple[ComplexArray,
     """Return what sensors become of signals (f, sensors, signals), and signals of sensors (f, signals, sensors).
 
     The second integrates, and takes gravity off the lateral signal by the roll.
-
-    Args:
-        s: (f,) i omega, 1/s.
     """
     orders = 2, 1 if layout.yaw_is_gyroscope else 2, 1 if layout.roll_is_gyroscope else 2, 2, 2
     measured = np.zeros((len(s), len(SENSORS), SIGNALS), dtype=np.complex128)

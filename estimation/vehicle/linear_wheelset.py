@@ -64,11 +64,7 @@ class LinearModel:
     wheelset_offsets: tuple[float, ...]  # k, m, behind the leading wheelset
 
     def response(self, frequency_hz: FloatArray) -> ComplexArray:
-        """Return the coordinates (f, n) per metre of alignment under the leading wheelset.
-
-        Args:
-            frequency_hz: (f,) positive.
-        """
+        """Return the coordinates (f, n) per metre of alignment under the leading wheelset."""
         n = len(self.coordinates)
         s = 2j * np.pi * frequency_hz
         delay = np.exp(-np.outer(s, np.array(self.wheelset_offsets) / self.speed))  # (f, k)
@@ -90,11 +86,7 @@ def klingel_wavelength(parameters: VehicleParameters, contact: LinearContact) ->
 def contact_state(
     contact: LinearContact, parameters: VehicleParameters, displacement: FloatArray, rate: FloatArray
 ) -> ContactState:
-    """Return the contact geometry at x = y - d.
-
-    Args:
-        displacement, rate: (n,) x in m, x' in m/s.
-    """
+    """Return the contact geometry at x = y - d (n,), m, and x', m/s."""
     radius = contact.conicity * displacement
     angle = contact.angle_per_difference * radius
     roll = contact.conicity / parameters.half_contact_distance
@@ -114,8 +106,6 @@ def wheelset_accelerations(
     """Return y'' and psi'' (n,) of a wheelset; its yaw spring is tied to a body that does not yaw.
 
     Args:
-        parameters, speed, contact: The vehicle, V in m/s, and the geometry.
-        state: (n,) states.
         alignment: (2, n) d in m and d' in m/s.
     """
     y, v = np.asarray(state.lateral_displacement), np.asarray(state.lateral_velocity)
@@ -134,7 +124,6 @@ def assemble(
 
     Args:
         accelerations: Of (n, m) coordinates, (n, m) rates and (2k, m) alignments (d of each wheelset, then d'), (n, m).
-        wheelset_offsets: k distances behind the leading wheelset, m.
     """
     n, k = len(coordinates), len(wheelset_offsets)
     units = np.eye(2 * n + 2 * k)

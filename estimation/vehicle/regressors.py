@@ -137,11 +137,7 @@ def coefficients_of(
 
 @compiled(nogil=True, error_model="numpy")
 def lateral_equation(signals: Signals, k: Coefficients, i: int, row: FloatArray) -> None:
-    """Write x1, x2 and the targets of Eq. 1 of sample ``i``.
-
-    Args:
-        row: (9,), written.
-    """
+    """Write x1, x2 and the targets of Eq. 1 of sample ``i``."""
     speed, yaw, roll_rate = signals.speed[i], signals.yaw[i], signals.roll_rate[i]
     slip = signals.lateral_velocity[i] - speed * yaw  # without the roll term, which carries S
     inertia = k.wheelset_mass * signals.lateral_acceleration[i]
@@ -176,11 +172,7 @@ def yaw_moments(signals: Signals, k: Coefficients, i: int) -> tuple[float, float
 
 @compiled(nogil=True, error_model="numpy")
 def yaw_targets(signals: Signals, k: Coefficients, i: int, row: FloatArray, at: int) -> None:
-    """Write c and behind it the targets of Eq. 2 of sample ``i``, from ``row[at]``.
-
-    Args:
-        row, at: Where c and the targets are written.
-    """
+    """Write c and behind it the targets of Eq. 2 of sample ``i``, from ``row[at]``."""
     z2, inertia, creep, spring, damper, spin = yaw_moments(signals, k, i)
     c = radius_factor(k)
     creep_moment = inertia + spring + damper  # what the creep forces hold up
@@ -259,9 +251,6 @@ def angle_difference_derivatives(parameters: VehicleParameters) -> FloatArray:
     """Return (6,) derivatives of ln |x2| by the logarithms of the parameters, in the order of LATERAL_TARGETS after z1.
 
     The data determine the product x2 D, so that D changes by as much the other way, whatever the samples.
-
-    Args:
-        parameters: Of the vehicle; f23 and W make the factor.
     """
     by_name = dict.fromkeys(LATERAL_TARGETS[1:], 0.0)
     by_name["spin_creep"] = parameters.lateral_spin_creep_coefficient / parameters.nominal_radius
@@ -279,7 +268,6 @@ def regression(
     Args:
         parameters: As assumed; the longitudinal creep coefficient is divided by the stiffness ratio of the motion.
         difference_noise: Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
-        wheelbase: Of the bogie, m; without one it plays no part.
     """
     signals, k = signals_of(motion), coefficients(motion, parameters, difference_noise, wheelbase)
     before_c = SHARED_IN_BOGIE if k.in_bogie else 1
