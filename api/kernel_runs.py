@@ -28,7 +28,6 @@ from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, mirror, write_pieces
 from estimation.motion.track_lookup import evaluate, extent
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
-from estimation.tables.least_squares import collect
 from estimation.track.panel.normal_equations import add_filtered_hats
 from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import FloatArray, frozen_array
@@ -101,12 +100,6 @@ def _paper() -> Iterator[FloatArray]:
     features = np.column_stack([rng.standard_normal((60, 2)), np.ones(60)])
     output = features @ [3.0, -2.0, 0.5] + 0.01 * rng.standard_normal(60)
     yield recursion_in_bins(features, output, np.arange(60) % 2, 3, PaperParameters(threshold=10, forgetting=0.99))[0]
-
-
-def _moments() -> Iterator[FloatArray]:
-    rng = np.random.default_rng(5)
-    found = collect(rng.standard_normal((20, 3)), rng.standard_normal((20, 2)), np.arange(20) % 4 - 1, 3)
-    yield from (found.packed, found.weight)
 
 
 def _bin_tables() -> Iterator[FloatArray]:
@@ -319,7 +312,6 @@ RUNS: tuple[Callable[[], Iterator[FloatArray]], ...] = (
     _conicity,
     _paper,
     _stretches,
-    _moments,
     _bin_tables,
     _creep_filter,
     _saturation,

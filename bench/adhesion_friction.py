@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bench.adhesion_stored import StoredPasses
-from estimation.adhesion.friction import FrictionParameters, section_adhesion
+from estimation.adhesion.friction import section_adhesion
+from estimation.adhesion.parameters import FrictionParameters
 from estimation.values.adhesion import SectionAdhesion
 from estimation.values.arrays import FloatArray, runs
 

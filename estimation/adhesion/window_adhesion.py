@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from estimation.adhesion.creep_forces import ContactForces
-from estimation.adhesion.file_errors import ForceErrors
 from estimation.adhesion.gravity import ContactAngles, contact_angles
+from estimation.adhesion.parameters import force_errors
 from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.parameters import WindowParameters
@@ -241,55 +241,42 @@ def window_adhesion(
         few = Reason(ReasonCode.TOO_FEW_USABLE, f"{found.valid.sum()} samples of creep, {FEWEST_SAMPLES} are needed")
         return refused(*of_window, few)
     error = float(np.hypot(FORCE_ERROR, SMOOTHED_ERROR)) if forces.smoothed else FORCE_ERROR
-    forces_found = _forces(found, angles, parameters.vehicle_class, vehicle.half_contact_distance, error)
     distance = inputs.correction.at(window.distance)
     of_samples = (found, motion, distance, curve, vehicle, window.sample_interval_s)
     sums = None if isinstance(angles, Reason) else friction_sums(*of_samples)
     return WindowAdhesion(
         *of_window,
         Status.ESTIMATED,
-        forces_found.contact,
-        forces_found.lateral,
-        forces_found.moment,
-        forces_found.used,
+        *_forces(found, angles, parameters.vehicle_class, error),
         sums=sums,
         reason=angles if isinstance(angles, Reason) else None,
         smoothed=forces.smoothed,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Forces:
-    contact: Estimate
-    lateral: Estimate
-    moment: Estimate
-    used: Estimate
-
-
 def _forces(
     found: CreepSignals,
     angles: ContactAngles | Reason,
     vehicle_class: VehicleClass,
-    half_contact_distance: float,
     force_error: float,
-) -> _Forces:
-    """Return the rms of forces, and the adhesion that was used."""
-    file = ForceErrors.of(vehicle_class)
+) -> tuple[Estimate, Estimate, Estimate, Estimate]:
+    """Return the rms of contact and lateral force and of the moment, and the adhesion that was used."""
+    of_lateral, of_moment, of_load = force_errors(vehicle_class)
     contact, moment = (_rms(values[found.valid]) for values in (found.contact, found.moment))
-    contact_force = with_interval(contact, contact * math.hypot(force_error, file.lateral))
-    yaw_creep = with_interval(moment, moment * math.hypot(force_error, file.moment))
+    contact_force = with_interval(contact, contact * math.hypot(force_error, of_lateral))
+    yaw_creep = with_interval(moment, moment * math.hypot(force_error, of_moment))
     if isinstance(angles, Reason):
         unknown = Estimate.unknown(angles, 1.0)
-        return _Forces(contact_force, unknown, yaw_creep, unknown)
+        return contact_force, unknown, yaw_creep, unknown
     lateral = _rms(found.lateral[found.valid])
-    larger = found.resultants(half_contact_distance)[:, found.valid].max(axis=0)
+    larger = found.resultants(vehicle_class.parameters.half_contact_distance)[:, found.valid].max(axis=0)
     used = float(np.quantile(larger, USED_QUANTILE)) / (0.5 * vehicle_class.parameters.load)
-    error = math.hypot(LATERAL_ERROR, file.lateral, file.load)
-    return _Forces(
+    error = math.hypot(LATERAL_ERROR, of_lateral, of_load)
+    return (
         contact_force,
         with_interval(lateral, lateral * error),
         yaw_creep,
-        with_interval(used, used * math.hypot(error, file.moment)),
+        with_interval(used, used * math.hypot(error, of_moment)),
     )
 
 

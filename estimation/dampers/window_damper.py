@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.adhesion.gear_segments import GearSegment, GearSegments
+from estimation.adhesion.creep_forces import GearSegment, GearSegments
 from estimation.dampers.damper_filters import LATE_STD_S, DamperFilters, add_products, damper_filters, of_signals
 from estimation.dampers.suspension_equations import mass_std, nominal_damping, uncertain_parameters
 from estimation.dampers.thinning import PASSED_HZ, between_samples, low_pass, stride_of, thinned

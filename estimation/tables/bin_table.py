@@ -228,19 +228,6 @@ def merge_all(tables: Iterable[BinTable | FilledCells], parameters: BinParameter
     return merged.table()
 
 
-def tabulate_window(
-    window: Window,
-    track: TrackAlignment | None,
-    parameters: WindowParameters,
-    correction: Correction | None = None,
-    *,
-    mounted_reversed: bool = False,
-) -> BinTable | Reason:
-    """Return the bin table of ``window`` on ``track``, or why the window is refused."""
-    filled = cells_of_window(window, track, parameters, correction, mounted_reversed=mounted_reversed)
-    return filled if isinstance(filled, Reason) else filled.table()
-
-
 def cells_of_window(
     window: Window,
     track: TrackAlignment | None,
@@ -262,7 +249,7 @@ def cells_of_window(
 
 
 def bin_parameters(parameters: WindowParameters) -> BinParameters:
-    """Return the parameters of the bin tables that :func:`tabulate_window` makes: of band-limited motion."""
+    """Return the parameters of the bin tables that :func:`cells_of_window` makes: of band-limited motion."""
     bogie = parameters.vehicle_class.bogie
     return BinParameters(
         source=parameters.signals.source,

@@ -9,15 +9,8 @@ import numpy as np
 import pytest
 from oracles.creep_excess import creep_excess
 
-from estimation.adhesion.file_errors import FileErrors
-from estimation.adhesion.friction import (
-    LEARNT,
-    FrictionParameters,
-    certain_stretches,
-    low_stretches,
-    pooled_friction,
-    section_adhesion,
-)
+from estimation.adhesion.friction import LEARNT, certain_stretches, low_stretches, pooled_friction, section_adhesion
+from estimation.adhesion.parameters import FileErrors, FrictionParameters
 from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sinusoids import DENSITY, SENSORS, SINGLE, SOFT, judged, windows_of
 
-from estimation.adhesion.gear_segments import gear_segments
+from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers import window_damper
 from estimation.dampers.damper_filters import LATE_STD_S, add_products, damper_filters, gain_std, of_signals
 from estimation.dampers.pooled import posterior
