@@ -15,7 +15,7 @@ wheelset has of its own, such as its vehicle's differences from the class, is a 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated
 
 import numpy as np
@@ -70,16 +70,7 @@ class Rows:
     def chosen(self, which: Sequence[int] | IntArray) -> Rows:
         """Return some of the rows."""
         at = np.asarray(which, dtype=np.int64)
-        return Rows(
-            self.powers[at],
-            self.conicity[at],
-            self.on_file[at],
-            self.speed[at],
-            self.place[at],
-            self.section[at],
-            self.wheelset[at],
-            self.variance[at],
-        )
+        return Rows(*(getattr(self, item.name)[at] for item in fields(self)))
 
 
 def features_of(powers: FloatArray) -> FloatArray:
