@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from bench.report import BenchRow
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import ParameterUncertainty
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.parameters import WindowParameters
 from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
 from estimation.values.arrays import FloatArray

@@ -22,9 +22,9 @@ import scipy.signal
 from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, stationary_filter
 from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
+from estimation.motion.checks import moving_samples
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
 from estimation.motion.parameters import SignalParameters
-from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import ACCELERATIONS, Window

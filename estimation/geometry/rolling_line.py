@@ -31,7 +31,7 @@ import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, zero_crossing
 from estimation.geometry.sharpening import displaced, split_at_rises
-from estimation.motion.cross_level import HIDDEN_SHARE
+from estimation.motion.rolling_radius_difference import HIDDEN_SHARE
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import NORMAL_95
 from estimation.vehicle.equations_of_motion import RAIL_HEAD_RADIUS

@@ -20,10 +20,10 @@ from scipy.interpolate import CubicSpline
 from estimation.compiled import compiled
 from estimation.filters.local_cubic import local_cubic_kernel
 from estimation.filters.smoothing_spline import remove_wander
+from estimation.motion.checks import fast_enough
 from estimation.motion.integration import IntegratedWindow, integrate
-from estimation.motion.parameters import FusionParameters, SignalParameters
-from estimation.motion.rolling_radius_difference import fuse, motion_signals
-from estimation.motion.usable_samples import fast_enough
+from estimation.motion.parameters import SignalParameters
+from estimation.motion.rolling_radius_difference import CROSSOVER, STEP, fuse, motion_signals
 from estimation.values.arrays import FloatArray, frozen_array, runs
 from estimation.values.track import TrackAlignment
 from estimation.values.windows import Window
@@ -199,15 +199,14 @@ def gauge_shift(
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
     if track.findings is None or table is None:
         return None
-    fusion = FusionParameters()
-    ends = fusion.step * (len(local_cubic_kernel(fusion.crossover, fusion.step)) // 2)
+    ends = STEP * (len(local_cubic_kernel(CROSSOVER, STEP)) // 2)
     more = track.findings.stiffness_ratio.get(window.vehicle, 1.0) - 1.0
     e = np.interp(window.distance, track.s, track.gauge_deviation, left=np.nan, right=np.nan)
     shift = np.full(len(window.valid), np.nan)
     usable = window.valid & np.isfinite(e) & fast_enough(window, parameters)
     for segment in integrate(window, usable, parameters, earlier=earlier).segments:
         part, run = segment.part, segment.run
-        grid = fuse(motion_signals(segment, vehicle), vehicle, fusion)
+        grid = fuse(motion_signals(segment, vehicle), vehicle)
         certain = (grid.run >= grid.run[0] + ends) & (grid.run <= grid.run[-1] - ends)
         if not certain.any():
             continue

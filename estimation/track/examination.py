@@ -12,10 +12,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from estimation.motion.checks import check_axis_signs, check_moving, gate, jumps_reason, position_jumps, without_jumps
+from estimation.motion.checks import (
+    check_axis_signs,
+    check_moving,
+    gate,
+    jumps_reason,
+    moving_samples,
+    position_jumps,
+    without_jumps,
+)
 from estimation.motion.integration import integrate
 from estimation.motion.parameters import WindowParameters
-from estimation.motion.usable_samples import moving_samples
 from estimation.track.passes import Pass, passes
 from estimation.track.screening.screen import PassOutcome, PassStatus
 from estimation.values.reasons import Reason, ReasonCode, combined

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import numpy as np
 
+from estimation.motion.checks import moving_samples
 from estimation.motion.integration import IntegratedWindow, bridged, integrate
-from estimation.motion.parameters import FusionParameters, SignalParameters
+from estimation.motion.parameters import SignalParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, fuse, motion_signals
-from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import Correction
@@ -106,7 +106,7 @@ def _placed(
     direction, facing = ways
     if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
         return []
-    grid = fuse(signals, vehicle, FusionParameters())
+    grid = fuse(signals, vehicle)
     if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
         return []
     along = slice(None, None, direction)

@@ -103,8 +103,9 @@ class ContactState:
 
 def lateral_suspension_force(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
     """Return Fsy (n,), N: the force of spring and damper on the wheelset, positive to the left (Eq. 4)."""
-    y, v, ym, vm = (_array(value) for value in _lateral(state))
-    return parameters.lateral_stiffness * (ym - y) + parameters.lateral_damping * (vm - v)
+    deflection = _array(state.mass_lateral_displacement) - _array(state.lateral_displacement)
+    rate = _array(state.mass_lateral_velocity) - _array(state.lateral_velocity)
+    return parameters.lateral_stiffness * deflection + parameters.lateral_damping * rate
 
 
 def yaw_suspension_moment(parameters: VehicleParameters, state: WheelsetState) -> FloatArray:
@@ -182,15 +183,6 @@ def creep_rate(parameters: VehicleParameters, speed: float) -> float:
 
 def _array(value: npt.ArrayLike) -> FloatArray:
     return np.asarray(value, dtype=np.float64)
-
-
-def _lateral(state: WheelsetState) -> tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]:
-    return (
-        state.lateral_displacement,
-        state.lateral_velocity,
-        state.mass_lateral_displacement,
-        state.mass_lateral_velocity,
-    )
 
 
 def _radius_sum(contact: ContactState) -> FloatArray:

@@ -93,48 +93,6 @@ def signals_of(motion: Motion) -> Signals:
 _NOTHING = frozen_array(np.zeros(0), (0,), name="nothing")
 
 
-def coefficients_of(
-    p: VehicleParameters,
-    angle_factor: float,
-    difference_noise: float,
-    displacement_noise: float,
-    wheelbase: float,
-    *,
-    in_bogie: bool,
-) -> Coefficients:
-    """Return the coefficients of a vehicle.
-
-    Args:
-        angle_factor: x2, N.
-        difference_noise: Variance of R by the noise of the sensors times the cube of the speed, m2 (m/s)3.
-        displacement_noise: Variance of y - d by the noise of the sensors, m2.
-        wheelbase: Of the bogie, m; without one it plays no part.
-        in_bogie: Whether the yaw spring is tied to the frame of a bogie.
-    """
-    return Coefficients(
-        p.longitudinal_creep_coefficient,
-        p.lateral_creep_coefficient,
-        p.lateral_spin_creep_coefficient,
-        p.spin_creep_coefficient,
-        p.lateral_damping,
-        p.yaw_damping,
-        p.yaw_inertia,
-        p.pitch_inertia,
-        p.half_contact_distance,
-        p.wheelset_mass,
-        p.lateral_stiffness,
-        p.yaw_stiffness,
-        p.load,
-        p.nominal_radius,
-        p.axle_load,
-        angle_factor,
-        difference_noise,
-        displacement_noise,
-        wheelbase,
-        in_bogie,
-    )
-
-
 @compiled(nogil=True, error_model="numpy")
 def lateral_equation(signals: Signals, k: Coefficients, i: int, row: FloatArray) -> None:
     """Write x1, x2 and the targets of Eq. 1 of sample ``i``."""
@@ -283,6 +241,15 @@ def coefficients(
     """Return the coefficients of both equations."""
     f11 = parameters.longitudinal_creep_coefficient / motion.stiffness_ratio
     p = replace(parameters, longitudinal_creep_coefficient=f11)
-    in_bogie = motion.frame_yaw is not None and motion.frame_displacement is not None
-    noises = difference_noise, motion.displacement_noise
-    return coefficients_of(p, angle_difference_factor(p), *noises, wheelbase, in_bogie=in_bogie)
+    return Coefficients(
+        f11=p.longitudinal_creep_coefficient,
+        f22=p.lateral_creep_coefficient,
+        f23=p.lateral_spin_creep_coefficient,
+        f33=p.spin_creep_coefficient,
+        **{name: getattr(p, name) for name in Coefficients._fields if hasattr(p, name)},
+        angle_factor=angle_difference_factor(p),
+        difference_noise=difference_noise,
+        displacement_noise=motion.displacement_noise,
+        wheelbase=wheelbase,
+        in_bogie=motion.frame_yaw is not None and motion.frame_displacement is not None,
+    )
