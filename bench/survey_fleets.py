@@ -26,7 +26,7 @@ from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, SensorChannel, SensorLayout, VehicleClass
-from ingest.simulator.isolated import Isolated, IsolatedKind
+from ingest.simulator.irregularity import Isolated, IsolatedKind
 from ingest.simulator.motion import STEP, PreparedTable, WheelsetMotion
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.sensors import draw_offsets, measure
