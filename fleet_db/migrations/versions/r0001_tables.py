@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 import uuid
-from functools import partial
 from typing import Any
 
 import sqlalchemy as sa
@@ -17,18 +16,22 @@ down_revision: str | None = None
 branch_labels: str | None = None
 depends_on: str | None = None
 
-INTEGER, BIG, FLAG = sa.Integer(), sa.BigInteger(), sa.Boolean()
-REAL: sa.Double[float] = sa.Double()
-CODE, TEXT, JSON, BLOB = sa.String(64), sa.Text(), sa.JSON(), sa.LargeBinary()
-# SQLite numbers rows by itself only in a column declared INTEGER, which there is 64 bits wide as well
-SERIAL = sa.BigInteger().with_variant(sa.Integer(), "sqlite")
 TABLES = sa.MetaData(naming_convention=NAMING)
-
-required = partial(sa.Column, nullable=False)
-
-
-def where(condition: str) -> dict[str, Any]:
-    return {"sqlite_where": sa.text(condition), "postgresql_where": sa.text(condition)}
+types: dict[str, sa.types.TypeEngine[Any]] = {
+    # SQLite numbers rows by itself only in a column declared INTEGER, which there is 64 bits wide as well
+    "serial": sa.BigInteger().with_variant(sa.Integer(), "sqlite"),
+    "integer": sa.Integer(),
+    "big": sa.BigInteger(),
+    "flag": sa.Boolean(),
+    "real": sa.Double(),
+    "code": sa.String(64),
+    "text": sa.Text(),
+    "json": sa.JSON(),
+    "blob": sa.LargeBinary(),
+    **{f"s{length}": sa.String(length) for length in (8, 16, 32, 40, 128, 192, 255)},
+}
+BIN_QUANTITIES = ("rolling_radius_sum", "rolling_radius_difference", "contact_angle_sum", "contact_angle_difference")
+Items = list[sa.schema.SchemaItem]
 
 
 def upgrade() -> None:
@@ -38,941 +41,615 @@ def upgrade() -> None:
     op.bulk_insert(feed_branches, [branch])
 
 
-sa.Table(
+def table(name: str, *parts: Items | sa.schema.SchemaItem, numbered: bool = False) -> sa.Table:
+    """Add a table; ``numbered``: SQLite uses no number of a row twice."""
+    items = [item for part in parts for item in (part if isinstance(part, list) else [part])]
+    return sa.Table(name, TABLES, *items, sqlite_autoincrement=numbered)
+
+
+def columns(names_by_type: dict[str, str], *, nullable: bool = True, primary_key: bool = False) -> Items:
+    """Return columns; ``wheelset>wheelsets.serial`` refers to that column."""
+    items: Items = []
+    for kind, names in names_by_type.items():
+        for name, _, target in (name.partition(">") for name in names.split()):
+            to = [sa.ForeignKey(target)] if target else []
+            items.append(sa.Column(name, types[kind], *to, nullable=nullable, primary_key=primary_key))
+    return items
+
+
+def key(**names_by_type: str) -> Items:
+    return columns(names_by_type, nullable=False, primary_key=True)
+
+
+def required(**names_by_type: str) -> Items:
+    return columns(names_by_type, nullable=False)
+
+
+def optional(**names_by_type: str) -> Items:
+    return columns(names_by_type)
+
+
+def checks(**conditions: str) -> Items:
+    return [sa.CheckConstraint(condition, name=name) for name, condition in conditions.items()]
+
+
+def known(names: str, values: str) -> Items:
+    return [one_of(name, values.split()) for name in names.split()]
+
+
+def indexes(*names: str) -> Items:
+    return [sa.Index(None, *columns.split()) for columns in names]
+
+
+def part(name: str, names: str, condition: str, *, unique: bool = False) -> sa.Index:
+    """Return the index of the rows that meet a condition."""
+    where = sa.text(condition)
+    return sa.Index(name, *names.split(), unique=unique, sqlite_where=where, postgresql_where=where)
+
+
+def chunks_by_length(first: str, last: str) -> list[sa.Index]:
+    """Return an index each of the decoded chunks of up to a minute, up to an hour and longer."""
+    short, middle = f"{last} - {first} <= 60000000000", f"{last} - {first} <= 3600000000000"
+    lengths = {"short": short, "middle": f"{short.replace('<=', '>')} AND {middle}", "long": middle.replace("<=", ">")}
+    return [
+        part(f"ix_chunks_{name}_{first}", f"vehicle {first}", f"state = 'decoded' AND {condition}")
+        for name, condition in lengths.items()
+    ]
+
+
+table(
     "api_keys",
-    TABLES,
-    sa.Column("prefix", sa.String(8), primary_key=True),
-    required("digest", CODE),
-    required("owner", TEXT),
-    required("scopes", JSON),
-    sa.Column("fleets", JSON),
-    required("created_ns", BIG),
-    required("created_by", TEXT),
-    sa.Column("expires_ns", BIG),
-    sa.Column("revoked_ns", BIG),
-    sa.Column("last_used_ns", BIG),
+    key(s8="prefix"),
+    required(code="digest", text="owner created_by", json="scopes", big="created_ns"),
+    optional(json="fleets", big="expires_ns revoked_ns last_used_ns"),
 )
-sa.Table(
+table(
     "audit_entries",
-    TABLES,
-    sa.Column("entry_id", SERIAL, primary_key=True),
-    required("at_ns", BIG),
-    sa.Column("owner", TEXT),
-    sa.Column("key_prefix", CODE),
-    required("method", sa.String(16)),
-    required("path", TEXT),
-    required("status", INTEGER),
-    sa.Column("object", TEXT),
-    sa.Column("address", TEXT),
-    sa.Column("request_id", CODE),
-    sa.Index(None, "at_ns"),
-    sa.Index(None, "key_prefix", "entry_id"),
-    sqlite_autoincrement=True,
+    key(serial="entry_id"),
+    required(big="at_ns", s16="method", text="path", integer="status"),
+    optional(text="owner object address", code="key_prefix request_id"),
+    indexes("at_ns", "key_prefix entry_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "window_adhesion",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    sa.Column("track_section", CODE, sa.ForeignKey("track_sections.code")),
-    required("content_digest", CODE),
-    required("with_sums", FLAG),
-    required("packed", BLOB),
-    sa.Index(None, "track_section", "start_ns"),
+    key(code="wheelset>wheelsets.serial", big="start_ns"),
+    required(code="content_digest", flag="with_sums", blob="packed"),
+    optional(code="track_section>track_sections.code"),
+    indexes("track_section start_ns"),
 )
-sa.Table(
+table(
     "section_adhesion",
-    TABLES,
-    sa.Column("track_section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("to_ns", BIG, primary_key=True),
-    required("from_ns", BIG),
-    required("code_version", TEXT),
-    required("made_with", CODE),
-    required("packed", BLOB),
-    sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
+    key(code="track_section>track_sections.code", big="to_ns"),
+    required(big="from_ns", text="code_version", code="made_with", blob="packed"),
+    checks(from_before_to="from_ns <= to_ns"),
 )
-sa.Table(
+table(
     "alerts",
-    TABLES,
-    sa.Column("alert_id", SERIAL, primary_key=True),
-    required("fleet", CODE, sa.ForeignKey("fleets.code")),
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("kind", sa.String(32)),
-    required("severity", sa.String(16)),
-    required("condition", sa.String(16)),
-    required("opened_ns", BIG),
-    required("last_seen_ns", BIG),
-    required("occurrence_count", BIG),
-    sa.Column("probability", REAL),
-    required("evidence", JSON),
-    required("action", TEXT),
-    sa.Column("raise_limit", REAL),
-    sa.Column("clear_limit", REAL),
-    sa.Column("cleared_ns", BIG),
-    sa.Column("closed_ns", BIG),
-    sa.Column("close_reason", TEXT),
-    sa.Column("close_code", CODE),
-    sa.Column("acknowledged_by", TEXT),
-    sa.Column("acknowledged_ns", BIG),
-    sa.Column("shelved_until_ns", BIG),
-    sa.Column("shelved_reason", TEXT),
-    required("external_refs", JSON),
-    sa.Column("fleet_alert_id", BIG, sa.ForeignKey("alerts.alert_id")),
-    sa.Column("rules_version", TEXT),
-    sa.Column("track_section", CODE),
-    required("version", INTEGER),
-    one_of("condition", ("pending", "active", "cleared", "unknown")),
-    sa.CheckConstraint("kind <> ''", name="kind_named"),
-    sa.CheckConstraint("wheelset IS NOT NULL OR fleet_alert_id IS NULL", name="members_have_wheelset"),
-    sa.CheckConstraint("occurrence_count > 0", name="occurrences_counted"),
-    one_of("severity", ("info", "warning", "critical")),
-    sa.CheckConstraint("version > 0", name="version_positive"),
-    sa.Index(None, "fleet_alert_id"),
-    sa.Index(None, "severity", "alert_id"),
-    sa.Index(None, "wheelset"),
-    sa.Index("uq_alerts_one_open", "fleet", "wheelset", "kind", unique=True, **where("closed_ns IS NULL")),
-    sa.Index(
+    key(serial="alert_id"),
+    required(
+        code="fleet>fleets.code",
+        s32="kind",
+        s16="severity condition",
+        big="opened_ns last_seen_ns occurrence_count",
+        json="evidence external_refs",
+        text="action",
+        integer="version",
+    ),
+    optional(
+        code="wheelset>wheelsets.serial close_code track_section",
+        real="probability raise_limit clear_limit",
+        big="cleared_ns closed_ns acknowledged_ns shelved_until_ns fleet_alert_id>alerts.alert_id",
+        text="close_reason acknowledged_by shelved_reason rules_version",
+    ),
+    checks(
+        kind_named="kind <> ''",
+        members_have_wheelset="wheelset IS NOT NULL OR fleet_alert_id IS NULL",
+        occurrences_counted="occurrence_count > 0",
+        version_positive="version > 0",
+    ),
+    known("condition", "pending active cleared unknown"),
+    known("severity", "info warning critical"),
+    indexes("fleet_alert_id", "severity alert_id", "wheelset"),
+    part("uq_alerts_one_open", "fleet wheelset kind", "closed_ns IS NULL", unique=True),
+    part(
         "uq_alerts_one_open_of_fleet",
-        "fleet",
-        "kind",
+        "fleet kind",
+        "wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL",
         unique=True,
-        **where("wheelset IS NULL AND track_section IS NULL AND closed_ns IS NULL"),
     ),
-    sa.Index(
+    part(
         "uq_alerts_one_open_of_section",
-        "fleet",
-        "track_section",
-        "kind",
+        "fleet track_section kind",
+        "track_section IS NOT NULL AND closed_ns IS NULL",
         unique=True,
-        **where("track_section IS NOT NULL AND closed_ns IS NULL"),
     ),
-    sqlite_autoincrement=True,
+    numbered=True,
 )
-sa.Table(
+table(
     "alert_events",
-    TABLES,
-    sa.Column("sequence", SERIAL, primary_key=True),
-    required("alert_id", BIG, sa.ForeignKey("alerts.alert_id")),
-    required("kind", sa.String(16)),
-    required("alert", JSON),
-    required("recorded_ns", BIG),
-    required("actor", TEXT),
-    required("note", TEXT),
-    required("in_feed", FLAG),
-    one_of("kind", ("raised", "updated", "acknowledged", "shelved", "unshelved", "cleared", "closed")),
-    sa.Index(None, "alert_id"),
-    sqlite_autoincrement=True,
+    key(serial="sequence"),
+    required(big="alert_id>alerts.alert_id recorded_ns", s16="kind", json="alert", text="actor note", flag="in_feed"),
+    known("kind", "raised updated acknowledged shelved unshelved cleared closed"),
+    indexes("alert_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "window_bin_tables",
-    TABLES,
-    sa.Column("wheelset", CODE, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    sa.Column("track_version", INTEGER),
-    required("window_digest", CODE),
-    required("parameter_key", sa.String(128)),
-    required("samples", BIG),
-    sa.Column("content_digest", CODE),
-    sa.Column("running_km", REAL),
-    required("packed", BLOB),
+    key(code="wheelset", big="start_ns"),
+    required(code="window_digest", s128="parameter_key", big="samples", blob="packed"),
+    optional(integer="track_version", code="content_digest", real="running_km"),
     sa.ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
 )
-sa.Table(
+table(
     "window_due",
-    TABLES,
-    sa.Column("stage", sa.String(32), primary_key=True),
-    sa.Column("wheelset", CODE, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("vehicle", CODE),
-    required("section", CODE),
-    required("version", BIG),
-    sa.Index(None, "stage", "section", "start_ns"),
-    sa.Index(None, "stage", "vehicle", "start_ns"),
+    key(s32="stage", code="wheelset", big="start_ns"),
+    required(code="vehicle section", big="version"),
+    indexes("stage section start_ns", "stage vehicle start_ns"),
 )
-sa.Table(
+table(
     "wheelset_bins",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("bin", INTEGER, primary_key=True),
-    required("geometry_id", BIG, sa.ForeignKey("results.result_id")),
-    required("lateral_displacement_low_m", REAL),
-    required("lateral_displacement_high_m", REAL),
-    sa.Column("samples", REAL),
-    sa.Column("rolling_radius_sum_m", REAL),
-    sa.Column("rolling_radius_sum_std_m", REAL),
-    required("rolling_radius_sum_status", sa.String(40)),
-    sa.Column("rolling_radius_difference_m", REAL),
-    sa.Column("rolling_radius_difference_std_m", REAL),
-    required("rolling_radius_difference_status", sa.String(40)),
-    sa.Column("contact_angle_sum_rad", REAL),
-    sa.Column("contact_angle_sum_std_rad", REAL),
-    required("contact_angle_sum_status", sa.String(40)),
-    sa.Column("contact_angle_difference_rad", REAL),
-    sa.Column("contact_angle_difference_std_rad", REAL),
-    required("contact_angle_difference_status", sa.String(40)),
-    one_of("contact_angle_difference_status", ("estimated", "too_few_samples", "contact_jump", "unobservable")),
-    one_of("contact_angle_sum_status", ("estimated", "too_few_samples", "contact_jump", "unobservable")),
-    one_of("rolling_radius_difference_status", ("estimated", "too_few_samples", "contact_jump", "unobservable")),
-    one_of("rolling_radius_sum_status", ("estimated", "too_few_samples", "contact_jump", "unobservable")),
+    key(code="wheelset>wheelsets.serial", integer="bin"),
+    required(
+        big="geometry_id>results.result_id",
+        real="lateral_displacement_low_m lateral_displacement_high_m",
+        s40=" ".join(f"{quantity}_status" for quantity in BIN_QUANTITIES),
+    ),
+    optional(
+        real="samples rolling_radius_sum_m rolling_radius_sum_std_m rolling_radius_difference_m "
+        "rolling_radius_difference_std_m contact_angle_sum_rad contact_angle_sum_std_rad contact_angle_difference_rad "
+        "contact_angle_difference_std_rad"
+    ),
+    known(
+        " ".join(f"{quantity}_status" for quantity in BIN_QUANTITIES),
+        "estimated too_few_samples contact_jump unobservable",
+    ),
 )
-sa.Table(
+table(
     "chunks",
-    TABLES,
-    sa.Column("digest", CODE, primary_key=True),
-    required("vehicle", CODE),
-    required("suffix", sa.String(16)),
-    required("size_bytes", BIG),
-    required("state", sa.String(16)),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    sa.Column("first_ns", BIG),
-    sa.Column("last_ns", BIG),
-    required("frames", BIG),
-    required("counts", JSON),
-    required("received_ns", BIG),
-    required("recorded_ns", BIG),
-    sa.Column("purged_ns", BIG),
-    sa.Column("clock_checked_ns", BIG),
-    sa.Column("file_name", TEXT),
-    sa.Column("sender", TEXT),
-    sa.Column("recorder_first_ns", BIG),
-    sa.Column("recorder_last_ns", BIG),
-    sa.CheckConstraint("(first_ns IS NULL) = (last_ns IS NULL)", name="both_ends_or_none"),
-    sa.CheckConstraint("last_ns >= first_ns", name="ends_after_start"),
-    sa.CheckConstraint("size_bytes >= 0", name="size_counted"),
-    one_of("state", ("stored", "decoded", "rejected", "set_aside", "deleted")),
-    sa.Index(
-        "ix_chunks_long_first_ns",
-        "vehicle",
-        "first_ns",
-        **where("state = 'decoded' AND last_ns - first_ns > 3600000000000"),
+    key(code="digest"),
+    required(
+        code="vehicle",
+        s16="suffix state",
+        big="size_bytes frames received_ns recorded_ns",
+        text="reason",
+        json="counts",
     ),
-    sa.Index(
-        "ix_chunks_long_recorder_first_ns",
-        "vehicle",
-        "recorder_first_ns",
-        **where("state = 'decoded' AND recorder_last_ns - recorder_first_ns > 3600000000000"),
+    optional(
+        code="reason_code",
+        big="first_ns last_ns purged_ns clock_checked_ns recorder_first_ns recorder_last_ns",
+        text="file_name sender",
     ),
-    sa.Index(
-        "ix_chunks_middle_first_ns",
-        "vehicle",
-        "first_ns",
-        **where("state = 'decoded' AND last_ns - first_ns > 60000000000 AND last_ns - first_ns <= 3600000000000"),
+    checks(
+        both_ends_or_none="(first_ns IS NULL) = (last_ns IS NULL)",
+        ends_after_start="last_ns >= first_ns",
+        size_counted="size_bytes >= 0",
     ),
-    sa.Index(
-        "ix_chunks_middle_recorder_first_ns",
-        "vehicle",
-        "recorder_first_ns",
-        **where(
-            "state = 'decoded' AND recorder_last_ns - recorder_first_ns > 60000000000 "
-            "AND recorder_last_ns - recorder_first_ns <= 3600000000000"
-        ),
-    ),
-    sa.Index(None, "received_ns", "digest"),
-    sa.Index(
-        "ix_chunks_short_first_ns",
-        "vehicle",
-        "first_ns",
-        **where("state = 'decoded' AND last_ns - first_ns <= 60000000000"),
-    ),
-    sa.Index(
-        "ix_chunks_short_recorder_first_ns",
-        "vehicle",
-        "recorder_first_ns",
-        **where("state = 'decoded' AND recorder_last_ns - recorder_first_ns <= 60000000000"),
-    ),
-    sa.Index(None, "state", "recorded_ns"),
-    sa.Index(
-        "ix_chunks_undecoded", "recorded_ns", "digest", "size_bytes", **where("reason_code = 'waits_for_decoding'")
-    ),
+    known("state", "stored decoded rejected set_aside deleted"),
+    indexes("received_ns digest", "state recorded_ns"),
+    *chunks_by_length("first_ns", "last_ns"),
+    *chunks_by_length("recorder_first_ns", "recorder_last_ns"),
+    part("ix_chunks_undecoded", "recorded_ns digest size_bytes", "reason_code = 'waits_for_decoding'"),
 )
-sa.Table(
+table(
     "window_dampers",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("first_axle", INTEGER, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("content_digest", CODE),
-    required("packed", BLOB),
-    sa.CheckConstraint("first_axle > 0", name="first_axle_positive"),
+    key(code="vehicle>vehicles.code", integer="first_axle", big="start_ns"),
+    required(code="wheelset>wheelsets.serial content_digest", blob="packed"),
+    checks(first_axle_positive="first_axle > 0"),
 )
-feed_branches = sa.Table(
+feed_branches = table(
     "feed_branches",
-    TABLES,
-    sa.Column("branch_id", SERIAL, primary_key=True),
-    required("identity", sa.String(32), unique=True),
-    required("after_sequence", BIG),
-    required("began_ns", BIG),
-    sqlite_autoincrement=True,
+    key(serial="branch_id"),
+    required(big="after_sequence began_ns"),
+    sa.Column("identity", types["s32"], unique=True, nullable=False),
+    numbered=True,
 )
-sa.Table(
-    "fleets",
-    TABLES,
-    sa.Column("code", CODE, primary_key=True),
-    required("name", TEXT),
-)
-sa.Table(
+table("fleets", key(code="code"), required(text="name"))
+table(
     "idempotency_keys",
-    TABLES,
-    sa.Column("key", sa.String(255), primary_key=True),
-    required("request_digest", CODE),
-    required("status_code", INTEGER),
-    required("body", TEXT),
-    required("recorded_ns", BIG),
+    key(s255="key"),
+    required(code="request_digest", integer="status_code", text="body", big="recorded_ns"),
 )
-sa.Table(
+table(
     "job_runs",
-    TABLES,
-    sa.Column("run_id", SERIAL, primary_key=True),
-    required("job", CODE),
-    required("trigger", sa.String(16)),
-    required("started_ns", BIG),
-    sa.Column("finished_ns", BIG),
-    required("outcome", sa.String(16)),
-    required("counts", JSON),
-    sa.Column("error", TEXT),
-    sa.Column("owner", BIG),
-    one_of("outcome", ("running", "succeeded", "failed", "abandoned")),
-    sa.CheckConstraint("(outcome = 'running') = (finished_ns IS NULL)", name="running_until_finished"),
-    sa.Index(None, "job", "run_id"),
-    sqlite_autoincrement=True,
+    key(serial="run_id"),
+    required(code="job", s16="trigger outcome", big="started_ns", json="counts"),
+    optional(big="finished_ns owner", text="error"),
+    checks(running_until_finished="(outcome = 'running') = (finished_ns IS NULL)"),
+    known("outcome", "running succeeded failed abandoned"),
+    indexes("job run_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "measured_profiles",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("at_ns", BIG, primary_key=True),
-    required("mileage_km", REAL),
-    required("std_m", REAL),
-    required("packed", BLOB),
-    sa.CheckConstraint("std_m > 0", name="std_positive"),
+    key(code="wheelset>wheelsets.serial", big="at_ns"),
+    required(real="mileage_km std_m", blob="packed"),
+    checks(std_positive="std_m > 0"),
 )
-sa.Table(
+table(
     "mountings",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("from_ns", BIG, primary_key=True),
-    sa.Column("to_ns", BIG),
-    required("vehicle", CODE, sa.ForeignKey("vehicles.code")),
-    required("axle", INTEGER),
-    required("vehicle_odometer_km", REAL),
-    required("wheelset_mileage_km", REAL),
-    required("reversed", FLAG),
-    sa.CheckConstraint("axle > 0", name="axle_positive"),
-    sa.CheckConstraint("to_ns IS NULL OR to_ns > from_ns", name="ends_after_start"),
+    key(code="wheelset>wheelsets.serial", big="from_ns"),
+    required(
+        code="vehicle>vehicles.code", integer="axle", real="vehicle_odometer_km wheelset_mileage_km", flag="reversed"
+    ),
+    optional(big="to_ns"),
+    checks(axle_positive="axle > 0", ends_after_start="to_ns IS NULL OR to_ns > from_ns"),
     sa.UniqueConstraint("vehicle", "axle", "from_ns"),
 )
-sa.Table(
+table(
     "purges",
-    TABLES,
-    sa.Column("purge_id", SERIAL, primary_key=True),
-    required("kind", sa.String(32)),
-    required("before_ns", BIG),
-    required("items", BIG),
-    required("item_bytes", BIG),
-    required("purged_ns", BIG),
-    sa.CheckConstraint("items >= 0", name="items_counted"),
-    sa.Index(None, "kind", "before_ns"),
-    sqlite_autoincrement=True,
+    key(serial="purge_id"),
+    required(s32="kind", big="before_ns items item_bytes purged_ns"),
+    checks(items_counted="items >= 0"),
+    indexes("kind before_ns"),
+    numbered=True,
 )
-sa.Table(
+table(
     "quarantine",
-    TABLES,
-    sa.Column("kind", sa.String(16), primary_key=True),
-    sa.Column("key", sa.String(128), primary_key=True),
-    sa.Column("stage", CODE, primary_key=True),
-    required("code", CODE),
-    required("error", TEXT),
-    required("inputs", TEXT),
-    required("first_ns", BIG),
-    required("last_ns", BIG),
-    required("due_ns", BIG),
-    required("attempts", BIG),
-    required("state", sa.String(16)),
-    one_of("kind", ("recording", "window", "wheelset", "section", "vehicle", "fleet")),
-    one_of("state", ("held", "resolved")),
-    sa.CheckConstraint("attempts >= 1", name="tried"),
-    sa.Index(None, "stage", "state"),
-    sa.Index(None, "state", "last_ns"),
+    key(s16="kind", s128="key", code="stage"),
+    required(code="code", text="error inputs", big="first_ns last_ns due_ns attempts", s16="state"),
+    checks(tried="attempts >= 1"),
+    known("kind", "recording window wheelset section vehicle fleet"),
+    known("state", "held resolved"),
+    indexes("stage state", "state last_ns"),
 )
-sa.Table(
+table(
     "recording_changes",
-    TABLES,
-    sa.Column("id", SERIAL, primary_key=True),
-    required("digest", CODE),
-    required("action", sa.String(16)),
-    required("recorded_ns", BIG),
-    required("actor", TEXT),
-    required("why", TEXT),
-    required("vehicle_before", CODE),
-    required("state_before", sa.String(16)),
-    required("vehicle_after", CODE),
-    required("state_after", sa.String(16)),
-    one_of("action", ("retry", "set_aside", "restore", "reassign", "delete", "take_again")),
-    one_of("state_after", ("stored", "decoded", "rejected", "set_aside", "deleted")),
-    one_of("state_before", ("stored", "decoded", "rejected", "set_aside", "deleted")),
-    sa.Index(None, "digest", "id"),
-    sqlite_autoincrement=True,
-)
-sa.Table(
-    "raw_marks",
-    TABLES,
-    sa.Column("mark", CODE, primary_key=True),
-    required("recorded_ns", BIG),
-)
-sa.Table(
-    "rail_cells",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("baseline", INTEGER, primary_key=True),
-    sa.Column("mileage_interval", INTEGER, primary_key=True),
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("period", INTEGER, primary_key=True),
-    required("digest", CODE),
-    required("interval_digest", CODE),
-    required("document", JSON),
-    sa.CheckConstraint("baseline >= 0", name="baseline_counted"),
-    sa.CheckConstraint("period >= 0", name="period_counted"),
-)
-sa.Table(
-    "raw_scrubs",
-    TABLES,
-    sa.Column("scrub_id", SERIAL, primary_key=True),
-    required("started_ns", BIG),
-    sa.Column("finished_ns", BIG),
-    required("after_digest", CODE),
-    required("files", BIG),
-    required("file_bytes", BIG),
-    required("faults", BIG),
-)
-sa.Table(
-    "registry_events",
-    TABLES,
-    sa.Column("id", SERIAL, primary_key=True),
-    required("kind", sa.String(16)),
-    required("subject", CODE),
-    sa.Column("at_ns", BIG),
-    required("action", sa.String(16)),
-    required("actor", TEXT),
-    required("reason", TEXT),
-    required("record", JSON),
-    sa.Column("recorded_ns", BIG),
-    sa.Column("after", JSON),
-    one_of("action", ("entered", "changed", "voided", "restored")),
-    one_of(
-        "kind",
-        ("mounting", "reprofiling", "measurement", "wheelset", "section", "vehicle", "vehicle_class", "sensor_change"),
+    key(serial="id"),
+    required(
+        code="digest vehicle_before vehicle_after",
+        s16="action state_before state_after",
+        big="recorded_ns",
+        text="actor why",
     ),
-    sa.Index(None, "subject", "kind"),
-    sqlite_autoincrement=True,
+    known("action", "retry set_aside restore reassign delete take_again"),
+    known("state_after state_before", "stored decoded rejected set_aside deleted"),
+    indexes("digest id"),
+    numbered=True,
 )
-sa.Table(
+table("raw_marks", key(code="mark"), required(big="recorded_ns"))
+table(
+    "rail_cells",
+    key(code="wheelset>wheelsets.serial", integer="baseline mileage_interval"),
+    key(code="section>track_sections.code", integer="period"),
+    required(code="digest interval_digest", json="document"),
+    checks(baseline_counted="baseline >= 0", period_counted="period >= 0"),
+)
+table(
+    "raw_scrubs",
+    key(serial="scrub_id"),
+    required(big="started_ns files file_bytes faults", code="after_digest"),
+    optional(big="finished_ns"),
+)
+table(
+    "registry_events",
+    key(serial="id"),
+    required(s16="kind action", code="subject", text="actor reason", json="record"),
+    optional(big="at_ns recorded_ns", json="after"),
+    known("action", "entered changed voided restored"),
+    known("kind", "mounting reprofiling measurement wheelset section vehicle vehicle_class sensor_change"),
+    indexes("subject kind"),
+    numbered=True,
+)
+table(
     "roll_ups",
-    TABLES,
-    sa.Column("number", SERIAL, primary_key=True),
-    required("wheelset", CODE, sa.ForeignKey("wheelsets.serial")),
-    required("baseline", INTEGER),
-    required("baseline_interval", INTEGER),
-    required("side", INTEGER),
-    required("table_key", sa.String(128)),
-    required("vehicle_class", CODE),
-    required("windows", BIG),
-    required("content", CODE),
-    required("first_ns", BIG),
-    required("last_ns", BIG),
-    required("sealed", FLAG, server_default=sa.false()),
-    required("summary", JSON),
-    required("plain", BLOB),
-    sa.Column("forgetting", BLOB),
-    sa.CheckConstraint("windows >= 0", name="windows_counted"),
+    key(serial="number"),
+    required(
+        code="wheelset>wheelsets.serial vehicle_class content",
+        integer="baseline baseline_interval side",
+        s128="table_key",
+        big="windows first_ns last_ns",
+        json="summary",
+        blob="plain",
+    ),
+    optional(blob="forgetting"),
+    sa.Column("sealed", types["flag"], server_default=sa.false(), nullable=False),
+    checks(windows_counted="windows >= 0"),
     sa.UniqueConstraint(
         "wheelset", "baseline", "baseline_interval", "side", "table_key", "vehicle_class", name="uq_roll_ups_key"
     ),
 )
-sa.Table(
+table(
     "roll_up_states",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("rules", CODE),
-    required("classes", JSON),
-    sa.Column("earlier_digest", CODE),
-    sa.Column("earlier", BLOB),
+    key(code="wheelset>wheelsets.serial"),
+    required(code="rules", json="classes"),
+    optional(code="earlier_digest", blob="earlier"),
 )
-sa.Table(
+table(
     "rolling_sums",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("window_digest", CODE),
-    required("assumed", sa.String(192)),
-    required("packed", BLOB),
+    key(code="wheelset>wheelsets.serial", big="start_ns"),
+    required(code="window_digest", s192="assumed", blob="packed"),
 )
-sa.Table(
+table(
     "stage_marks",
-    TABLES,
-    sa.Column("stage", sa.String(32), primary_key=True),
-    sa.Column("subject", CODE, primary_key=True),
-    required("seen", BIG),
-    required("common", CODE),
-    required("made_from", CODE),
-    sa.Column("again_ns", BIG),
+    key(s32="stage", code="subject"),
+    required(big="seen", code="common made_from"),
+    optional(big="again_ns"),
 )
-sa.Table(
-    "subject_versions",
-    TABLES,
-    sa.Column("kind", sa.String(16), primary_key=True),
-    sa.Column("subject", CODE, primary_key=True),
-    sa.Column("facet", sa.String(32), primary_key=True),
-    required("version", BIG),
-)
-sa.Table(
+table("subject_versions", key(s16="kind", code="subject", s32="facet"), required(big="version"))
+table(
     "sensor_changes",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("axle", INTEGER, primary_key=True),
-    sa.Column("at_ns", BIG, primary_key=True),
-    required("work", sa.String(16)),
-    required("removed", TEXT),
-    required("fitted", TEXT),
-    required("note", TEXT),
-    sa.CheckConstraint("axle > 0", name="axle_positive"),
-    one_of("work", ("swap", "calibration")),
+    key(code="vehicle>vehicles.code", integer="axle", big="at_ns"),
+    required(s16="work", text="removed fitted note"),
+    checks(axle_positive="axle > 0"),
+    known("work", "swap calibration"),
 )
-sa.Table(
-    "stored_settings",
-    TABLES,
-    sa.Column("name", CODE, primary_key=True),
-    required("value", TEXT),
-    required("recorded_ns", BIG),
-)
-sa.Table(
+table("stored_settings", key(code="name"), required(text="value", big="recorded_ns"))
+table(
     "wear_signatures",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("vehicle", CODE, sa.ForeignKey("vehicles.code")),
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code")),
-    sa.Column("speed_band_m_s", INTEGER),
-    required("window_digest", CODE),
-    required("assumed", CODE),
-    required("places", BIG),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    required("packed", BLOB),
-    sa.CheckConstraint("places >= 0", name="places_counted"),
+    key(code="wheelset>wheelsets.serial", big="start_ns"),
+    required(code="vehicle>vehicles.code window_digest assumed", big="places", text="reason", blob="packed"),
+    optional(code="section>track_sections.code reason_code", integer="speed_band_m_s"),
+    checks(places_counted="places >= 0"),
 )
-sa.Table(
+table(
     "stale_spans",
-    TABLES,
-    sa.Column("id", SERIAL, primary_key=True),
-    required("vehicle", CODE),
-    required("from_ns", BIG),
-    required("to_ns", BIG),
-    required("cause", TEXT),
-    sa.CheckConstraint("to_ns > from_ns", name="ends_after_start"),
-    sa.Index(None, "vehicle", "from_ns"),
-    sqlite_autoincrement=True,
+    key(serial="id"),
+    required(code="vehicle", big="from_ns to_ns", text="cause"),
+    checks(ends_after_start="to_ns > from_ns"),
+    indexes("vehicle from_ns"),
+    numbered=True,
 )
-sa.Table(
+table(
     "suspension_findings",
-    TABLES,
-    sa.Column("vehicle", CODE, sa.ForeignKey("vehicles.code"), primary_key=True),
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("to_ns", BIG, primary_key=True),
-    required("from_ns", BIG),
-    required("ratio", REAL),
-    required("ratio_std", REAL),
-    required("assumed_m", REAL),
-    required("code_version", TEXT),
-    sa.Column("epoch", INTEGER),
-    required("recorded_ns", BIG),
-    sa.CheckConstraint("assumed_m > 0", name="assumed_positive"),
-    sa.CheckConstraint("from_ns <= to_ns", name="from_before_to"),
-    sa.CheckConstraint("ratio > 0", name="ratio_positive"),
-    sa.CheckConstraint("ratio_std > 0", name="ratio_std_positive"),
+    key(code="vehicle>vehicles.code section>track_sections.code", big="to_ns"),
+    required(big="from_ns recorded_ns", real="ratio ratio_std assumed_m", text="code_version"),
+    optional(integer="epoch"),
+    checks(
+        assumed_positive="assumed_m > 0",
+        from_before_to="from_ns <= to_ns",
+        ratio_positive="ratio > 0",
+        ratio_std_positive="ratio_std > 0",
+    ),
 )
-sa.Table(
+table(
     "track_epochs",
-    TABLES,
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("number", INTEGER, primary_key=True),
-    required("before", TEXT),
-    required("input_digest", CODE),
-    required("horizon_ns", BIG),
-    required("windows", BIG),
-    required("waits", FLAG),
-    required("stale", FLAG),
-    sa.Column("version", INTEGER),
-    sa.Column("same_since", INTEGER),
-    sa.Column("estimated_on", INTEGER),
-    required("survey", TEXT),
-    sa.Column("survey_code", CODE),
-    required("report", BIG),
-    required("recorded_ns", BIG),
-    sa.CheckConstraint("number > 0", name="number_positive"),
+    key(code="section>track_sections.code", integer="number"),
+    required(
+        text="before survey", code="input_digest", big="horizon_ns windows report recorded_ns", flag="waits stale"
+    ),
+    optional(integer="version same_since estimated_on", code="survey_code"),
+    checks(number_positive="number > 0"),
 )
-sa.Table(
+table(
     "track_epoch_windows",
-    TABLES,
-    sa.Column("wheelset", CODE, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("section", CODE),
-    required("epoch", INTEGER),
-    required("vehicle", CODE),
-    required("content_digest", CODE),
-    required("mileage_km", REAL),
-    required("context", CODE),
-    required("assumed", CODE),
-    sa.Column("estimated_version", INTEGER),
+    key(code="wheelset", big="start_ns"),
+    required(code="section vehicle content_digest context assumed", integer="epoch", real="mileage_km"),
+    optional(integer="estimated_version"),
+    indexes("section epoch"),
     sa.ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
-    sa.Index(None, "section", "epoch"),
 )
-sa.Table(
+table(
     "track_epoch_vehicles",
-    TABLES,
-    sa.Column("section", CODE, primary_key=True),
-    sa.Column("vehicle", CODE, primary_key=True),
-    sa.Column("epoch", INTEGER, primary_key=True),
-    required("version", INTEGER),
-    required("stiffness_ratio", REAL),
+    key(code="section vehicle", integer="epoch"),
+    required(integer="version", real="stiffness_ratio"),
     sa.ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
 )
-sa.Table(
+table(
     "track_sections",
-    TABLES,
-    sa.Column("code", CODE, primary_key=True),
-    required("number", INTEGER, unique=True),
-    required("name", TEXT),
-    required("rail_profile", TEXT),
-    required("rail_inclination", REAL),
-    required("nominal_gauge_m", REAL),
-    required("length_m", REAL),
-    sa.Column("line", JSON),
-    sa.Column("tonnage_mgt_per_year", REAL),
-    sa.CheckConstraint("length_m > 0", name="length_positive"),
+    key(code="code"),
+    required(text="name rail_profile", real="rail_inclination nominal_gauge_m length_m"),
+    optional(json="line", real="tonnage_mgt_per_year"),
+    sa.Column("number", types["integer"], unique=True, nullable=False),
+    checks(length_positive="length_m > 0"),
 )
-sa.Table(
+table(
     "track_alignments",
-    TABLES,
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("version", INTEGER, primary_key=True),
-    required("status", sa.String(16)),
-    required("points", BIG),
-    required("content_digest", CODE),
-    required("packed", BLOB),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
-    sa.CheckConstraint("version > 0", name="version_positive"),
+    key(code="section>track_sections.code", integer="version"),
+    required(s16="status", big="points", code="content_digest", blob="packed"),
+    checks(version_positive="version > 0"),
+    known("status", "unestimated estimated invalid model_mismatch"),
 )
-sa.Table(
+table(
     "track_versions",
-    TABLES,
-    sa.Column("section", CODE, primary_key=True),
-    sa.Column("version", INTEGER, primary_key=True),
-    required("source", sa.String(16)),
-    required("same_since", INTEGER),
-    sa.Column("cut_off_m", REAL),
-    required("scale_std", REAL),
-    required("gauge_known", FLAG),
-    sa.Column("alignment_std_m", REAL),
-    required("recorded_ns", BIG),
-    sa.Column("superseded_ns", BIG),
-    sa.CheckConstraint("same_since <= version", name="same_since_before"),
-    one_of("source", ("recorded", "fleet")),
+    key(code="section", integer="version"),
+    required(s16="source", integer="same_since", real="scale_std", flag="gauge_known", big="recorded_ns"),
+    optional(real="cut_off_m alignment_std_m", big="superseded_ns"),
+    checks(same_since_before="same_since <= version"),
+    known("source", "recorded fleet"),
     sa.ForeignKeyConstraint(["section", "version"], ["track_alignments.section", "track_alignments.version"]),
 )
-sa.Table(
+table(
     "track_reports",
-    TABLES,
-    sa.Column("report_id", SERIAL, primary_key=True),
-    required("section", CODE, sa.ForeignKey("track_sections.code")),
-    sa.Column("version", INTEGER),
-    required("made", FLAG),
-    required("status", sa.String(16)),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    required("windows", BIG),
-    required("input_digest", CODE),
-    required("code_version", TEXT),
-    required("report", JSON),
-    required("recorded_ns", BIG),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
-    sa.Index(None, "section", "report_id"),
-    sqlite_autoincrement=True,
+    key(serial="report_id"),
+    required(
+        code="section>track_sections.code input_digest",
+        flag="made",
+        s16="status",
+        text="reason code_version",
+        big="windows recorded_ns",
+        json="report",
+    ),
+    optional(integer="version", code="reason_code"),
+    known("status", "unestimated estimated invalid model_mismatch"),
+    indexes("section report_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "window_positions",
-    TABLES,
-    sa.Column("wheelset", CODE, primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("content_digest", CODE),
-    sa.Column("version", INTEGER),
-    required("offset_m", REAL),
-    required("scale", REAL),
-    required("middle_m", REAL),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
+    key(code="wheelset", big="start_ns"),
+    required(code="content_digest", real="offset_m scale middle_m", text="reason"),
+    optional(integer="version", code="reason_code"),
     sa.ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
 )
-sa.Table(
+table(
     "track_layouts",
-    TABLES,
-    sa.Column("section", CODE, sa.ForeignKey("track_sections.code"), primary_key=True),
-    sa.Column("version", INTEGER, primary_key=True),
-    required("points", BIG),
-    required("content_digest", CODE),
-    required("packed", BLOB),
-    sa.CheckConstraint("version > 0", name="version_positive"),
+    key(code="section>track_sections.code", integer="version"),
+    required(big="points", code="content_digest", blob="packed"),
+    checks(version_positive="version > 0"),
 )
-sa.Table(
+table(
     "results",
-    TABLES,
-    sa.Column("result_id", SERIAL, primary_key=True),
-    required("stage", sa.String(32)),
-    required("kind", sa.String(16)),
-    required("subject", CODE),
-    required("part", CODE),
-    required("made_from", CODE),
-    required("numerics", TEXT),
-    required("status", sa.String(16)),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    sa.Column("head", TEXT),
-    sa.Column("value", BLOB),
-    required("parameters", JSON),
-    required("recorded_ns", BIG),
-    sa.Column("superseded_ns", BIG),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
-    sa.Index("ix_results_put_last", "stage", "subject", "result_id", **where("superseded_ns IS NULL")),
-    sa.Index("ix_results_in_force", "stage", "subject", "part", unique=True, **where("superseded_ns IS NULL")),
-    sa.Index(None, "recorded_ns"),
-    sa.Index(
-        "ix_results_superseded",
-        *("stage", "subject", "part", "recorded_ns", "result_id"),
-        **where("superseded_ns IS NOT NULL"),
+    key(serial="result_id"),
+    required(
+        s32="stage",
+        s16="kind status",
+        code="subject part made_from",
+        text="numerics reason",
+        json="parameters",
+        big="recorded_ns",
     ),
-    sa.Index(None, "superseded_ns"),
-    sqlite_autoincrement=True,
+    optional(code="reason_code", text="head", blob="value", big="superseded_ns"),
+    known("status", "unestimated estimated invalid model_mismatch"),
+    indexes("recorded_ns", "superseded_ns"),
+    part("ix_results_put_last", "stage subject result_id", "superseded_ns IS NULL"),
+    part("ix_results_in_force", "stage subject part", "superseded_ns IS NULL", unique=True),
+    part("ix_results_superseded", "stage subject part recorded_ns result_id", "superseded_ns IS NOT NULL"),
+    numbered=True,
 )
-sa.Table(
+table(
     "vehicle_classes",
-    TABLES,
-    sa.Column("code", CODE, primary_key=True),
-    sa.Column("version", INTEGER, primary_key=True),
-    required("document", JSON),
-    required("recorded_ns", BIG),
-    sa.CheckConstraint("version > 0", name="version_counted"),
+    key(code="code", integer="version"),
+    required(json="document", big="recorded_ns"),
+    checks(version_counted="version > 0"),
 )
-sa.Table(
+table(
     "vehicles",
-    TABLES,
-    sa.Column("code", CODE, primary_key=True),
-    required("fleet", CODE, sa.ForeignKey("fleets.code")),
-    required("vehicle_class", TEXT),
-    required("axles", INTEGER),
-    required("max_speed_m_s", REAL),
-    required("axle_offsets_m", JSON),
-    sa.CheckConstraint("axles > 0", name="axles_positive"),
-    sa.Index(None, "fleet"),
+    key(code="code"),
+    required(
+        code="fleet>fleets.code", text="vehicle_class", integer="axles", real="max_speed_m_s", json="axle_offsets_m"
+    ),
+    checks(axles_positive="axles > 0"),
+    indexes("fleet"),
 )
-sa.Table(
+table(
     "webhooks",
-    TABLES,
-    sa.Column("webhook_id", SERIAL, primary_key=True),
-    required("url", TEXT),
-    required("description", TEXT),
-    required("fleets", JSON),
-    required("kinds", JSON),
-    required("severities", JSON),
-    required("state", sa.String(16)),
-    sa.Column("disabled_reason", sa.String(32)),
-    required("since_ns", BIG),
-    required("created_ns", BIG),
-    required("created_by", TEXT),
-    required("position", BIG),
-    required("revision", BIG),
-    required("delivered", BIG),
-    required("failed", BIG),
-    one_of("disabled_reason", ("gone", "failing")),
-    sa.CheckConstraint("(state = 'disabled') = (disabled_reason IS NOT NULL)", name="disabled_with_reason"),
-    one_of("state", ("active", "paused", "disabled")),
-    sqlite_autoincrement=True,
+    key(serial="webhook_id"),
+    required(
+        text="url description created_by",
+        json="fleets kinds severities",
+        s16="state",
+        big="since_ns created_ns position revision delivered failed",
+    ),
+    optional(s32="disabled_reason"),
+    checks(disabled_with_reason="(state = 'disabled') = (disabled_reason IS NOT NULL)"),
+    known("disabled_reason", "gone failing"),
+    known("state", "active paused disabled"),
+    numbered=True,
 )
-sa.Table(
-    "webhook_fleets",
-    TABLES,
-    sa.Column("webhook_id", SERIAL, sa.ForeignKey("webhooks.webhook_id"), primary_key=True),
-    sa.Column("fleet", CODE, primary_key=True),
-)
-sa.Table(
+table("webhook_fleets", key(serial="webhook_id>webhooks.webhook_id", code="fleet"))
+table(
     "webhook_secrets",
-    TABLES,
-    sa.Column("secret_id", SERIAL, primary_key=True),
-    required("webhook_id", SERIAL, sa.ForeignKey("webhooks.webhook_id")),
-    required("secret", TEXT),
-    required("created_ns", BIG),
-    sa.Column("until_ns", BIG),
-    sa.Index(None, "webhook_id"),
-    sqlite_autoincrement=True,
+    key(serial="secret_id"),
+    required(serial="webhook_id>webhooks.webhook_id", text="secret", big="created_ns"),
+    optional(big="until_ns"),
+    indexes("webhook_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "webhook_deliveries",
-    TABLES,
-    sa.Column("delivery_id", SERIAL, primary_key=True),
-    required("webhook_id", SERIAL, sa.ForeignKey("webhooks.webhook_id")),
-    required("sequence", BIG),
-    required("event_id", TEXT),
-    required("event_kind", sa.String(32)),
-    required("alert_id", BIG),
-    required("event_ns", BIG),
-    required("state", sa.String(16)),
-    required("attempts", BIG),
-    required("first_ns", BIG),
-    required("last_ns", BIG),
-    sa.Column("next_ns", BIG),
-    sa.Column("status_code", INTEGER),
-    sa.Column("failure", sa.String(32)),
-    sa.Column("detail", TEXT),
-    one_of("state", ("waiting", "delivered", "failed", "withdrawn")),
-    sa.CheckConstraint("(state = 'waiting') = (next_ns IS NOT NULL)", name="waiting_for_a_time"),
-    sa.Index(None, "state", "last_ns"),
-    sa.Index(None, "webhook_id", "delivery_id"),
-    sqlite_autoincrement=True,
+    key(serial="delivery_id"),
+    required(
+        serial="webhook_id>webhooks.webhook_id",
+        big="sequence alert_id event_ns attempts first_ns last_ns",
+        text="event_id",
+        s32="event_kind",
+        s16="state",
+    ),
+    optional(big="next_ns", integer="status_code", s32="failure", text="detail"),
+    checks(waiting_for_a_time="(state = 'waiting') = (next_ns IS NOT NULL)"),
+    known("state", "waiting delivered failed withdrawn"),
+    indexes("state last_ns", "webhook_id delivery_id"),
+    numbered=True,
 )
-sa.Table(
+table(
     "wheelsets",
-    TABLES,
-    sa.Column("serial", CODE, primary_key=True),
-    required("fleet", CODE, sa.ForeignKey("fleets.code")),
-    required("wheel_profile", TEXT),
-    required("nominal_radius_m", REAL),
-    sa.CheckConstraint("nominal_radius_m > 0", name="radius_positive"),
-    sa.Index(None, "fleet"),
+    key(code="serial"),
+    required(code="fleet>fleets.code", text="wheel_profile", real="nominal_radius_m"),
+    checks(radius_positive="nominal_radius_m > 0"),
+    indexes("fleet"),
 )
-sa.Table(
-    "reprofilings",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("at_ns", BIG, primary_key=True),
-    required("mileage_km", REAL),
-    required("note", TEXT),
-)
-sa.Table(
+table("reprofilings", key(code="wheelset>wheelsets.serial", big="at_ns"), required(real="mileage_km", text="note"))
+table(
     "windows",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    sa.Column("start_ns", BIG, primary_key=True),
-    required("length_ns", BIG),
-    required("vehicle", CODE, sa.ForeignKey("vehicles.code")),
-    required("axle", INTEGER),
-    sa.Column("track_section", CODE, sa.ForeignKey("track_sections.code")),
-    required("mileage_km", REAL),
-    sa.Column("coverage", REAL),
-    sa.Column("longest_gap_s", REAL),
-    required("gaps", BIG),
-    sa.Column("clipped", REAL),
-    sa.Column("invalid", REAL),
-    sa.Column("speed_min_m_s", REAL),
-    sa.Column("speed_max_m_s", REAL),
-    sa.Column("position_quality", REAL),
-    required("sensor_fault", FLAG),
-    sa.Column("hunting_share", REAL),
-    sa.Column("hunting_hz", REAL),
-    sa.Column("hunting_amplitude_m", REAL),
-    sa.Column("blows_share", REAL),
-    sa.Column("blows_m_s2", REAL),
-    sa.Column("blows_turn_m", REAL),
-    sa.Column("blows_side", INTEGER),
-    required("state", sa.String(16)),
-    required("reason", TEXT),
-    sa.Column("reason_code", CODE),
-    required("content_digest", CODE),
-    required("sample_bytes", BIG),
-    required("recorded_ns", BIG),
-    required("odometer_excess_m", REAL, server_default=sa.text("0")),
-    required("off_line_m", REAL, server_default=sa.text("0")),
-    sa.Column("implausible", TEXT),
-    sa.Column("implausible_code", CODE),
-    sa.Column("samples_purged_ns", BIG),
-    sa.Column("table_purged_ns", BIG),
-    sa.Column("passed_over", sa.String(16)),
-    sa.CheckConstraint("length_ns > 0", name="length_positive"),
-    one_of("state", ("pending", "estimated", "refused")),
-    sa.Index("ix_windows_implausible", "wheelset", "start_ns", **where("implausible_code IS NOT NULL")),
-    sa.Index("ix_windows_passed_over", "wheelset", "start_ns", **where("passed_over IS NOT NULL")),
-    sa.Index("ix_windows_pending", "wheelset", "start_ns", **where("state = 'pending'")),
-    sa.Index("ix_windows_refused", "wheelset", "reason_code", **where("reason_code IS NOT NULL")),
-    sa.Index(None, "track_section", "start_ns"),
-    sa.Index(None, "vehicle", "start_ns"),
-    sa.Index("ix_windows_with_samples", "start_ns", **where("samples_purged_ns IS NULL")),
+    key(code="wheelset>wheelsets.serial", big="start_ns"),
+    required(
+        big="length_ns gaps sample_bytes recorded_ns",
+        code="vehicle>vehicles.code content_digest",
+        integer="axle",
+        real="mileage_km",
+        flag="sensor_fault",
+        s16="state",
+        text="reason",
+    ),
+    optional(
+        code="track_section>track_sections.code reason_code implausible_code",
+        real="coverage longest_gap_s clipped invalid speed_min_m_s speed_max_m_s position_quality "
+        "hunting_share hunting_hz hunting_amplitude_m blows_share blows_m_s2 blows_turn_m",
+        integer="blows_side",
+        text="implausible",
+        big="samples_purged_ns table_purged_ns",
+        s16="passed_over",
+    ),
+    sa.Column("odometer_excess_m", types["real"], server_default=sa.text("0"), nullable=False),
+    sa.Column("off_line_m", types["real"], server_default=sa.text("0"), nullable=False),
+    checks(length_positive="length_ns > 0"),
+    known("state", "pending estimated refused"),
+    indexes("track_section start_ns", "vehicle start_ns"),
+    part("ix_windows_implausible", "wheelset start_ns", "implausible_code IS NOT NULL"),
+    part("ix_windows_passed_over", "wheelset start_ns", "passed_over IS NOT NULL"),
+    part("ix_windows_pending", "wheelset start_ns", "state = 'pending'"),
+    part("ix_windows_refused", "wheelset reason_code", "reason_code IS NOT NULL"),
+    part("ix_windows_with_samples", "start_ns", "samples_purged_ns IS NULL"),
 )
-sa.Table(
+table(
     "work_leases",
-    TABLES,
-    sa.Column("lease_id", SERIAL, primary_key=True),
-    required("holder", TEXT),
-    sa.Column("owner", BIG, sa.ForeignKey("work_leases.lease_id", ondelete="CASCADE")),
-    sa.Column("unit", sa.String(32)),
-    required("length_ns", BIG),
-    required("until_ns", BIG),
-    sa.CheckConstraint("length_ns > 0", name="length_positive"),
-    sa.Index(None, "until_ns"),
-    sqlite_autoincrement=True,
+    key(serial="lease_id"),
+    required(text="holder", big="length_ns until_ns"),
+    optional(s32="unit"),
+    sa.Column("owner", types["big"], sa.ForeignKey("work_leases.lease_id", ondelete="CASCADE")),
+    checks(length_positive="length_ns > 0"),
+    indexes("until_ns"),
+    numbered=True,
 )
-sa.Table(
+table(
     "work_claims",
-    TABLES,
-    sa.Column("stage", CODE, primary_key=True),
-    sa.Column("key", sa.String(128), primary_key=True),
-    sa.Column("lease_id", BIG, sa.ForeignKey("work_leases.lease_id", ondelete="SET NULL")),
-    required("attempts", BIG),
-    required("begun_ns", BIG),
-    sa.CheckConstraint("attempts >= 1", name="begun"),
-    sa.Index(None, "lease_id"),
+    key(code="stage", s128="key"),
+    required(big="attempts begun_ns"),
+    sa.Column("lease_id", types["big"], sa.ForeignKey("work_leases.lease_id", ondelete="SET NULL")),
+    checks(begun="attempts >= 1"),
+    indexes("lease_id"),
 )
-sa.Table(
+table(
     "worklist_entries",
-    TABLES,
-    sa.Column("wheelset", CODE, sa.ForeignKey("wheelsets.serial"), primary_key=True),
-    required("fleet", CODE),
-    sa.Column("vehicle", CODE),
-    sa.Column("vehicle_class", TEXT),
-    required("status", sa.String(16)),
-    required("urgency", sa.String(16)),
-    sa.Column("worst_severity", sa.String(16)),
-    required("urgency_key", REAL),
-    sa.Column("distance_key", REAL),
-    sa.Column("conicity_key", REAL),
-    sa.Column("trend_key", REAL),
-    sa.Column("mileage_key", REAL),
-    sa.Column("last_data_ns", BIG),
-    required("document", TEXT),
-    one_of("status", ("unestimated", "estimated", "invalid", "model_mismatch")),
-    one_of("urgency", ("over_limit", "critical_alert", "due", "warning_alert", "unknown", "not_due", "not_mounted")),
-    one_of("worst_severity", ("info", "warning", "critical")),
-    sa.Index(None, "conicity_key", "wheelset"),
-    sa.Index(None, "distance_key", "wheelset"),
-    sa.Index(None, "fleet", "conicity_key", "wheelset"),
-    sa.Index(None, "fleet", "distance_key", "wheelset"),
-    sa.Index(None, "fleet", "last_data_ns", "wheelset"),
-    sa.Index(None, "fleet", "mileage_key", "wheelset"),
-    sa.Index(None, "fleet", "trend_key", "wheelset"),
-    sa.Index(None, "fleet", "urgency_key", "wheelset"),
-    sa.Index(None, "fleet", "wheelset"),
-    sa.Index(None, "last_data_ns", "wheelset"),
-    sa.Index(None, "mileage_key", "wheelset"),
-    sa.Index(None, "status", "wheelset"),
-    sa.Index(None, "trend_key", "wheelset"),
-    sa.Index(None, "urgency_key", "wheelset"),
-    sa.Index(None, "urgency", "wheelset"),
-    sa.Index(None, "vehicle_class", "wheelset"),
-    sa.Index(None, "vehicle", "wheelset"),
-    sa.Index(None, "worst_severity", "wheelset"),
+    key(code="wheelset>wheelsets.serial"),
+    required(code="fleet", s16="status urgency", real="urgency_key", text="document"),
+    optional(
+        code="vehicle",
+        text="vehicle_class",
+        s16="worst_severity",
+        real="distance_key conicity_key trend_key mileage_key",
+        big="last_data_ns",
+    ),
+    known("status", "unestimated estimated invalid model_mismatch"),
+    known("urgency", "over_limit critical_alert due warning_alert unknown not_due not_mounted"),
+    known("worst_severity", "info warning critical"),
+    indexes(
+        "conicity_key wheelset",
+        "distance_key wheelset",
+        "fleet conicity_key wheelset",
+        "fleet distance_key wheelset",
+        "fleet last_data_ns wheelset",
+        "fleet mileage_key wheelset",
+        "fleet trend_key wheelset",
+        "fleet urgency_key wheelset",
+        "fleet wheelset",
+        "last_data_ns wheelset",
+        "mileage_key wheelset",
+        "status wheelset",
+        "trend_key wheelset",
+        "urgency_key wheelset",
+        "urgency wheelset",
+        "vehicle_class wheelset",
+        "vehicle wheelset",
+        "worst_severity wheelset",
+    ),
 )
-sa.Table(
+table(
     "worklist_alerts",
-    TABLES,
-    sa.Column("kind", sa.String(32), primary_key=True),
-    sa.Column("wheelset", CODE, sa.ForeignKey("worklist_entries.wheelset", ondelete="CASCADE"), primary_key=True),
-    sa.Index(None, "wheelset"),
+    key(s32="kind"),
+    sa.Column(
+        "wheelset", types["code"], sa.ForeignKey("worklist_entries.wheelset", ondelete="CASCADE"), primary_key=True
+    ),
+    indexes("wheelset"),
 )
