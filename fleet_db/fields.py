@@ -67,16 +67,7 @@ def pack(kind: str, version: int, scalars: Mapping[str, JsonValue], arrays: Mapp
 
 
 def unpack(blob: bytes, kind: str, *, where: str) -> Unpacked:
-    """Return what ``pack`` put into ``blob``; arrays are read-only.
-
-    Args:
-        blob: From ``pack``.
-        kind: What the blob must be.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        DamagedError: The blob is cut, damaged, or of another kind or a later format; ``where`` names it.
-    """
+    """Return what ``pack`` put into ``blob``, arrays read-only; DamagedError names ``where`` it was read from."""
     if blob[: len(MAGIC)] != MAGIC or blob[len(MAGIC) : len(MAGIC) + 1] != bytes([FORMAT]):
         raise DamagedError(f"{where}: not packed arrays of format {FORMAT}")
     try:
@@ -151,15 +142,7 @@ def fields_of(value: object, *, without: Collection[str] = ()) -> tuple[dict[str
 
 
 def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Array], **given: object) -> V:
-    """Return the value whose fields were stored.
-
-    Args:
-        scalars, arrays: What ``fields_of`` returned; names that are no field are ignored.
-        given: Fields that were not stored this way; they win.
-
-    Raises:
-        StorageError: A field is missing or does not fit its type.
-    """
+    """Return the value of what ``fields_of`` returned; ``given`` wins. Raises StorageError where a field is missing."""
     stored = dict(given)
     try:
         for name in _hints(cast("Hashable", kind)):
@@ -172,11 +155,7 @@ def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Arr
 
 
 def to_json(item: object) -> JsonValue:
-    """Return a field as JSON.
-
-    Raises:
-        TypeError: Its type has no place in JSON.
-    """
+    """Return a field as JSON; raises TypeError where its type has no place in it."""
     if isinstance(item, Enum):
         item = item.value
     elif is_dataclass(item):
@@ -195,15 +174,7 @@ def to_json(item: object) -> JsonValue:
 
 
 def from_json(stored: Any, hint: Any) -> Any:  # noqa: ANN401 - the type is what the hint says
-    """Return a field from JSON.
-
-    Args:
-        stored: What ``to_json`` returned.
-        hint: The type of the field, as the class declares it.
-
-    Raises:
-        StorageError: ``stored`` does not fit.
-    """
+    """Return a field of the type ``hint`` from what ``to_json`` returned; raises StorageError where it does not fit."""
     return _reader(hint)(stored)
 
 

@@ -17,11 +17,7 @@ def pack_window_adhesion(found: WindowAdhesion) -> bytes:
 
 
 def unpack_window_adhesion(blob: bytes, *, where: str) -> WindowAdhesion:
-    """Return the creep of a window, bit for bit.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the creep of a window, bit for bit."""
     packed = unpack(blob, WINDOW, where=where)
     sums = value_of(FrictionSums, {}, packed.arrays) if packed.arrays else None
     return value_of(WindowAdhesion, packed.scalars, {}, sums=sums)
@@ -33,10 +29,6 @@ def pack_section_adhesion(found: SectionAdhesion) -> bytes:
 
 
 def unpack_section_adhesion(blob: bytes, *, where: str) -> SectionAdhesion:
-    """Return the friction of a section, bit for bit.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the friction of a section, bit for bit."""
     packed = unpack(blob, SECTION, where=where)
     return value_of(SectionAdhesion, packed.scalars, packed.arrays)

@@ -23,14 +23,7 @@ def pack_window_damper(found: WindowDamper) -> bytes:
 
 
 def unpack_window_damper(blob: bytes, *, where: str) -> WindowDamper:
-    """Return what a window says, bit for bit.
-
-    Args:
-        blob: From ``pack_window_damper``.
-
-    Raises:
-        StorageError: The blob is damaged.
-    """
+    """Return what a window says, bit for bit."""
     packed = unpack(blob, WINDOW, where=where)
     if not packed.arrays:
         return value_of(WindowDamper, packed.scalars, {}, sums=None)

@@ -34,14 +34,7 @@ def pack_signatures(found: Sequence[Signature]) -> bytes:
 
 
 def unpack_signatures(blob: bytes, wheelset: str, start_ns: int) -> tuple[Signature, ...]:
-    """Return the signatures of a window, bit for bit.
-
-    Args:
-        blob: From ``pack_signatures``.
-
-    Raises:
-        StorageError: The blob is damaged.
-    """
+    """Return the signatures of a window, bit for bit."""
     packed = unpack(blob, SIGNATURES, where=f"signatures of {wheelset}@{start_ns}")
     if not packed.arrays:
         return ()

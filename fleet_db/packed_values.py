@@ -38,11 +38,7 @@ def pack_value(value: object) -> bytes:
 
 
 def unpack_value(kind: type[V], blob: bytes, *, where: str) -> V:
-    """Return the value of a class, bit for bit.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the value of a class, bit for bit; DamagedError names ``where`` it was read from, here and below."""
     if issubclass(kind, WheelsetGeometry):
         return cast("V", unpack_geometry(blob, where=where))
     packed = unpack(blob, kind.__name__, where=where)
@@ -67,11 +63,7 @@ def pack_geometry(geometry: WheelsetGeometry) -> bytes:
 
 
 def unpack_geometry(blob: bytes, *, where: str) -> WheelsetGeometry:
-    """Return the geometry, bit for bit.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the geometry, bit for bit."""
     packed = unpack(blob, GEOMETRY, where=where)
     statuses, arrays = packed.scalars["combinations"], packed.arrays
     combinations = {
@@ -87,15 +79,7 @@ def pack_layout(layout: TrackLayout) -> bytes:
 
 
 def unpack_layout(blob: bytes, version: int, *, where: str) -> TrackLayout:
-    """Return the layout as ``version``, bit for bit.
-
-    Args:
-        blob: From ``pack_layout``.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        DamagedError: The blob is damaged; ``where`` names it.
-    """
+    """Return the layout as ``version``, bit for bit."""
     packed = unpack(blob, LAYOUT, where=where)
     return value_of(TrackLayout, packed.scalars, packed.arrays, version=version)
 
@@ -111,15 +95,7 @@ def pack_alignment(alignment: TrackAlignment) -> bytes:
 
 @lru_cache(maxsize=ALIGNMENTS)
 def unpack_alignment(blob: bytes, version: int, *, where: str) -> TrackAlignment:
-    """Return the alignment as ``version``, bit for bit; the same again is the same object, and so is what it gives.
-
-    Args:
-        blob: From ``pack_alignment``.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the alignment as ``version``, bit for bit; the same again is the same object, and so is what it gives."""
     packed = unpack(blob, ALIGNMENT, where=where)
     stored = packed.scalars.get("findings")
     findings = None if stored is None else _unpack_findings(stored, packed.arrays)
@@ -164,11 +140,7 @@ def pack_wheel_pair(left: Profile, right: Profile) -> bytes:
 
 
 def unpack_wheel_pair(blob: bytes, *, where: str) -> tuple[Profile, Profile]:
-    """Return the left and the right profile, bit for bit.
-
-    Raises:
-        DamagedError: The blob is damaged; ``where`` names it.
-    """
+    """Return the left and the right profile, bit for bit."""
     packed = unpack(blob, WHEEL_PAIR, where=where)
     left, right = (
         Profile("wheel", packed.scalars[side], *(packed.arrays[f"{side}_{name}"] for name in PROFILE_ARRAYS))
@@ -202,24 +174,12 @@ def pack_bin_table(table: BinTable | FilledCells) -> bytes:
 
 
 def unpack_bin_table(blob: bytes, *, where: str) -> BinTable:
-    """Return the table, bit for bit.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the table, bit for bit."""
     return unpack_filled_cells(blob, where=where).table()
 
 
 def unpack_filled_cells(blob: bytes, *, where: str) -> FilledCells:
-    """Return the filled cells of a packed bin table, bit for bit.
-
-    Args:
-        blob: From ``pack_bin_table``.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the filled cells of a packed bin table, bit for bit."""
     packed = unpack(blob, BIN_TABLE, where=where)
     edges, rows = packed.arrays["edges"], packed.arrays["cells"].T
     groups = packed.scalars["groups"]
@@ -246,14 +206,6 @@ def pack_rolling_sums(parts: Sequence[RollingSums]) -> bytes:
 
 
 def unpack_rolling_sums(blob: bytes, *, where: str) -> tuple[RollingSums, ...]:
-    """Return the sums of each part of a window, bit for bit.
-
-    Args:
-        blob: From ``pack_rolling_sums``.
-        where: Name of the place it was read from, for messages.
-
-    Raises:
-        StorageError: The blob is damaged; ``where`` names it.
-    """
+    """Return the sums of each part of a window, bit for bit."""
     arrays = unpack(blob, ROLLING_SUMS, where=where).arrays
     return tuple(RollingSums(*both) for both in zip(arrays["products"], arrays["noise"], strict=True))

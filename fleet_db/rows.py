@@ -70,22 +70,13 @@ def insert_all_new(connection: Connection, table: Table, rows: Sequence[Mapping[
 
 
 def on_sections(column: ColumnElement[str | None], sections: Collection[str]) -> ColumnElement[bool]:
-    """Return the condition that a column names one of some sections.
-
-    Args:
-        column: Code of a section, or null.
-        sections: Codes; the empty text stands for null.
-    """
+    """Return the condition that a column names one of some sections; the empty text stands for null."""
     named = column.in_(sorted(set(sections) - {""}))
     return or_(named, column.is_(None)) if "" in sections else named
 
 
 def by_wheelset(rows: Iterable[Any], value: Callable[[Any], V]) -> dict[str, list[V]]:
-    """Return the values of rows by their wheelset, in their order.
-
-    Args:
-        value: Returns that of a row.
-    """
+    """Return the values of rows by their wheelset, in their order."""
     found: dict[str, list[V]] = {}
     for row in rows:
         found.setdefault(row.wheelset, []).append(value(row))
@@ -132,9 +123,5 @@ def reason_columns(reason: Reason | None) -> dict[str, str | None]:
 
 
 def stored_reason(row: Any) -> Reason | None:  # noqa: ANN401 - a row of any table with both columns
-    """Return the reason of a row; None where it has none.
-
-    Args:
-        row: With the columns ``reason`` and ``reason_code``.
-    """
+    """Return the reason of a row by its columns ``reason`` and ``reason_code``; None where it has none."""
     return None if row.reason_code is None else Reason(ReasonCode(row.reason_code), row.reason)

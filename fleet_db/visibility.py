@@ -210,11 +210,7 @@ def _narrow(
 
 
 def narrowed(statement: Any, fleets: Fleets) -> Any:  # noqa: ANN401 - any statement
-    """Return a statement whose SELECTs, also in subqueries, see only the records of these fleets.
-
-    Raises:
-        LookupError: It reads a table that is not listed in this module.
-    """
+    """Return a statement that sees, also in subqueries, only these fleets; LookupError: a table not listed here."""
 
     def narrow(found: Select[Any]) -> None:
         criteria = [

@@ -51,14 +51,7 @@ class DeepCheck:
 
 
 def check_deep(storage: SqlStorage, raw: RawStore, progress: Callable[[int, int], None]) -> DeepCheck:
-    """Read everything that is stored and compare it; changes nothing, and services may run.
-
-    Args:
-        progress: Called with (done, total) files.
-
-    Raises:
-        StorageError, PassingFaultError: The database, a file or the store of raw recordings cannot be read now.
-    """
+    """Read everything that is stored and compare it; changes nothing, and services may run."""
     with storage.read() as unit:
         findings = [*_database(unit.connection), *_rows(unit.connection), *_bins(unit)]
         packed, rows = _packed(unit)

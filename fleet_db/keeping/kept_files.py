@@ -32,11 +32,7 @@ class KeptFile:
     owner: str  # whose it is, for messages
 
     def fault(self, folder: Path) -> str | None:
-        """Return what is wrong with this file in a data folder or backup; None where nothing is.
-
-        Raises:
-            StorageError: It cannot be read now; it may be whole.
-        """
+        """Return what is wrong with this file in a data folder or backup, None where nothing is."""
         place = folder / self.path
         try:
             found = place.stat().st_size
@@ -67,16 +63,7 @@ def kept_files(connection: Connection) -> Iterator[KeptFile]:
 
 
 def copy_kept(file: KeptFile, source: Path, target: Path) -> str | None:
-    """Copy a file from one folder to another, durably, and look at what was copied; return what is wrong with it.
-
-    A file of this content that is there already stays as it is; one of the same name that is not is replaced.
-
-    Args:
-        source, target: The folders: data folders or backups.
-
-    Raises:
-        StorageError: It cannot be read or written now.
-    """
+    """Copy a file between data folder and backup, durably, unless it is there; return what is wrong with the copy."""
     place = target / file.path
     if file.fault(target) is None:
         return None
@@ -141,15 +128,7 @@ def kept_recordings(connection: Connection) -> Iterator[KeptRecording]:
 
 
 def copy_recording(kept: KeptRecording, source: RawStore, target: RawStore) -> str | None:
-    """Copy a recording from one store to another and look at what was copied; return what is wrong with it.
-
-    Args:
-        kept: Which; it stays as it is where it is whole in the target.
-        source, target: The stores: that of the installation, or that of a backup.
-
-    Raises:
-        PassingFaultError: It cannot be read or written now.
-    """
+    """Copy a recording between stores unless it is there whole; return what is wrong with the copy."""
     if target.holds(kept.digest, kept.suffix) and kept.fault(target) is None:
         return None
     try:
@@ -161,14 +140,7 @@ def copy_recording(kept: KeptRecording, source: RawStore, target: RawStore) -> s
 
 
 def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple[KeptRecording, str]]:
-    """Return the recordings that a store does not list with their size, each with what is wrong; nothing is read.
-
-    Args:
-        recordings: That must be there.
-
-    Raises:
-        PassingFaultError: It cannot be listed now.
-    """
+    """Return the recordings that a store does not list with their size, each with what is wrong; nothing is read."""
     sizes = {item.digest: item.size_bytes for item in raw.listed() if item.digest}
     wrong = []
     for kept in recordings:
@@ -181,9 +153,5 @@ def not_listed(recordings: Sequence[KeptRecording], raw: RawStore) -> list[tuple
 
 
 def write_digests(path: Path, recordings: Sequence[KeptRecording]) -> None:
-    """Write digest and name of recordings as ``sha256sum --check`` reads them, durably.
-
-    Args:
-        recordings: Of a store that is not copied.
-    """
+    """Write digest and name of recordings as ``sha256sum --check`` reads them, durably."""
     write_atomically(path, "".join(f"{one.digest}  {one.name}\n" for one in recordings).encode(), durable=True)

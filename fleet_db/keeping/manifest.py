@@ -62,11 +62,7 @@ def write_manifest(folder: Path, manifest: Manifest) -> Path:
 
 
 def read_manifest(folder: Path, name: str | None = None) -> Manifest:
-    """Return the manifest of a backup, of the newest where none is named.
-
-    Raises:
-        InputError: There is none, or it is damaged; names the file.
-    """
+    """Return the manifest of a backup, of the newest where none is named; InputError: none, or a damaged one."""
     names = sorted(path.name.removeprefix(PREFIX).removesuffix(SUFFIX) for path in folder.glob(f"{PREFIX}*{SUFFIX}"))
     if not names:
         raise InputError("holds no finished backup", file=folder)
@@ -103,11 +99,7 @@ def row_counts(connection: Connection) -> dict[str, int]:
 
 
 def copy_rows(source: Connection, target: Connection) -> dict[str, int]:
-    """Make every table hold the rows of another database; return their numbers by table.
-
-    Args:
-        target: Of a writing transaction; its tables are those of this version. Rows that are there are deleted first.
-    """
+    """Make every table hold the rows of another database, and no others; return their numbers by table."""
     for table in reversed(Base.metadata.sorted_tables):
         target.execute(delete(table))
     counts = {table.name: _copy_table(source, target, table) for table in Base.metadata.sorted_tables}

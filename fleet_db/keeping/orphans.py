@@ -20,14 +20,7 @@ LEAST_AGE_S = 3600.0  # a file may be older than its row by the length of the tr
 
 
 def orphaned_samples(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> list[Path]:
-    """Return the files of windows that no row refers to, relative to the data folder.
-
-    Args:
-        least_age_s: Younger files do not count: their rows may be about to be committed.
-
-    Raises:
-        StorageError: The folder cannot be read.
-    """
+    """Return the files of windows that no row refers to, relative to the data folder; younger ones do not count."""
     files = sorted(_old_files(storage.data_dir, least_age_s))  # before the rows: these only grow more
     kept = select(WINDOWS.c.content_digest).where(WINDOWS.c.samples_purged_ns.is_(None)).distinct()
     with storage.read() as unit:
@@ -36,11 +29,7 @@ def orphaned_samples(storage: SqlStorage, least_age_s: float = LEAST_AGE_S) -> l
 
 
 def orphaned_recordings(storage: SqlStorage, raw: RawStore, least_age_s: float = LEAST_AGE_S) -> list[RawItem]:
-    """Return what is in the store of raw recordings and no row refers to.
-
-    Raises:
-        PassingFaultError: The store cannot be listed now.
-    """
+    """Return what is in the store of raw recordings and no row refers to."""
     before_s = time.time() - least_age_s
     items = sorted((one for one in raw.listed() if one.changed_s <= before_s), key=lambda one: one.place)
     with storage.read() as unit:

@@ -177,11 +177,7 @@ def _purge_kind(
 
 
 def record_purge(connection: Connection, purged: Purged, before_ns: int, now_ns: int) -> None:
-    """Store what was deleted, in the transaction that deletes it.
-
-    Args:
-        before_ns: Everything of its kind that is older is gone.
-    """
+    """Store what was deleted, in the transaction that deletes it: all of its kind from before is gone."""
     values = {"kind": purged.kind.value, "items": purged.items, "item_bytes": purged.item_bytes}
     connection.execute(insert(PURGES).values(**values, before_ns=before_ns, purged_ns=now_ns))
 
@@ -312,11 +308,7 @@ def _thin_estimates(storage: SqlStorage, before_ns: int, now_ns: int, checkpoint
 
 
 def replaced_within_a_day(connection: Connection, from_ns: int, before_ns: int) -> Sequence[int]:
-    """Return the numbers of results that another of the same part followed on the same day, UTC.
-
-    Args:
-        from_ns, before_ns: Begins of days between which they were recorded, ns UTC.
-    """
+    """Return the numbers of results that another of the same part followed on the same day, UTC."""
     end_of_day = RESULTS.c.recorded_ns - RESULTS.c.recorded_ns % DAY_NS + DAY_NS
     within = (RESULTS.c.recorded_ns >= from_ns, RESULTS.c.recorded_ns < before_ns)
     found = select(RESULTS.c.result_id).where(*within, RESULTS.c.superseded_ns < end_of_day)

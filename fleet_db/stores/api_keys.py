@@ -28,11 +28,7 @@ class ApiKeyStore:
         return None if row is None else _key(row)
 
     def get(self, prefix: str) -> ApiKey:
-        """Return the key with a prefix.
-
-        Raises:
-            NotFoundError: There is none.
-        """
+        """Return the key with a prefix; raises NotFoundError."""
         found = self.find(prefix)
         if found is None:
             raise NotFoundError("key", prefix)
@@ -51,12 +47,7 @@ class ApiKeyStore:
         self.connection.execute(insert(KEYS).values(asdict(key) | {"scopes": sorted(key.scopes), "fleets": fleets}))
 
     def revoke(self, prefix: str, now_ns: int) -> ApiKey:
-        """Revoke a key and return it.
-
-        Raises:
-            NotFoundError: There is none of that prefix.
-            ConflictError: It is revoked already.
-        """
+        """Revoke a key and return it; raises NotFoundError, and ConflictError where it is revoked already."""
         if self.get(prefix).revoked_ns is not None:
             raise ConflictError(f"key {prefix} is revoked already", kind="key", key=prefix)
         self.connection.execute(update(KEYS).where(KEYS.c.prefix == prefix).values(revoked_ns=now_ns))

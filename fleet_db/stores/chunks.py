@@ -102,11 +102,7 @@ class ChunkStore:
         return insert_new(self.connection, CHUNKS, _values(record))
 
     def update(self, record: ChunkRecord) -> None:
-        """Replace the receipt of ``record.digest``.
-
-        Raises:
-            NotFoundError: There is none.
-        """
+        """Replace the receipt of ``record.digest``; raises NotFoundError."""
         before = self.get(record.digest)
         if before is None:
             raise NotFoundError("chunk", record.digest)
@@ -147,11 +143,7 @@ class ChunkStore:
         return found
 
     def newest_of_vehicle(self, vehicle: str, most: int = LOOKED_THROUGH) -> ChunkRecord | None:
-        """Return the receipt of a vehicle that came last; None where none is among the newest of all vehicles.
-
-        Args:
-            most: How many receipts of all vehicles are looked through: there is no index by vehicle.
-        """
+        """Return the newest receipt of a vehicle among the ``most`` newest of all (there is no index by vehicle)."""
         place = (CHUNKS.c.received_ns.desc(), CHUNKS.c.digest.desc())
         there = CHUNKS.c.state != ChunkState.DELETED.value
         names = (CHUNKS.c.digest, CHUNKS.c.vehicle, CHUNKS.c.received_ns)
@@ -167,13 +159,7 @@ class ChunkStore:
     def undecoded(
         self, limit: int, after: tuple[int, str] = (-1, ""), vehicle: str | None = None
     ) -> Sequence[ChunkRecord]:
-        """Return the receipts of recordings that wait for a worker to decode them, in the order of their receipt.
-
-        Args:
-            limit: At most so many.
-            after: Recorded time and digest of the last one of the page before.
-            vehicle: Only its; None for all.
-        """
+        """Return receipts that wait for decoding, oldest first, behind (recorded time, digest) of ``after``."""
         place = (CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         statement = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after)).order_by(*place).limit(limit)
         if vehicle is not None:
@@ -187,11 +173,7 @@ class ChunkStore:
         return Undecoded(int(count), int(size), since_ns)
 
     def of_digests(self, digests: Sequence[str]) -> dict[str, ChunkRecord]:
-        """Return the receipts of these recordings, each under its digest.
-
-        Args:
-            digests: At most some hundreds.
-        """
+        """Return the receipts of some hundred recordings at most, each under its digest."""
         found = self.connection.execute(select(CHUNKS).where(CHUNKS.c.digest.in_(digests)))
         return {row.digest: _record(row) for row in found}
 
@@ -213,12 +195,7 @@ class ChunkStore:
     def page(
         self, chosen: ChosenChunks, limit: int, before: tuple[int, str] | None = None
     ) -> builtins.list[ChunkRecord]:
-        """Return receipts, the one that was received last first.
-
-        Args:
-            limit: At most so many.
-            before: Time of receipt and digest of the last one of the page before; None for the first page.
-        """
+        """Return receipts, the newest first, behind (time of receipt, digest) of ``before``."""
         place = (CHUNKS.c.received_ns, CHUNKS.c.digest)
         statement = select(CHUNKS).where(*chosen.conditions()).order_by(*(one.desc() for one in place)).limit(limit)
         if before is not None:

@@ -56,11 +56,7 @@ def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str,
 
 
 def mountings_where(connection: Connection, column: ColumnElement[str], keys: Collection[str]) -> list[Mounting]:
-    """Return the mountings of some wheelsets, or on some vehicles.
-
-    Args:
-        column: ``MOUNTINGS.c.wheelset`` or ``MOUNTINGS.c.vehicle``.
-    """
+    """Return the mountings of some wheelsets, or on some vehicles, by that column."""
     found = []
     for some in _parts(keys):
         statement = select(MOUNTINGS).where(column.in_(some)).order_by(MOUNTINGS.c.from_ns)

@@ -35,11 +35,7 @@ class FeedBranchStore:
     connection: Connection
 
     def all(self) -> Sequence[FeedBranch]:
-        """Return the branches, the current one last.
-
-        Raises:
-            StorageError: There is none: somebody has emptied the database.
-        """
+        """Return the branches, the current one last; StorageError: somebody has emptied the database."""
         statement = select(BRANCHES.c.identity, BRANCHES.c.after_sequence).order_by(BRANCHES.c.branch_id)
         found = [FeedBranch(row.identity, row.after_sequence) for row in self.connection.execute(statement)]
         if not found:
@@ -47,11 +43,7 @@ class FeedBranchStore:
         return found
 
     def begin(self, now_ns: int) -> FeedBranch:
-        """Begin a branch behind the newest event, in the transaction that restores a database, and return it.
-
-        Args:
-            now_ns: Our time, ns UTC.
-        """
+        """Begin a branch behind the newest event, in the transaction that restores a database, and return it."""
         branch = FeedBranch(uuid.uuid4().hex, self.newest_sequence())
         row = {"identity": branch.identity, "after_sequence": branch.after_sequence, "began_ns": now_ns}
         self.connection.execute(insert(BRANCHES).values(**row))

@@ -26,11 +26,7 @@ class IdempotencyStore:
         return None if row is None else (row.request_digest, row.status_code, row.body)
 
     def put(self, key: str, request_digest: str, status_code: int, body: str, recorded_ns: int) -> None:
-        """Remember an answer; the same again changes nothing.
-
-        Raises:
-            ConflictError: Another answer was given under ``key``.
-        """
+        """Remember an answer; raises ConflictError where another was given under ``key``."""
         values = {
             "key": key,
             "request_digest": request_digest,

@@ -45,12 +45,7 @@ class JobRunStore:
     def finish(
         self, run_id: int, outcome: JobOutcome, counts: Mapping[str, int], finished_ns: int, error: str | None = None
     ) -> JobRun:
-        """Record how a run ended; return its record.
-
-        Raises:
-            NotFoundError: There is no such run.
-            ConflictError: It has ended already (it may have been given up as abandoned).
-        """
+        """Record how a run ended and return it; raises NotFoundError, and ConflictError where it has ended already."""
         row = self.connection.execute(
             update(RUNS)
             .where(RUNS.c.run_id == run_id, RUNS.c.outcome == JobOutcome.RUNNING.value)
@@ -76,11 +71,7 @@ class JobRunStore:
         ).rowcount
 
     def get(self, run_id: int) -> JobRun:
-        """Return one run; abandoned where its process is gone.
-
-        Raises:
-            NotFoundError: There is no such run.
-        """
+        """Return one run, abandoned where its process is gone; raises NotFoundError."""
         row = self.connection.execute(select(RUNS).where(RUNS.c.run_id == run_id)).first()
         if row is None:
             raise NotFoundError("job run", str(run_id))

@@ -32,13 +32,7 @@ def newest_measurement_of(connection: Connection, wheelsets: Collection[str]) ->
 def newest_measurements(
     connection: Connection, fleet: str | None, from_ns: int | None, to_ns: int | None, limit: int
 ) -> tuple[int, list[tuple[str, int]]]:
-    """Return how many measurements there are in ``[from_ns, to_ns)``, and wheelset and time of the newest of them.
-
-    Args:
-        fleet: Code; None for all fleets.
-        from_ns, to_ns: None where there is no bound.
-        limit: Of how many wheelset and time are returned, the newest first.
-    """
+    """Return how many measurements there are in ``[from_ns, to_ns)``, and wheelset and time of the newest ``limit``."""
     wanted: list[ColumnElement[bool]] = []
     if fleet is not None:
         wanted.append(MEASURED.c.wheelset.in_(select(WHEELSETS.c.serial).where(WHEELSETS.c.fleet == fleet)))

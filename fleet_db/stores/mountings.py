@@ -33,12 +33,7 @@ def _where(mounting: Mounting) -> str:
 
 
 def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
-    """Return the mounting at an axle that covers ``at_ns``.
-
-    Args:
-        axle: From 1.
-        at_ns: ns UTC on the vehicle's clock.
-    """
+    """Return the mounting at an axle (from 1) that covers ``at_ns``, UTC on the vehicle's clock."""
     statement = select(MOUNTINGS).where(
         MOUNTINGS.c.vehicle == vehicle,
         MOUNTINGS.c.axle == axle,
@@ -50,11 +45,7 @@ def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> 
 
 
 def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
-    """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start.
-
-    Args:
-        from_ns, to_ns: Interval of the vehicle's clock, ns UTC, its end excluded.
-    """
+    """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
     statement = (
         select(MOUNTINGS)
         .where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.from_ns < to_ns)
@@ -87,11 +78,7 @@ def delete_mounting(connection: Connection, record: Mounting) -> None:
 
 
 def changed_spans(before: Mounting | None, after: Mounting | None) -> list[tuple[str, int, int | None]]:
-    """Return ``(vehicle, from, to)`` of the time in which a mounting says something else than before.
-
-    Args:
-        before, after: The mounting of one wheelset and start; None where there is none.
-    """
+    """Return ``(vehicle, from, to)`` of the time in which a mounting says something else; None: there is none."""
     if before is not None and after is not None and replace(before, to_ns=after.to_ns) == after:
         ends = [end for end in (before.to_ns, after.to_ns) if end is not None]
         if not ends or before.to_ns == after.to_ns:
@@ -102,12 +89,7 @@ def changed_spans(before: Mounting | None, after: Mounting | None) -> list[tuple
 
 
 def add_mounting(connection: Connection, record: Mounting, axles: int) -> bool:
-    """Store a mounting on a vehicle of so many axles; return whether anything changed.
-
-    Raises:
-        ParameterError: The vehicle has no such axle, or the mounting ends before it starts.
-        MountedTwiceError: It overlaps another of the same wheelset or of the same axle.
-    """
+    """Store a mounting on a vehicle of so many axles; return whether anything changed. Raises MountedTwiceError."""
     if not 1 <= record.axle <= axles:
         raise ParameterError(f"vehicle {record.vehicle!r} has axles 1 to {axles}, not {record.axle}", field="axle")
     if record.to_ns is not None and record.to_ns <= record.from_ns:

@@ -82,11 +82,7 @@ class PlausibilityStore:
         return found
 
     def readings_around(self, spans: Sequence[ReadingSpan]) -> Mapping[ReadingSpan, Sequence[MileageReading]]:
-        """Return the mileages of windows in spans, with one before and one after each, oldest first.
-
-        Args:
-            spans: Wheelset, first start and last start.
-        """
+        """Return mileages in spans (wheelset, first, last start), one before and one after each, oldest first."""
         found: dict[ReadingSpan, list[MileageReading]] = {span: [] for span in spans}
         for first in range(0, len(spans), SPANS):
             for *span, start_ns, mileage_km, excess_m, off_line_m in self.connection.execute(

@@ -56,12 +56,7 @@ class QuarantineStore:
         after: Place | None,
         limit: int,
     ) -> Sequence[Quarantined]:
-        """Return at most ``limit`` items behind a place, by kind, key and stage.
-
-        Args:
-            vehicle: Only recordings and windows of this vehicle, and itself.
-            after: Of the last item of the page before.
-        """
+        """Return items behind a place, by kind, key and stage; of a vehicle with its recordings and windows."""
         chosen = [
             column == value.value
             for column, value in ((ITEMS.c.kind, kind), (ITEMS.c.state, state), (ITEMS.c.code, code))

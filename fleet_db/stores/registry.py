@@ -82,11 +82,7 @@ class RegistryStore:
         return [FleetRecord(*row) for row in self.connection.execute(select(FLEETS).order_by(FLEETS.c.code))]
 
     def vehicle(self, code: str) -> VehicleRecord:
-        """Return one vehicle.
-
-        Raises:
-            NotFoundError: There is none of that code.
-        """
+        """Return one vehicle; raises NotFoundError."""
         found = self.vehicles_of([code])
         if not found:
             raise NotFoundError("vehicle", code)
@@ -125,11 +121,7 @@ class RegistryStore:
         return self._wheelsets(_in_fleet(_WITH_MOUNTING, WHEELSETS.c.fleet, fleet))
 
     def wheelsets_of(self, serials: Sequence[str], *, voided: bool = True) -> Sequence[WheelsetRecord]:
-        """Return the wheelsets of these serials, by serial; one that is not on file is left out.
-
-        Args:
-            voided: Whether those that are voided are returned, too.
-        """
+        """Return the wheelsets of these serials, by serial; one that is not on file is left out."""
 
         def read(some: Collection[str]) -> Mapping[str, WheelsetRecord]:
             chosen = _WITH_MOUNTING.where(WHEELSETS.c.serial.in_(some))
@@ -141,11 +133,7 @@ class RegistryStore:
         return [record for _, record in sorted(found.items())]
 
     def wheelset(self, serial: str) -> WheelsetRecord:
-        """Return one wheelset, with the mounting that lasts and its reprofilings.
-
-        Raises:
-            NotFoundError: There is none of that serial.
-        """
+        """Return one wheelset, with the mounting that lasts and its reprofilings; raises NotFoundError."""
         found = self.wheelsets_of([serial])
         if not found:
             raise NotFoundError("wheelset", serial)
@@ -194,11 +182,7 @@ class RegistryStore:
         return frozenset(self.connection.scalars(select(MEASURED.c.wheelset).distinct()))
 
     def measured_profiles(self, wheelset: str) -> Sequence[MeasuredProfiles]:
-        """Return every measurement of the profiles of a wheelset, oldest first.
-
-        Raises:
-            DamagedError: What was stored of one is damaged.
-        """
+        """Return every measurement of the profiles of a wheelset, oldest first; raises DamagedError."""
         return measured_profiles_of(self.connection, wheelset)
 
     def newest_measurement_of(self, wheelsets: Collection[str]) -> Mapping[str, tuple[int, float]]:
@@ -250,11 +234,7 @@ class RegistryStore:
         upsert(self.connection, FLEETS, asdict(record))
 
     def add_vehicle(self, record: VehicleRecord, recorded_ns: int | None = None) -> EstimatedAgain:
-        """Add a vehicle or change it; return what is estimated again because it is of another class now.
-
-        Raises:
-            NotFoundError: Its fleet is unknown.
-        """
+        """Add a vehicle or change it; return what is estimated again because it is of another class now."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
         found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == record.code))
@@ -282,14 +262,7 @@ class RegistryStore:
         return Again(self.connection, self.subjects, recorded_ns).class_changed([record.code], before, after)
 
     def add_wheelset(self, record: WheelsetRecord, recorded_ns: int | None = None) -> EstimatedAgain:
-        """Add a wheelset or change it; the mounting and the reprofilings that it carries are added too.
-
-        Return what is estimated again because its nominal radius is another now.
-
-        Raises:
-            NotFoundError: Its fleet, or the vehicle of its mounting, is unknown.
-            ConflictError: Its mounting overlaps another.
-        """
+        """Add a wheelset with what it carries, or change it; return what another nominal radius estimates again."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
         values = {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
@@ -311,11 +284,7 @@ class RegistryStore:
         return Again(self.connection, self.subjects, recorded_ns).wheelset(record.serial)
 
     def add_mountings(self, records: Sequence[Mounting], recorded_ns: int | None = None) -> None:
-        """Add or change mountings together: wheelsets may change places with each other.
-
-        Raises:
-            NotFoundError, ParameterError, ConflictError: As :meth:`add_mounting`.
-        """
+        """Add or change mountings together: wheelsets may change places. Raises as :meth:`add_mounting`."""
         before = self.take_out(records)
         for record in records:
             self.add_mounting(record, before.get((record.wheelset, record.from_ns)), recorded_ns)
@@ -368,11 +337,7 @@ class RegistryStore:
         return stands_voided(self.connection, key) is not None
 
     def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> bool:
-        """Add a visit to the lathe, or change the one of the same wheelset and time; return whether anything changed.
-
-        Raises:
-            NotFoundError: The wheelset is unknown.
-        """
+        """Add a visit to the lathe, or change the one of that wheelset and time; return whether anything changed."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
         was = stored_reprofiling(self.connection, record.wheelset, record.at_ns)
@@ -382,13 +347,7 @@ class RegistryStore:
         return True
 
     def add_measured_profiles(self, record: MeasuredProfiles, recorded_ns: int | None = None) -> bool:
-        """Add a measurement of the profiles of a wheelset, or change the one of the same wheelset and time.
-
-        Return whether anything changed.
-
-        Raises:
-            NotFoundError: The wheelset is unknown.
-        """
+        """Add measured profiles, or change those of that wheelset and time; return whether anything changed."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
         was = stored_measurement(self.connection, record.wheelset, record.at_ns)

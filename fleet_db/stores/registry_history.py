@@ -141,11 +141,7 @@ def stands_voided(connection: Connection, key: RecordKey) -> RegistryEvent | Non
 
 
 def last_voided(kind: RecordKind, subject: ColumnElement[str]) -> ScalarSelect[Mapping[str, JsonValue]]:
-    """Return the record that the last decision on an undated one has voided; null where it has restored one.
-
-    Args:
-        subject: Column with its class, wheelset or section.
-    """
+    """Return the record that the last decision on an undated one has voided; null where it has restored one."""
     record = case((EVENTS.c.action == RecordAction.VOIDED.value, EVENTS.c.record), else_=null())
     chosen = (EVENTS.c.kind == kind.value, EVENTS.c.subject == subject, EVENTS.c.action.in_(_VOID_OR_NOT))
     return select(record).where(*chosen).order_by(EVENTS.c.id.desc()).limit(1).scalar_subquery()
@@ -156,11 +152,7 @@ def _json(record: Mapping[str, JsonValue] | None) -> object:
 
 
 def is_voided(kind: RecordKind, subject: ColumnElement[str]) -> ColumnElement[bool]:
-    """Return whether the last decision on an undated record voided it.
-
-    Args:
-        subject: Column with its wheelset or section.
-    """
+    """Return whether the last decision on an undated record voided it."""
     last = _last_of(kind)
     voided = select(EVENTS.c.subject).join(last, EVENTS.c.id == last.c.id)
     return subject.in_(voided.where(EVENTS.c.action == RecordAction.VOIDED.value))

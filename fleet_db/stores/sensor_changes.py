@@ -40,12 +40,7 @@ class SensorChangeStore:
         return {(vehicle, axle): at_ns for vehicle, axle, at_ns in self.connection.execute(statement)}
 
     def add(self, record: SensorChange, axles: int, decision: Decision) -> bool:
-        """Add a record, or change the one of the same vehicle, axle and time; return whether anything changed.
-
-        Raises:
-            ParameterError: The vehicle has no such axle.
-            ConflictError: Another axle of it has a record of that time.
-        """
+        """Add a record, or change the one of that vehicle, axle and time; ConflictError: another axle has one then."""
         serialise(self.connection, Subject.REGISTRY)
         if not 1 <= record.axle <= axles:
             raise ParameterError(f"vehicle {record.vehicle!r} has axles 1 to {axles}, not {record.axle}", field="axle")

@@ -44,11 +44,7 @@ class SuspensionStore:
         self.subjects.raised(SubjectKind.VEHICLE, finding.vehicle, Facet.STIFFNESS)
 
     def forget(self, section: str, epoch: int, *, behind: bool) -> None:
-        """Remove what an epoch of a section has shown, before it is stored again.
-
-        Args:
-            behind: What the epochs behind it have shown goes too.
-        """
+        """Remove what an epoch of a section, with ``behind`` later ones too, has shown, before it is stored again."""
         chosen = FINDINGS.c.epoch >= epoch if behind else FINDINGS.c.epoch == epoch
         gone = delete(FINDINGS).where(FINDINGS.c.section == section, chosen).returning(FINDINGS.c.vehicle)
         for vehicle in self.connection.scalars(gone):
@@ -62,11 +58,7 @@ class SuspensionStore:
         return self._read(statement, FINDINGS.c)
 
     def newest(self, count: int) -> Sequence[SuspensionFinding]:
-        """Return the newest findings of every vehicle, in order of vehicle, time and section.
-
-        Args:
-            count: At most so many of each.
-        """
+        """Return at most ``count`` newest findings of every vehicle, in order of vehicle, time and section."""
         order = (FINDINGS.c.to_ns.desc(), FINDINGS.c.section.desc())
         rank = func.row_number().over(partition_by=FINDINGS.c.vehicle, order_by=order)
         ranked = select(FINDINGS, rank.label("rank")).subquery()

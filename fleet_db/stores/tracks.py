@@ -83,11 +83,7 @@ class TrackStore:
         return self.once.one("sections", None, partial(self._sections, statement))
 
     def section(self, code: str) -> TrackSectionRecord:
-        """Return one section.
-
-        Raises:
-            NotFoundError: There is none of that code.
-        """
+        """Return one section; raises NotFoundError."""
         found = self._sections(select(SECTIONS).where(SECTIONS.c.code == code, SECTIONS.c.number > 0))
         if not found:
             raise NotFoundError("track section", code)
@@ -99,11 +95,7 @@ class TrackStore:
         return found[0] if found else None
 
     def add_section(self, record: TrackSectionRecord, recorded_ns: int | None = None) -> None:
-        """Add a section or change it; windows that its number or line changes are assembled again.
-
-        Raises:
-            ConflictError: Another section has its number.
-        """
+        """Add or change a section and assemble windows again; ConflictError: another section has its number."""
         serialise(self.connection, Subject.TRACKS)
         other = self.section_by_number(record.number)
         if other is not None and other.code != record.code:
@@ -181,10 +173,7 @@ class TrackStore:
         return version
 
     def in_force(self, section: str) -> AlignmentRecord | None:
-        """Return which version of the alignment of a section is in force, without its arrays.
-
-        It is the newest that has not been superseded.
-        """
+        """Return which version of a section's alignment is in force: the newest not superseded; without arrays."""
         statement = (
             RECORDS.where(ALIGNMENTS.c.section == section, STANDS).order_by(ALIGNMENTS.c.version.desc()).limit(1)
         )
@@ -319,13 +308,7 @@ class TrackStore:
         return found
 
     def add_layout(self, layout: TrackLayout) -> int:
-        """Store a layout as the next version of its section and return that; ``layout.version`` is not read.
-
-        The content of the newest version again changes nothing and returns its version.
-
-        Raises:
-            NotFoundError: The section is unknown.
-        """
+        """Store a layout as the next version and return that; the content of the newest again changes nothing."""
         serialise(self.connection, Subject.TRACKS)
         self.section(layout.section)
         before, version = self.layout_version(layout.section), store_layout(self.connection, layout)
@@ -368,11 +351,7 @@ def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of R
 
 
 def find_layout(connection: Connection, section: str, version: int | None) -> TrackLayout | None:
-    """Return one version of the layout of a section, or the newest; None where there is none.
-
-    Args:
-        version: None is the newest.
-    """
+    """Return one version of the layout of a section, None for the newest; None where there is none."""
     statement = select(LAYOUTS.c.version, LAYOUTS.c.packed).where(LAYOUTS.c.section == section)
     if version is not None:
         statement = statement.where(LAYOUTS.c.version == version)
@@ -383,10 +362,7 @@ def find_layout(connection: Connection, section: str, version: int | None) -> Tr
 
 
 def store_layout(connection: Connection, layout: TrackLayout) -> int:
-    """Store a layout as the next version of its section, which exists, and return that.
-
-    The content of the newest version again changes nothing and returns its version.
-    """
+    """Store a layout as the next version and return that; the content of the newest again changes nothing."""
     packed = pack_layout(layout)
     digest = hashlib.sha256(packed).hexdigest()
     newest = connection.execute(

@@ -33,19 +33,11 @@ class WebhookStore:
     connection: Connection
 
     def get(self, webhook_id: int) -> Webhook:
-        """Return one webhook.
-
-        Raises:
-            NotFoundError: There is none of that number.
-        """
+        """Return one webhook; raises NotFoundError."""
         return self._one(webhook_id, select(WEBHOOKS))
 
     def locked(self, webhook_id: int) -> Webhook:
-        """Return one webhook, which nobody else changes until the end of the transaction.
-
-        Raises:
-            NotFoundError: There is none of that number.
-        """
+        """Return one webhook, which nobody else changes until the end of the transaction; raises NotFoundError."""
         return self._one(webhook_id, select(WEBHOOKS).with_for_update())
 
     def page(self, after_id: int | None, limit: int | None) -> Sequence[Webhook]:
@@ -91,11 +83,7 @@ class WebhookStore:
         return changed
 
     def delete(self, webhook_id: int) -> None:
-        """Delete a webhook with its secrets and the records of its deliveries.
-
-        Raises:
-            NotFoundError: There is none of that number.
-        """
+        """Delete a webhook with its secrets and the records of its deliveries; raises NotFoundError."""
         self.get(webhook_id)
         for table in (DELIVERIES, SECRETS, FLEETS, WEBHOOKS):
             self.connection.execute(delete(table).where(table.c.webhook_id == webhook_id))
@@ -107,11 +95,7 @@ class WebhookStore:
         return list(self.connection.scalars(statement.order_by(SECRETS.c.secret_id.desc())))
 
     def rotate(self, webhook_id: int, secret: str, now_ns: int, until_ns: int) -> None:
-        """Let another secret sign, and those before it beside it until a time at most; delete those that have ended.
-
-        Args:
-            now_ns, until_ns: Our time, and until when those before it still sign, ns UTC.
-        """
+        """Let another secret sign, and those before it beside it until a time at most; delete those that have ended."""
         mine = SECRETS.c.webhook_id == webhook_id
         later = SECRETS.c.until_ns.is_(None) | (SECRETS.c.until_ns > until_ns)
         self.connection.execute(update(SECRETS).where(mine, later).values(until_ns=until_ns))
@@ -167,11 +151,7 @@ class WebhookStore:
         return True
 
     def passed(self, webhook: Webhook, sequence: int) -> None:
-        """Move the position of a webhook over events that are none of its own, unless it has been changed meanwhile.
-
-        Args:
-            webhook: As it was read when the feed was looked through.
-        """
+        """Move the position of a webhook over events that are none of its own, unless it has been changed meanwhile."""
         same = (WEBHOOKS.c.webhook_id == webhook.webhook_id, WEBHOOKS.c.position == webhook.position)
         unchanged = WEBHOOKS.c.revision == webhook.revision
         self.connection.execute(update(WEBHOOKS).where(*same, unchanged).values(position=sequence))

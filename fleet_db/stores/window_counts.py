@@ -34,11 +34,7 @@ class WindowCounts:
 
 
 def window_counts(connection: Connection, wheelset: str, most: int) -> WindowCounts:
-    """Return the windows of a wheelset by state and reason, in whole days or as many days as needed.
-
-    Args:
-        most: How many stretches of time at most.
-    """
+    """Return windows by state and reason in at most ``most`` stretches of whole days."""
     of_wheelset = WINDOWS.c.wheelset == wheelset
     first, last = connection.execute(
         select(func.min(WINDOWS.c.start_ns), func.max(WINDOWS.c.start_ns)).where(of_wheelset)

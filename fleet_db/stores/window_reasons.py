@@ -47,12 +47,7 @@ class CountedWindows:
 def newest_by_reason(
     connection: Connection, wheelset: str, since_ns: int | None = None, most: int = COUNTED
 ) -> Sequence[CountedWindows]:
-    """Return the newest windows of a wheelset by state and reason code, the most frequent first.
-
-    Args:
-        since_ns: Those that begin from there on; None for all.
-        most: How many windows at most.
-    """
+    """Return windows by state and reason code of the ``most`` newest since a time, the most frequent first."""
     given = {"serial": wheelset, "since_ns": EVER_NS if since_ns is None else since_ns, "most": most}
     rows = connection.execute(_grouped(), given).all()
     starts = [row.newest_start_ns for row in rows if row.reason_code is not None]
@@ -80,11 +75,7 @@ def newest_by_reason(
 def pending_by_place(
     connection: Connection, *, vehicles: Sequence[str] | None = None, wheelset: str | None = None
 ) -> Sequence[CountedWindows]:
-    """Return the windows that wait, however many, by vehicle, section, and whether their place is found.
-
-    Args:
-        vehicles: Only of these, some hundreds at most.
-    """
+    """Return the windows that wait, however many, by vehicle, section, and whether their place is found."""
     chosen = [IS_PENDING]
     if vehicles is not None:
         chosen.append(WINDOWS.c.vehicle.in_(vehicles))

@@ -68,24 +68,13 @@ class WorkClaimStore:
         return int(self.connection.execute(insert(LEASES).values(values).returning(LEASES.c.lease_id)).scalar_one())
 
     def take_place(self, lease: int) -> None:
-        """Claim the place of the one scheduler of this database.
-
-        Raises:
-            AlreadyRunningError: Another process holds it; names the holder.
-        """
+        """Claim the place of the one scheduler of this database; AlreadyRunningError names who holds it."""
         if not self.take(lease, *PLACE, alone=True).keys:
             held = select(LEASES.c.holder).join(CLAIMS, CLAIMS.c.lease_id == LEASES.c.lease_id)
             raise AlreadyRunningError(self.connection.scalar(held.where(CLAIMS.c.stage == PLACE[0])) or "just ended")
 
     def take(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool = False) -> Claimed:
-        """Claim what is free.
-
-        Args:
-            stage: Of the work, such as the name of a job.
-
-        Raises:
-            IntegrityError: The lease has ended.
-        """
+        """Claim what is free for a stage; raises IntegrityError where the lease has ended."""
         taken = self._insert(lease, stage, sorted(keys), alone=alone)
         if len(taken) < len(set(keys)) and self.end_outdated():
             taken |= self._insert(lease, stage, sorted(set(keys) - set(taken)), alone=alone)
@@ -110,21 +99,13 @@ class WorkClaimStore:
         )
 
     def bound(self, length_s: float) -> None:
-        """Let the server end this transaction where its process stands still in it for longer than its lease.
-
-        Args:
-            length_s: Of the lease, s.
-        """
+        """Let the server end this transaction where its process stands still in it for longer than its lease, s."""
         if self.connection.dialect.name == "postgresql":
             name, limit = literal("idle_in_transaction_session_timeout"), literal(str(round(1000 * length_s)))
             self.connection.execute(select(func.set_config(name, limit, literal(True))))  # noqa: FBT003 - of this transaction
 
     def check(self, lease: int, holder: str) -> None:
-        """Raise unless a lease is still there; nobody ends it before this transaction does.
-
-        Raises:
-            LeaseLostError: It has ended.
-        """
+        """Raise LeaseLostError unless a lease is still there; nobody ends it before this transaction does."""
         if self.connection.dialect.name == "sqlite":
             there = self.prolong(lease)  # a process that writes without a pause leaves no gap for its other thread
         else:
@@ -141,11 +122,7 @@ class WorkClaimStore:
         return self.connection.scalar(select(LEASES.c.lease_id).where(LEASES.c.holder == holder)) is not None
 
     def free(self, lease: int, holder: str, stage: str, keys: Collection[str]) -> None:
-        """Forget claims whose work is stored by this transaction.
-
-        Raises:
-            LeaseLostError: The lease under which they were made has ended.
-        """
+        """Forget claims whose work is stored by this transaction; raises LeaseLostError."""
         if self.forget(lease, stage, keys) < len(keys):
             raise LeaseLostError(holder)
 
