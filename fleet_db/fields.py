@@ -130,7 +130,7 @@ def fields_of(value: object, *, without: Collection[str] = ()) -> tuple[dict[str
     """Return the fields of a frozen value: JSON and arrays under their names, in the order of the class."""
     scalars: dict[str, JsonValue] = {}
     arrays: dict[str, Array] = {}
-    for name, hint in _hints(cast("Hashable", type(value))).items():
+    for name, hint in hints_of(cast("Hashable", type(value))).items():
         if name in without:
             continue
         item = getattr(value, name)
@@ -145,7 +145,7 @@ def value_of(kind: type[V], scalars: Mapping[str, Any], arrays: Mapping[str, Arr
     """Return the value of what ``fields_of`` returned; ``given`` wins. Raises StorageError where a field is missing."""
     stored = dict(given)
     try:
-        for name in _hints(cast("Hashable", kind)):
+        for name in hints_of(cast("Hashable", kind)):
             if name not in given:
                 read = _field_reader(cast("Hashable", kind), name)
                 stored[name] = arrays[name] if read is None else read(scalars[name])
@@ -203,7 +203,7 @@ def _collection_reader(origin: object, read: Callable[[Any], Any]) -> Callable[[
 
 
 def _value_reader(kind: type[Any]) -> Callable[[Any], Any]:
-    readers = [_reader(one) for one in _hints(cast("Hashable", kind)).values()]
+    readers = [_reader(one) for one in hints_of(cast("Hashable", kind)).values()]
 
     def read(stored: Any) -> Any:  # noqa: ANN401 - as ``from_json``
         return kind(*[reader(one) for reader, one in zip(readers, stored, strict=True)])
@@ -233,12 +233,12 @@ def _number(stored: object) -> float:
 @cache
 def _field_reader(kind: Hashable, name: str) -> Callable[[Any], Any] | None:
     """Return what reads a field of a dataclass from JSON; None where it is an array."""
-    hint = _hints(kind)[name]
+    hint = hints_of(kind)[name]
     return None if get_origin(hint) is np.ndarray else _reader(hint)
 
 
 @cache
-def _hints(kind: Hashable) -> Mapping[str, Any]:
+def hints_of(kind: Hashable) -> Mapping[str, Any]:
     """Return the types of the fields of a dataclass, in the order of its fields."""
     hints = get_type_hints(kind)
     return {field.name: hints[field.name] for field in fields(cast("Any", kind))}

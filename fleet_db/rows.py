@@ -3,14 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from enum import Enum
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast, get_args, get_origin
 
-from sqlalchemy import ColumnElement, Connection, Insert, Select, Table, Update, and_, bindparam, or_, select, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Insert,
+    Row,
+    Select,
+    Table,
+    Update,
+    and_,
+    bindparam,
+    or_,
+    select,
+    update,
+)
 from sqlalchemy.dialects import postgresql, sqlite
 
 from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.fields import hints_of
 from fleet_db.tables import Base
 
 V = TypeVar("V")
@@ -113,6 +128,58 @@ def _insert_new(table: Table, dialect: str) -> Insert:
 @cache
 def _update(table: Table, names: tuple[str, ...]) -> Update:
     return update(table).where(key_given(table)).values({name: bindparam(name) for name in names})
+
+
+def value_of_row(kind: type[V], row: Row[Any], **given: object) -> V:
+    """Return the value of a class whose fields are columns of a row; ``given`` are those that are none."""
+    columns = row._mapping  # noqa: SLF001 - SQLAlchemy's public accessor
+    values = dict(given)
+    for name, read in _column_readers(cast("Hashable", kind)).items():
+        if read is stored_reason and name not in given:
+            values[name] = read(row)
+        elif name in columns and name not in given:
+            values[name] = columns[name] if read is None else read(columns[name])
+    return kind(**values)
+
+
+def columns_of(value: object, *without: str) -> dict[str, Any]:
+    """Return the fields of a value as columns: what JSON has no type for as lists, a reason as text and code."""
+    columns: dict[str, Any] = {}
+    for name, read in _column_readers(cast("Hashable", type(value))).items():
+        item = getattr(value, name)
+        if name in without:
+            continue
+        if read is stored_reason:
+            columns |= reason_columns(item)
+        elif isinstance(item, Enum):
+            columns[name] = item.value
+        elif isinstance(item, frozenset):
+            columns[name] = sorted(item)
+        elif isinstance(item, tuple):
+            columns[name] = list(item)
+        else:
+            columns[name] = dict(item) if isinstance(item, Mapping) else item
+    return columns
+
+
+@cache
+def _column_readers(kind: Hashable) -> Mapping[str, Callable[[Any], Any] | None]:
+    """Return what makes the fields of a class of their columns; None where they are the same."""
+    return {name: _column_reader(hint) for name, hint in hints_of(kind).items()}
+
+
+def _column_reader(hint: Any) -> Callable[[Any], Any] | None:  # noqa: ANN401 - a type as it is declared
+    declared = next((part for part in get_args(hint) if part is not type(None)), hint) if _optional(hint) else hint
+    plain = get_origin(declared) or declared
+    if plain is Reason:
+        return stored_reason
+    if not isinstance(plain, type) or not issubclass(plain, Enum | tuple | frozenset):
+        return None
+    return lambda stored: None if stored is None else plain(stored)
+
+
+def _optional(hint: Any) -> bool:  # noqa: ANN401 - the same
+    return type(None) in get_args(hint)
 
 
 def reason_columns(reason: Reason | None) -> dict[str, str | None]:

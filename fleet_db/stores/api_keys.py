@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
-from sqlalchemy import Connection, Row, insert, or_, select, update
+from sqlalchemy import Connection, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from fleet_db.access_records import ApiKey
-from fleet_db.rows import table_of
+from fleet_db.rows import columns_of, table_of, value_of_row
 from fleet_db.tables import ApiKeyRow
 
 KEYS = table_of(ApiKeyRow)
@@ -25,7 +24,7 @@ class ApiKeyStore:
     def find(self, prefix: str) -> ApiKey | None:
         """Return the key with a prefix; None where there is none."""
         row = self.connection.execute(select(KEYS).where(KEYS.c.prefix == prefix)).first()
-        return None if row is None else _key(row)
+        return None if row is None else value_of_row(ApiKey, row)
 
     def get(self, prefix: str) -> ApiKey:
         """Return the key with a prefix; raises NotFoundError."""
@@ -39,12 +38,11 @@ class ApiKeyStore:
         statement = select(KEYS).order_by(KEYS.c.prefix).limit(limit)
         if after is not None:
             statement = statement.where(KEYS.c.prefix > after)
-        return [_key(row) for row in self.connection.execute(statement)]
+        return [value_of_row(ApiKey, row) for row in self.connection.execute(statement)]
 
     def add(self, key: ApiKey) -> None:
         """Add a key."""
-        fleets = None if key.fleets is None else sorted(key.fleets)
-        self.connection.execute(insert(KEYS).values(asdict(key) | {"scopes": sorted(key.scopes), "fleets": fleets}))
+        self.connection.execute(insert(KEYS).values(columns_of(key)))
 
     def revoke(self, prefix: str, now_ns: int) -> ApiKey:
         """Revoke a key and return it; raises NotFoundError, and ConflictError where it is revoked already."""
@@ -58,9 +56,3 @@ class ApiKeyStore:
         for prefix, at_ns in last_used_ns.items():
             earlier = or_(KEYS.c.last_used_ns.is_(None), KEYS.c.last_used_ns < at_ns)
             self.connection.execute(update(KEYS).where(KEYS.c.prefix == prefix, earlier).values(last_used_ns=at_ns))
-
-
-def _key(row: Row[Any]) -> ApiKey:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
-    fleets = None if row.fleets is None else frozenset(row.fleets)
-    return ApiKey(**fields | {"scopes": frozenset(row.scopes), "fleets": fleets})

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from sqlalchemy import Connection, insert, select
 
 from fleet_db.access_records import AuditEntry
-from fleet_db.rows import table_of
+from fleet_db.rows import columns_of, table_of, value_of_row
 from fleet_db.tables import AuditRow
 
 ENTRIES = table_of(AuditRow)
@@ -34,21 +34,15 @@ class AuditStore:
 
     def add(self, entries: Sequence[AuditEntry]) -> None:
         """Add entries, in their order."""
-        rows = [asdict(entry) for entry in entries]
-        for row in rows:
-            del row["entry_id"]
-        if rows:
-            self.connection.execute(insert(ENTRIES), rows)
+        if entries:
+            self.connection.execute(insert(ENTRIES), [columns_of(entry, "entry_id") for entry in entries])
 
     def page(self, chosen: AuditFilter, before_id: int | None, limit: int) -> Sequence[AuditEntry]:
         """Return at most ``limit`` entries with a number below ``before_id``, newest first."""
-        same = (
-            (ENTRIES.c.owner, chosen.owner),
-            (ENTRIES.c.key_prefix, chosen.key_prefix),
-            (ENTRIES.c.status, chosen.status),
-            (ENTRIES.c.method, chosen.method),
+        same = {name: getattr(chosen, name) for name in ("owner", "key_prefix", "status", "method")}
+        statement = select(ENTRIES).where(
+            *(ENTRIES.c[name] == value for name, value in same.items() if value is not None)
         )
-        statement = select(ENTRIES).where(*(column == value for column, value in same if value is not None))
         if chosen.from_ns is not None:
             statement = statement.where(ENTRIES.c.at_ns >= chosen.from_ns)
         if chosen.to_ns is not None:
@@ -56,4 +50,4 @@ class AuditStore:
         if before_id is not None:
             statement = statement.where(ENTRIES.c.entry_id < before_id)
         rows = self.connection.execute(statement.order_by(ENTRIES.c.entry_id.desc()).limit(limit))
-        return [AuditEntry(**row._mapping) for row in rows]  # noqa: SLF001 - SQLAlchemy's public accessor
+        return [value_of_row(AuditEntry, row) for row in rows]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import builtins
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -28,7 +28,7 @@ from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
-from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of
+from fleet_db.rows import columns_of, insert_new, table_of, value_of_row
 from fleet_db.subjects import Subjects
 from fleet_db.tables import ChunkRow, MountingRow, VehicleRow, WindowRow
 from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, of_length
@@ -264,13 +264,8 @@ def _in_span(clock: tuple[str, str]) -> CompoundSelect[Any]:
 
 
 def _values(record: ChunkRecord) -> dict[str, object]:
-    plain = {"counts": dict(record.counts), "state": record.state.value}
-    stamps = {name: record.counts.get(name) for name in CLOCKS[1]}
-    return asdict(record) | plain | stamps | reason_columns(record.reason)
+    return columns_of(record) | {name: record.counts.get(name) for name in CLOCKS[1]}
 
 
 def _record(row: Row[Any]) -> ChunkRecord:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
-    for name in ("reason_code", *CLOCKS[1]):
-        del fields[name]
-    return ChunkRecord(**{**fields, "state": ChunkState(row.state), "reason": stored_reason(row)})
+    return value_of_row(ChunkRecord, row)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, insert, select
+from sqlalchemy import Connection, RowMapping, delete, insert, select
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
 from estimation.values.json_value import JsonValue
@@ -26,7 +26,7 @@ from estimation.vehicle.vehicle_class import (
 )
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import table_of
+from fleet_db.rows import columns_of, table_of
 from fleet_db.stores.measured_profiles import stored_measurement
 from fleet_db.stores.mountings import delete_mounting, mountings_on
 from fleet_db.stores.registry import RegistryStore
@@ -124,10 +124,10 @@ class CorrectionStore:
             return None if self.registry.voided(key.subject) else self.registry.wheelset(key.subject)
         return self._dated_row(key)
 
-    def _dated_row(self, key: RecordKey) -> Row[Any] | None:
+    def _dated_row(self, key: RecordKey) -> RowMapping | None:
         table = REPROFILINGS if key.kind is RecordKind.REPROFILING else MEASURED
         statement = select(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns)
-        return self.connection.execute(statement).first()
+        return self.connection.execute(statement).mappings().first()
 
     def _void_mounting(self, key: RecordKey) -> _Values:
         found = self._on_file(key)
@@ -154,7 +154,7 @@ class CorrectionStore:
             raise NotFoundError(key.kind.value, _name(key))
         table = REPROFILINGS if key.kind is RecordKind.REPROFILING else MEASURED
         self.connection.execute(delete(table).where(table.c.wheelset == key.subject, table.c.at_ns == key.at_ns))
-        return dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
+        return dict(row)
 
     def _void_wheelset(self, key: RecordKey) -> _Values:
         record = self.registry.wheelset(key.subject)
@@ -180,7 +180,7 @@ class CorrectionStore:
         if mounted:
             reason = f"wheelset {mounted[0].wheelset!r} is mounted on vehicle {key.subject!r}: void its mountings first"
             raise ConflictError(reason, kind=key.kind.value, key=key.subject)
-        return asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)}
+        return columns_of(record)
 
     def _void_class(self, key: RecordKey) -> _Values:
         """Return the newest version of a class that is registered; what was in force before it follows it."""

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from sqlalchemy import ColumnElement, Connection, Select, and_, exists, select
 
 from estimation.values.registry import Mounting
-from fleet_db.rows import table_of
-from fleet_db.stores.mountings import to_mounting
+from fleet_db.rows import table_of, value_of_row
 from fleet_db.tables import MeasuredProfilesRow, MountingRow, ReprofilingRow, StaleSpanRow, WindowRow
 
 MOUNTINGS, REPROFILINGS, MEASURED = table_of(MountingRow), table_of(ReprofilingRow), table_of(MeasuredProfilesRow)
@@ -60,7 +59,7 @@ def mountings_where(connection: Connection, column: ColumnElement[str], keys: Co
     found = []
     for some in _parts(keys):
         statement = select(MOUNTINGS).where(column.in_(some)).order_by(MOUNTINGS.c.from_ns)
-        found += [to_mounting(row) for row in connection.execute(statement)]
+        found += [value_of_row(Mounting, row) for row in connection.execute(statement)]
     return found
 
 

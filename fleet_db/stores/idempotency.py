@@ -27,12 +27,7 @@ class IdempotencyStore:
 
     def put(self, key: str, request_digest: str, status_code: int, body: str, recorded_ns: int) -> None:
         """Remember an answer; raises ConflictError where another was given under ``key``."""
-        values = {
-            "key": key,
-            "request_digest": request_digest,
-            "status_code": status_code,
-            "body": body,
-            "recorded_ns": recorded_ns,
-        }
-        if not insert_new(self.connection, KEYS, values) and self.get(key) != (request_digest, status_code, body):
+        answer = {"request_digest": request_digest, "status_code": status_code, "body": body}
+        new = insert_new(self.connection, KEYS, {"key": key, **answer, "recorded_ns": recorded_ns})
+        if not new and self.get(key) != tuple(answer.values()):
             raise ConflictError(f"another answer was given under key {key!r}", kind="idempotency key", key=key)

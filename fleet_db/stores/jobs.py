@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Connection, Row, insert, or_, select, upda
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
-from fleet_db.rows import table_of
+from fleet_db.rows import columns_of, table_of, value_of_row
 from fleet_db.stores.work_claims import LEASES, WorkClaimStore, living
 from fleet_db.tables import JobRunRow
 
@@ -29,18 +29,9 @@ class JobRunStore:
         """Record that a run has begun; a process runs one job at a time, so that what it ran before has ended."""
         if self.owner is not None:
             self._abandon(started_ns, RUNS.c.owner == self.owner)
-        statement = insert(RUNS).values(
-            job=job,
-            trigger=trigger.value,
-            started_ns=started_ns,
-            finished_ns=None,
-            outcome=JobOutcome.RUNNING.value,
-            counts={},
-            error=None,
-            owner=self.owner,
-        )
-        run_id = self.connection.execute(statement.returning(RUNS.c.run_id)).scalar_one()
-        return JobRun(run_id, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
+        run = JobRun(0, job, trigger, started_ns, None, JobOutcome.RUNNING, {})
+        statement = insert(RUNS).values(columns_of(run, "run_id") | {"owner": self.owner})
+        return replace(run, run_id=self.connection.execute(statement.returning(RUNS.c.run_id)).scalar_one())
 
     def finish(
         self, run_id: int, outcome: JobOutcome, counts: Mapping[str, int], finished_ns: int, error: str | None = None
@@ -92,9 +83,7 @@ class JobRunStore:
 
 
 def _run(row: Row[Any], gone: Collection[int]) -> JobRun:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
-    owner = fields.pop("owner")
-    run = JobRun(**{**fields, "trigger": JobTrigger(row.trigger), "outcome": JobOutcome(row.outcome)})
-    if run.outcome is JobOutcome.RUNNING and owner in gone:
+    run = value_of_row(JobRun, row)
+    if run.outcome is JobOutcome.RUNNING and row.owner in gone:
         return replace(run, outcome=JobOutcome.ABANDONED, error=GONE)
     return run

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
-from typing import Any
 
-from sqlalchemy import Connection, Row, and_, delete, or_, select
+from sqlalchemy import Connection, and_, delete, or_, select
 
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.registry import Mounting
 from estimation.values.utc_text import utc_text
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import table_of, upsert, value_of_row
 from fleet_db.tables import MountingRow
 
 MOUNTINGS = table_of(MountingRow)
@@ -41,7 +40,7 @@ def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> 
         or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > at_ns),
     )
     row = connection.execute(statement).first()
-    return None if row is None else to_mounting(row)
+    return None if row is None else value_of_row(Mounting, row)
 
 
 def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
@@ -52,7 +51,7 @@ def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int)
         .where(or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > from_ns))
         .order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns)
     )
-    return [to_mounting(row) for row in connection.execute(statement)]
+    return [value_of_row(Mounting, row) for row in connection.execute(statement)]
 
 
 def mountings_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, list[Mounting]]:
@@ -60,7 +59,7 @@ def mountings_of(connection: Connection, wheelsets: Collection[str]) -> dict[str
     statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(wheelsets)).order_by(MOUNTINGS.c.from_ns)
     found: dict[str, list[Mounting]] = {}
     for row in connection.execute(statement):
-        found.setdefault(row.wheelset, []).append(to_mounting(row))
+        found.setdefault(row.wheelset, []).append(value_of_row(Mounting, row))
     return found
 
 
@@ -68,7 +67,7 @@ def mounting_on_file(connection: Connection, record: Mounting) -> Mounting | Non
     """Return the mounting of the same wheelset and start; None where there is none."""
     key = and_(MOUNTINGS.c.wheelset == record.wheelset, MOUNTINGS.c.from_ns == record.from_ns)
     found = connection.execute(select(MOUNTINGS).where(key)).first()
-    return None if found is None else to_mounting(found)
+    return None if found is None else value_of_row(Mounting, found)
 
 
 def delete_mounting(connection: Connection, record: Mounting) -> None:
@@ -112,9 +111,4 @@ def _overlapping(connection: Connection, record: Mounting) -> Mounting | None:
     if record.to_ns is not None:
         statement = statement.where(table.from_ns < record.to_ns)
     row = connection.execute(statement.order_by(table.from_ns)).first()
-    return None if row is None else to_mounting(row)
-
-
-def to_mounting(row: Row[Any]) -> Mounting:
-    """Return the value of a row."""
-    return Mounting(**row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
+    return None if row is None else value_of_row(Mounting, row)

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from sqlalchemy import Connection, func, insert, select, update
 
 from fleet_db.receipts import ChunkState
-from fleet_db.rows import table_of
+from fleet_db.rows import table_of, value_of_row
 from fleet_db.tables import ChunkRow, RawScrubRow
 
 SCRUBS, CHUNKS = table_of(RawScrubRow), table_of(ChunkRow)
@@ -46,7 +46,7 @@ class RawScrubStore:
     def last(self) -> RawScrub | None:
         """Return the newest; None before the first."""
         row = self.connection.execute(select(SCRUBS).order_by(SCRUBS.c.scrub_id.desc()).limit(1)).first()
-        return None if row is None else RawScrub(**row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
+        return None if row is None else value_of_row(RawScrub, row)
 
     def begin(self, now_ns: int) -> RawScrub:
         """Begin one, and return it."""

@@ -19,7 +19,7 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.read_once import ReadOnce
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import columns_of, table_of, upsert, value_of_row
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
@@ -39,7 +39,6 @@ from fleet_db.stores.mountings import (
     mounting_on_file,
     mountings_of,
     mountings_on,
-    to_mounting,
 )
 from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
 from fleet_db.stores.reprofilings import REPROFILINGS, reprofilings_of, stored_reprofiling
@@ -58,7 +57,6 @@ WINDOWS = table_of(WindowRow)
 _LASTING = select(MOUNTINGS).where(MOUNTINGS.c.to_ns.is_(None)).subquery()
 _WITH_MOUNTING = select(WHEELSETS, _LASTING).outerjoin(_LASTING, _LASTING.c.wheelset == WHEELSETS.c.serial)
 """Wheelsets with the mounting that lasts; within itself, so that who may not see that sees the wheelset."""
-_OF_MOUNTING = [column.name for column in MOUNTINGS.columns]
 
 NOBODY = Decision()
 
@@ -175,7 +173,7 @@ class RegistryStore:
         """Return the mountings on some vehicles that last, by vehicle and axle."""
         statement = select(MOUNTINGS).where(MOUNTINGS.c.vehicle.in_(vehicles), MOUNTINGS.c.to_ns.is_(None))
         rows = self.connection.execute(statement.order_by(MOUNTINGS.c.vehicle, MOUNTINGS.c.axle, MOUNTINGS.c.wheelset))
-        return [to_mounting(row) for row in rows]
+        return [value_of_row(Mounting, row) for row in rows]
 
     def measured_wheelsets(self) -> frozenset[str]:
         """Return the serials of the wheelsets whose profiles were measured."""
@@ -199,12 +197,6 @@ class RegistryStore:
             return found
         of_package = self.shipped(code)
         return None if of_package is None else ClassOnFile(of_package)
-
-    def classes_in_use(self) -> Sequence[str]:
-        """Return the codes of the classes that vehicles on file are of, in their order."""
-        return list(
-            self.connection.scalars(select(VEHICLES.c.vehicle_class).distinct().order_by(VEHICLES.c.vehicle_class))
-        )
 
     def vehicle_classes(self) -> Sequence[ClassOnFile]:
         """Return the newest version of every registered class, by code."""
@@ -239,11 +231,11 @@ class RegistryStore:
         self._known_fleet(record.fleet)
         found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == record.code))
         was = found[0] if found else None
-        values = _vehicle_values(record)
+        values = columns_of(record)
         key = RecordKey(RecordKind.VEHICLE, record.code)
         RegistryHistoryStore(self.connection, self.subjects).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
-            self._note(key, None if was is None else _vehicle_values(was), values, recorded_ns)
+            self._note(key, None if was is None else columns_of(was), values, recorded_ns)
         if was is None or _assembled_with(was) != _assembled_with(record):
             cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
@@ -362,8 +354,8 @@ class RegistryStore:
         RegistryHistoryStore(self.connection, self.subjects).note_change(key, was, now, decision)
 
     def _vehicles(self, statement: Select[Any]) -> Sequence[VehicleRecord]:
-        rows = self.connection.execute(statement.order_by(VEHICLES.c.code)).mappings()
-        return [VehicleRecord(**(dict(row) | {"axle_offsets_m": tuple(row["axle_offsets_m"])})) for row in rows]
+        rows = self.connection.execute(statement.order_by(VEHICLES.c.code))
+        return [value_of_row(VehicleRecord, row) for row in rows]
 
     def _wheelsets(self, statement: Select[Any]) -> Sequence[WheelsetRecord]:
         rows = self.connection.execute(statement.order_by(WHEELSETS.c.serial)).all()
@@ -379,10 +371,6 @@ class RegistryStore:
             raise NotFoundError("wheelset", serial)
 
 
-def _vehicle_values(record: VehicleRecord) -> dict[str, Any]:
-    return asdict(record) | {"axle_offsets_m": list(record.axle_offsets_m)}
-
-
 def _assembled_with(record: VehicleRecord) -> tuple[object, ...]:
     """Return what the windows of a vehicle are assembled with; its class decides its bus."""
     return record.vehicle_class, record.axles, record.axle_offsets_m
@@ -393,8 +381,8 @@ def _in_fleet(statement: Select[Any], column: Any, fleet: str | None) -> Select[
 
 
 def _wheelset(row: Row[Any], reprofilings: tuple[Reprofiling, ...]) -> WheelsetRecord:
-    mounting = None if row.wheelset is None else Mounting(**{name: getattr(row, name) for name in _OF_MOUNTING})
-    return WheelsetRecord(row.serial, row.fleet, row.wheel_profile, row.nominal_radius_m, mounting, reprofilings)
+    mounting = None if row.wheelset is None else value_of_row(Mounting, row)
+    return value_of_row(WheelsetRecord, row, mounting=mounting, reprofilings=reprofilings)
 
 
 def _still_there(was: Mounting | None, now: Mounting | None, from_ns: int, to_ns: int | None) -> bool:

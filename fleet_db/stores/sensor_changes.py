@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import Connection, delete, func, select
@@ -13,7 +13,7 @@ from estimation.values.registry import SensorChange, SensorWork
 from estimation.values.utc_text import utc_text
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordKind
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import columns_of, table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.subjects import Subjects
 from fleet_db.tables import SensorChangeRow
@@ -49,7 +49,7 @@ class SensorChangeStore:
             place = f"axle {was['axle']} of vehicle {record.vehicle!r}"
             reason = f"{place} has one of {utc_text(record.at_ns)}; give another time"
             raise ConflictError(reason, kind="sensor change", key=record.vehicle)
-        values = asdict(record) | {"work": record.work.value}
+        values = columns_of(record)
         if not upsert(self.connection, CHANGES, values):
             return False
         key = RecordKey(RecordKind.SENSOR_CHANGE, record.vehicle, record.at_ns)

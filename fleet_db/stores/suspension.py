@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, delete, func, select
+from sqlalchemy import Connection, Select, delete, func, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.trend import SuspensionFinding
-from fleet_db.rows import table_of, upsert
+from fleet_db.rows import columns_of, table_of, upsert, value_of_row
 from fleet_db.subjects import Subjects
 from fleet_db.tables.track import SuspensionFindingRow
 
@@ -28,18 +28,7 @@ class SuspensionStore:
 
     def put(self, finding: SuspensionFinding, epoch: int | None = None) -> None:
         """Store a finding of an epoch; one of the same vehicle, section and time is replaced."""
-        values = {
-            "vehicle": finding.vehicle,
-            "section": finding.section,
-            "to_ns": finding.to_ns,
-            "from_ns": finding.from_ns,
-            "ratio": finding.ratio,
-            "ratio_std": finding.ratio_std,
-            "assumed_m": finding.assumed,
-            "code_version": finding.code_version,
-            "epoch": epoch,
-            "recorded_ns": finding.recorded_ns,
-        }
+        values = columns_of(finding, "assumed") | {"assumed_m": finding.assumed, "epoch": epoch}
         upsert(self.connection, FINDINGS, values)
         self.subjects.raised(SubjectKind.VEHICLE, finding.vehicle, Facet.STIFFNESS)
 
@@ -66,18 +55,4 @@ class SuspensionStore:
 
     def _read(self, statement: Select[Any], columns: ReadOnlyColumnCollection[str, Any]) -> Sequence[SuspensionFinding]:
         ordered = statement.order_by(columns.vehicle, columns.to_ns, columns.section)
-        return [_finding(row) for row in self.connection.execute(ordered)]
-
-
-def _finding(row: Row[Any]) -> SuspensionFinding:
-    return SuspensionFinding(
-        vehicle=row.vehicle,
-        section=row.section,
-        from_ns=row.from_ns,
-        to_ns=row.to_ns,
-        ratio=row.ratio,
-        ratio_std=row.ratio_std,
-        assumed=row.assumed_m,
-        code_version=row.code_version,
-        recorded_ns=row.recorded_ns,
-    )
+        return [value_of_row(SuspensionFinding, row, assumed=row.assumed_m) for row in self.connection.execute(ordered)]

@@ -12,7 +12,6 @@ import numpy as np
 from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.values.quantities import Status
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.track import (
@@ -29,7 +28,7 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.read_once import ReadOnce
 from fleet_db.registry_events import Decision, RecordKind
-from fleet_db.rows import null_if_nan, reason_columns, stored_reason, table_of, upsert
+from fleet_db.rows import columns_of, null_if_nan, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
@@ -61,8 +60,8 @@ RECORDS = select(
     SOURCE.label("source"),
     func.coalesce(VERSIONS.c.same_since, ALIGNMENTS.c.version).label("same_since"),
     VERSIONS.c.cut_off_m,
-    VERSIONS.c.scale_std,
-    VERSIONS.c.gauge_known,
+    func.coalesce(VERSIONS.c.scale_std, 0.0).label("scale_std"),
+    func.coalesce(VERSIONS.c.gauge_known, True).label("gauge_known"),
     VERSIONS.c.alignment_std_m,
     VERSIONS.c.recorded_ns,
     VERSIONS.c.superseded_ns,
@@ -246,21 +245,13 @@ class TrackStore:
             number = self.connection.scalar(last)
             statement = statement if number is None else statement.where(REPORTS.c.report_id == number)
         row = self.connection.execute(statement.order_by(REPORTS.c.report_id.desc()).limit(1)).first()
-        if row is None:
-            return None
-        fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public name for the columns of a row
-        del fields["reason_code"]
-        return TrackReport(**(fields | {"status": Status(row.status), "reason": stored_reason(row)}))
+        return None if row is None else value_of_row(TrackReport, row)
 
     def add_report(self, report: TrackReport) -> int:
         """Append what a run found of a section; return its number."""
         serialise(self.connection, Subject.TRACKS)
-        values = asdict(report) | {"status": str(report.status), "report": dict(report.report)}
-        values |= reason_columns(report.reason)
-        values.pop("report_id")
-        return int(
-            self.connection.execute(insert(REPORTS).values(**values).returning(REPORTS.c.report_id)).scalar_one()
-        )
+        statement = insert(REPORTS).values(columns_of(report, "report_id")).returning(REPORTS.c.report_id)
+        return int(self.connection.execute(statement).scalar_one())
 
     def position(self, wheelset: str, start_ns: int) -> WindowPosition | None:
         """Return where a window was, if that has been looked at."""
@@ -270,12 +261,8 @@ class TrackStore:
         """Return by wheelset and start where those of some windows were that have been looked at."""
         return positions_of(self.connection, keys)
 
-    def put_position(self, position: WindowPosition) -> bool:
-        """Store where a window was, in the place of what was known; return whether that has changed."""
-        return bool(self.put_positions([position]))
-
     def put_positions(self, positions: Sequence[WindowPosition]) -> frozenset[WindowKey]:
-        """Store where windows were as :meth:`put_position` does; return those of which that has changed."""
+        """Store where windows were, in the place of what was known; return those of which that has changed."""
         return put_positions(self.connection, positions)
 
     def forget_positions_of(self, keys: Sequence[WindowKey]) -> None:
@@ -334,20 +321,7 @@ def _version_values(alignment: TrackAlignment, same_since: int, recorded_ns: int
 
 
 def _alignment_record(row: Any) -> AlignmentRecord:  # noqa: ANN401 - a row of RECORDS
-    return AlignmentRecord(
-        section=row.section,
-        version=row.version,
-        status=Status(row.status),
-        source=AlignmentSource(row.source),
-        same_since=row.same_since,
-        cut_off_m=np.inf if row.cut_off_m is None else row.cut_off_m,
-        scale_std=0.0 if row.scale_std is None else row.scale_std,
-        gauge_known=True if row.gauge_known is None else row.gauge_known,
-        alignment_std_m=row.alignment_std_m,
-        points=row.points,
-        recorded_ns=row.recorded_ns,
-        superseded_ns=row.superseded_ns,
-    )
+    return value_of_row(AlignmentRecord, row, cut_off_m=np.inf if row.cut_off_m is None else row.cut_off_m)
 
 
 def find_layout(connection: Connection, section: str, version: int | None) -> TrackLayout | None:

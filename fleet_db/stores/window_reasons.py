@@ -12,7 +12,7 @@ from sqlalchemy import ColumnElement, Connection, Select, Subquery, bindparam, c
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowState
 from fleet_db.due import IS_PENDING, PLACED
-from fleet_db.rows import stored_reason, table_of
+from fleet_db.rows import stored_reason, table_of, value_of_row
 from fleet_db.tables import WindowRow
 
 WINDOWS = table_of(WindowRow)
@@ -56,16 +56,12 @@ def newest_by_reason(
         found = connection.execute(_reasons(), {"serial": wheelset, "starts": starts})
         stored = {row.start_ns: stored_reason(row) for row in found}
     counted = [
-        CountedWindows(
-            state=WindowState(row.state),
+        value_of_row(
+            CountedWindows,
+            row,
             reason=stored.get(row.newest_start_ns),
             section=row.track_section,
-            vehicle=row.vehicle,
             placed=bool(row.placed),
-            windows=row.windows,
-            first_ns=row.first_ns,
-            newest_start_ns=row.newest_start_ns,
-            newest_end_ns=row.newest_end_ns,
         )
         for row in rows
     ]
@@ -88,19 +84,9 @@ def pending_by_place(
     one = waiting.where(*chosen).subquery()
     key = (one.c.vehicle, one.c.track_section, one.c.placed)
     rows = connection.execute(select(*key, *_sums(one)).group_by(*key))
+    common = {"state": WindowState.PENDING, "reason": None}
     return [
-        CountedWindows(
-            WindowState.PENDING,
-            None,
-            row.track_section,
-            row.vehicle,
-            bool(row.placed),
-            row.windows,
-            row.first_ns,
-            row.newest_start_ns,
-            row.newest_end_ns,
-        )
-        for row in rows
+        value_of_row(CountedWindows, row, section=row.track_section, placed=bool(row.placed), **common) for row in rows
     ]
 
 

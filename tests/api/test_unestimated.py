@@ -168,7 +168,7 @@ def test_windows_wait_for_the_job_the_class_and_their_place(service: Service) ->
     assert reasons(because(service)) == [("pending", "waits_for_position", 2)]
     with service.storage.write() as unit:
         window = unit.windows.list(SERIAL)[0]
-        unit.tracks.put_position(WindowPosition(SERIAL, window.start_ns, window.content_digest, 2))
+        unit.tracks.put_positions([WindowPosition(SERIAL, window.start_ns, window.content_digest, 2)])
     assert sorted(reasons(because(service))) == [
         ("pending", code, 1) for code in ("waits_for_estimation", "waits_for_position")
     ]

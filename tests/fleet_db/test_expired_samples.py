@@ -141,7 +141,7 @@ def test_nothing_queues_it_again(fleet: SqlStorage) -> None:
     put(fleet, 1, ReasonCode.IN_CURVES)
     purged(fleet)
     with fleet.write() as unit:
-        unit.tracks.put_position(WindowPosition("WS-1", make.START, "d" * 64, 1))
+        unit.tracks.put_positions([WindowPosition("WS-1", make.START, "d" * 64, 1)])
         assert not unit.windows.mark("WS-1", make.START, WindowState.PENDING)
         assert unit.windows.requeue_section(SECTION) == 0
         assert unit.windows.requeue(SECTION, ReasonCode.IN_CURVES) == 0

@@ -148,7 +148,7 @@ def test_a_window_that_is_another_when_it_is_stored_is_estimated_again_in_the_sa
     ) -> Sequence[WindowRecord]:
         if held and not changes:
             position = WindowPosition(*victim.key, victim.content_digest, 1, 2.5)
-            changes.append(TrackStore(store.connection, store.subjects).put_position(position))
+            changes.append(TrackStore(store.connection, store.subjects).put_positions([position]))
         return several(store, keys, held=held)
 
     monkeypatch.setattr(WindowStore, "several", turned_meanwhile)
