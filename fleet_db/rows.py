@@ -18,6 +18,7 @@ from sqlalchemy import (
     Update,
     and_,
     bindparam,
+    delete,
     or_,
     select,
     update,
@@ -47,6 +48,20 @@ def key_given(table: Table) -> ColumnElement[bool]:
 def key_of(table: Table, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters for ``key_given``."""
     return {f"key_{column.name}": values[column.name] for column in table.primary_key}
+
+
+def row_of(connection: Connection, table: Table, *key: object) -> dict[str, Any] | None:
+    """Return the row with a primary key, whose columns are in the order of the table; None where there is none."""
+    given = {f"key_{column.name}": value for column, value in zip(table.primary_key, key, strict=True)}
+    row = connection.execute(_by_key(table), given).mappings().first()
+    return None if row is None else {str(name): value for name, value in row.items()}
+
+
+def delete_row(connection: Connection, table: Table, *key: object) -> None:
+    """Delete the row with a primary key, whose columns are in the order of the table."""
+    connection.execute(
+        delete(table).where(*(column == value for column, value in zip(table.primary_key, key, strict=True)))
+    )
 
 
 def upsert(connection: Connection, table: Table, values: Mapping[str, Any]) -> bool:
@@ -130,14 +145,17 @@ def _update(table: Table, names: tuple[str, ...]) -> Update:
     return update(table).where(key_given(table)).values({name: bindparam(name) for name in names})
 
 
-def value_of_row(kind: type[V], row: Row[Any], **given: object) -> V:
+def value_of_row(kind: type[V], row: Row[Any] | Mapping[str, Any], **given: object) -> V:
     """Return the value of a class whose fields are columns of a row; ``given`` are those that are none."""
-    columns = row._mapping  # noqa: SLF001 - SQLAlchemy's public accessor
+    columns = row._mapping if isinstance(row, Row) else row  # noqa: SLF001 - SQLAlchemy's public accessor
     values = dict(given)
     for name, read in _column_readers(cast("Hashable", kind)).items():
-        if read is stored_reason and name not in given:
-            values[name] = read(row)
-        elif name in columns and name not in given:
+        if name in given or name not in columns:
+            continue
+        if read is stored_reason:
+            code = columns["reason_code"]
+            values[name] = None if code is None else Reason(ReasonCode(code), columns["reason"])
+        else:
             values[name] = columns[name] if read is None else read(columns[name])
     return kind(**values)
 

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from fleet_db.access_records import ApiKey
-from fleet_db.rows import columns_of, table_of, value_of_row
+from fleet_db.rows import columns_of, row_of, table_of, value_of_row
 from fleet_db.tables import ApiKeyRow
 
 KEYS = table_of(ApiKeyRow)
@@ -23,7 +23,7 @@ class ApiKeyStore:
 
     def find(self, prefix: str) -> ApiKey | None:
         """Return the key with a prefix; None where there is none."""
-        row = self.connection.execute(select(KEYS).where(KEYS.c.prefix == prefix)).first()
+        row = row_of(self.connection, KEYS, prefix)
         return None if row is None else value_of_row(ApiKey, row)
 
     def get(self, prefix: str) -> ApiKey:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import builtins
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -12,7 +12,7 @@ from sqlalchemy import (
     ColumnElement,
     CompoundSelect,
     Connection,
-    Row,
+    Select,
     bindparam,
     exists,
     func,
@@ -28,7 +28,7 @@ from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
-from fleet_db.rows import columns_of, insert_new, table_of, value_of_row
+from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
 from fleet_db.subjects import Subjects
 from fleet_db.tables import ChunkRow, MountingRow, VehicleRow, WindowRow
 from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, of_length
@@ -93,8 +93,8 @@ class ChunkStore:
 
     def get(self, digest: str) -> ChunkRecord | None:
         """Return the receipt of the recording with this digest."""
-        row = self.connection.execute(select(CHUNKS).where(CHUNKS.c.digest == digest)).first()
-        return None if row is None else _record(row)
+        row = row_of(self.connection, CHUNKS, digest)
+        return None if row is None else value_of_row(ChunkRecord, row)
 
     def put(self, record: ChunkRecord) -> bool:
         """Store a receipt; False, and nothing changed, if there is one of that digest."""
@@ -110,28 +110,30 @@ class ChunkStore:
         self._note(before)
         self._note(record)
 
-    def overlapping(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
-        """Return decoded recordings with frames in ``[from_ns, to_ns)``, by their first frame.
+    def overlapping(
+        self, vehicle: str, from_ns: int, to_ns: int, clock: tuple[str, str] = CLOCKS[0]
+    ) -> Sequence[ChunkRecord]:
+        """Return decoded recordings with frames in ``[from_ns, to_ns)`` of a clock, by their first frame.
 
         What is read does not grow with the recordings of the vehicle: those of each length have an index.
         """
-        return self._overlapping(vehicle, from_ns, to_ns, CLOCKS[0])
+        within = {"of_vehicle": vehicle, "from_ns": from_ns, "to_ns": to_ns}
+        within |= {f"from_ns_{number}": from_ns - (longest or 0) for number, (_, _, longest) in enumerate(LENGTHS)}
+        found = self._read(_in_span(clock), within)
+        return sorted(found, key=lambda record: (record.first_ns or 0, record.digest))
 
     def overlapping_by_recorder(self, vehicle: str, from_ns: int, to_ns: int) -> Sequence[ChunkRecord]:
         """Return decoded recordings whose recorder stamped frames in ``[from_ns, to_ns)``, by their first frame."""
-        return self._overlapping(vehicle, from_ns, to_ns, CLOCKS[1])
-
-    def _overlapping(self, vehicle: str, from_ns: int, to_ns: int, clock: tuple[str, str]) -> Sequence[ChunkRecord]:
-        within = {"of_vehicle": vehicle, "from_ns": from_ns, "to_ns": to_ns}
-        within |= {f"from_ns_{number}": from_ns - (longest or 0) for number, (_, _, longest) in enumerate(LENGTHS)}
-        found = [_record(row) for row in self.connection.execute(_in_span(clock), within)]
-        return sorted(found, key=lambda record: (record.first_ns or 0, record.digest))
+        return self.overlapping(vehicle, from_ns, to_ns, CLOCKS[1])
 
     def purge(self, before_ns: int, now_ns: int, limit: int) -> Sequence[ChunkRecord]:
         """Note of decoded recordings that came before a time that their raw bytes are deleted; return these."""
         old = (CHUNKS.c.received_ns < before_ns, CHUNKS.c.purged_ns.is_(None))
         decoded = select(CHUNKS).where(*old, CHUNKS.c.state == ChunkState.DECODED.value)
-        found = [_record(row) for row in self.connection.execute(decoded.order_by(CHUNKS.c.digest).limit(limit))]
+        found = [
+            value_of_row(ChunkRecord, row)
+            for row in self.connection.execute(decoded.order_by(CHUNKS.c.digest).limit(limit))
+        ]
         digests = [record.digest for record in found]
         self.connection.execute(update(CHUNKS).where(CHUNKS.c.digest.in_(digests)).values(purged_ns=now_ns))
         return found
@@ -164,7 +166,7 @@ class ChunkStore:
         statement = select(CHUNKS).where(UNDECODED, tuple_(*place) > tuple_(*after)).order_by(*place).limit(limit)
         if vehicle is not None:
             statement = statement.where(CHUNKS.c.vehicle == vehicle)
-        return [_record(row) for row in self.connection.execute(statement)]
+        return self._read(statement)
 
     def undecoded_size(self) -> Undecoded:
         """Return how many recordings wait for a worker to decode them, how large they are, and since when."""
@@ -175,7 +177,7 @@ class ChunkStore:
     def of_digests(self, digests: Sequence[str]) -> dict[str, ChunkRecord]:
         """Return the receipts of some hundred recordings at most, each under its digest."""
         found = self.connection.execute(select(CHUNKS).where(CHUNKS.c.digest.in_(digests)))
-        return {row.digest: _record(row) for row in found}
+        return {row.digest: value_of_row(ChunkRecord, row) for row in found}
 
     def waiting_for_time(self, vehicle: str) -> Sequence[ChunkRecord]:
         """Return the receipts of a vehicle's recordings that wait for a TIME frame beside them, oldest first."""
@@ -185,12 +187,14 @@ class ChunkStore:
             .where(CHUNKS.c.reason_code == ReasonCode.WAITS_FOR_TIME.value)
             .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         )
-        return [_record(row) for row in self.connection.execute(statement)]
+        return self._read(statement)
 
     def beginning(self, digest: str) -> Sequence[ChunkRecord]:
         """Return the receipts whose digest begins so, at most two."""
         begins = func.substr(CHUNKS.c.digest, 1, len(digest)) == digest
-        return [_record(row) for row in self.connection.execute(select(CHUNKS).where(begins).limit(2))]
+        return [
+            value_of_row(ChunkRecord, row) for row in self.connection.execute(select(CHUNKS).where(begins).limit(2))
+        ]
 
     def page(
         self, chosen: ChosenChunks, limit: int, before: tuple[int, str] | None = None
@@ -200,7 +204,7 @@ class ChunkStore:
         statement = select(CHUNKS).where(*chosen.conditions()).order_by(*(one.desc() for one in place)).limit(limit)
         if before is not None:
             statement = statement.where(tuple_(*place) < tuple_(*before))
-        return [_record(row) for row in self.connection.execute(statement)]
+        return self._read(statement)
 
     def window_counts(self, record: ChunkRecord) -> dict[WindowState, int]:
         """Return how many windows share time and vehicle with a recording, by their state."""
@@ -220,7 +224,11 @@ class ChunkStore:
         kept = select(CHUNKS).where(CHUNKS.c.purged_ns.is_(None)).limit(count)
         oldest = kept.order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         newest = kept.order_by(CHUNKS.c.recorded_ns.desc(), CHUNKS.c.digest)
-        return [_record(row) for statement in (oldest, newest) for row in self.connection.execute(statement)]
+        return [
+            value_of_row(ChunkRecord, row)
+            for statement in (oldest, newest)
+            for row in self.connection.execute(statement)
+        ]
 
     def of_known_vehicles(self) -> Sequence[ChunkRecord]:
         """Return the receipts of recordings that waited for their vehicle and whose vehicle there is, oldest first."""
@@ -231,17 +239,17 @@ class ChunkStore:
             .where(exists().where(VEHICLES.c.code == CHUNKS.c.vehicle))
             .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
         )
-        return [_record(row) for row in self.connection.execute(statement)]
+        return self._read(statement)
 
     def with_state(self, state: ChunkState, limit: int = 100) -> Sequence[ChunkRecord]:
         """Return receipts in ``state``, oldest first."""
-        statement = (
-            select(CHUNKS)
-            .where(CHUNKS.c.state == state.value)
-            .order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest)
-            .limit(limit)
-        )
-        return [_record(row) for row in self.connection.execute(statement)]
+        found = select(CHUNKS).where(CHUNKS.c.state == state.value)
+        return self._read(found.order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(limit))
+
+    def _read(
+        self, statement: Select[Any] | CompoundSelect[Any], given: Mapping[str, Any] | None = None
+    ) -> builtins.list[ChunkRecord]:
+        return [value_of_row(ChunkRecord, row) for row in self.connection.execute(statement, given)]
 
     def _note(self, record: ChunkRecord) -> None:
         """Let what rests on the rejected recordings of a vehicle follow one that is among them, or was."""
@@ -265,7 +273,3 @@ def _in_span(clock: tuple[str, str]) -> CompoundSelect[Any]:
 
 def _values(record: ChunkRecord) -> dict[str, object]:
     return columns_of(record) | {name: record.counts.get(name) for name in CLOCKS[1]}
-
-
-def _record(row: Row[Any]) -> ChunkRecord:
-    return value_of_row(ChunkRecord, row)

@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Connection, String, and_, cast, func, or_,
 
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
-from fleet_db.rows import columns_of, table_of, upsert, value_of_row
+from fleet_db.rows import columns_of, row_of, table_of, upsert, value_of_row
 from fleet_db.tables import ChunkRow, QuarantineRow, WindowRow
 
 ITEMS, CHUNKS, WINDOWS = table_of(QuarantineRow), table_of(ChunkRow), table_of(WindowRow)
@@ -26,8 +26,7 @@ class QuarantineStore:
 
     def get(self, kind: SubjectKind, key: str, stage: str) -> Quarantined | None:
         """Return what is kept of one thing, held or resolved."""
-        statement = select(ITEMS).where(ITEMS.c.kind == kind.value, ITEMS.c.key == key, ITEMS.c.stage == stage)
-        row = self.connection.execute(statement).first()
+        row = row_of(self.connection, ITEMS, kind.value, key, stage)
         return None if row is None else value_of_row(Quarantined, row)
 
     def held(self, stage: str | None = None) -> Sequence[Quarantined]:

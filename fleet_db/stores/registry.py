@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, select
+from sqlalchemy import Connection, Select, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import NotFoundError
@@ -19,31 +19,29 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.read_once import ReadOnce
 from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
-from fleet_db.rows import columns_of, table_of, upsert, value_of_row
+from fleet_db.rows import columns_of, delete_row, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.chunks import ChunkStore
 from fleet_db.stores.decoded_again import decode_undecoded
 from fleet_db.stores.estimated_again import Again
-from fleet_db.stores.measured_profiles import (
+from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
+from fleet_db.stores.stale_spans import StaleSpanStore
+from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
+from fleet_db.stores.wheelset_events import (
     MEASURED,
-    measured_profiles_of,
-    newest_measurement_of,
-    store_measured_profiles,
-    stored_measurement,
-)
-from fleet_db.stores.mountings import (
     MOUNTINGS,
+    REPROFILINGS,
     add_mounting,
     changed_spans,
-    delete_mounting,
+    measured_profiles_of,
     mounting_at,
     mounting_on_file,
     mountings_of,
     mountings_on,
+    newest_measurement_of,
+    reprofilings_of,
+    store_measured_profiles,
+    stored_measurement,
 )
-from fleet_db.stores.registry_history import Record, RecordKey, RegistryHistoryStore, is_voided, stands_voided
-from fleet_db.stores.reprofilings import REPROFILINGS, reprofilings_of, stored_reprofiling
-from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.stores.vehicle_classes import Shipped, find_class, newest_classes, no_class, store_class, taken_out
 from fleet_db.subjects import Subjects
 from fleet_db.tables import (
     FleetRow,
@@ -58,6 +56,7 @@ _LASTING = select(MOUNTINGS).where(MOUNTINGS.c.to_ns.is_(None)).subquery()
 _WITH_MOUNTING = select(WHEELSETS, _LASTING).outerjoin(_LASTING, _LASTING.c.wheelset == WHEELSETS.c.serial)
 """Wheelsets with the mounting that lasts; within itself, so that who may not see that sees the wheelset."""
 
+ASSEMBLED_WITH = ("vehicle_class", "axles", "axle_offsets_m")
 NOBODY = Decision()
 
 
@@ -137,22 +136,6 @@ class RegistryStore:
             raise NotFoundError("wheelset", serial)
         return found[0]
 
-    def wheelsets_page(
-        self, fleet: str | None, vehicle: str | None, after: str | None, limit: int
-    ) -> Sequence[WheelsetRecord]:
-        """Return at most ``limit`` wheelsets with a serial behind ``after`` that are not voided.
-
-        With ``vehicle`` those that are mounted on it now.
-        """
-        statement = _in_fleet(_WITH_MOUNTING, WHEELSETS.c.fleet, fleet)
-        statement = statement.where(~is_voided(RecordKind.WHEELSET, WHEELSETS.c.serial))
-        if vehicle is not None:
-            mounted = select(MOUNTINGS.c.wheelset).where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.to_ns.is_(None))
-            statement = statement.where(WHEELSETS.c.serial.in_(mounted))
-        if after is not None:
-            statement = statement.where(WHEELSETS.c.serial > after)
-        return self._wheelsets(statement.limit(limit))
-
     def mounting_at(self, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
         """Return which wheelset ran at an axle at a time of the vehicle's clock."""
         return mounting_at(self.connection, vehicle, axle, at_ns)
@@ -229,14 +212,15 @@ class RegistryStore:
         """Add a vehicle or change it; return what is estimated again because it is of another class now."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
-        found = self._vehicles(select(VEHICLES).where(VEHICLES.c.code == record.code))
-        was = found[0] if found else None
+        row = row_of(self.connection, VEHICLES, record.code)
+        was = None if row is None else value_of_row(VehicleRecord, row)
         values = columns_of(record)
         key = RecordKey(RecordKind.VEHICLE, record.code)
         RegistryHistoryStore(self.connection, self.subjects).note_return(key, values, self.decision)
         if upsert(self.connection, VEHICLES, values):
-            self._note(key, None if was is None else columns_of(was), values, recorded_ns)
-        if was is None or _assembled_with(was) != _assembled_with(record):
+            self._note(key, row, values, recorded_ns)
+        # what windows are assembled with; the class decides the bus
+        if was is None or any(getattr(was, name) != getattr(record, name) for name in ASSEMBLED_WITH):
             cause = f"vehicle {record.code} {'added' if was is None else 'changed'}"
             StaleSpanStore(self.connection).add(record.code, None, None, cause)
         again = NOTHING_AGAIN if was is None else self._of_class(was, record, recorded_ns)
@@ -257,8 +241,8 @@ class RegistryStore:
         """Add a wheelset with what it carries, or change it; return what another nominal radius estimates again."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_fleet(record.fleet)
-        values = {name: getattr(record, name) for name in ("serial", "fleet", "wheel_profile", "nominal_radius_m")}
-        row = self.connection.execute(select(WHEELSETS).where(WHEELSETS.c.serial == record.serial)).mappings().first()
+        values = columns_of(record, "mounting", "reprofilings")
+        row = row_of(self.connection, WHEELSETS, record.serial)
         was = None if row is None else row["nominal_radius_m"]
         key = RecordKey(RecordKind.WHEELSET, record.serial)
         if self.voided(record.serial):
@@ -288,7 +272,7 @@ class RegistryStore:
         for record in records:
             was = mounting_on_file(self.connection, record)
             if was is not None and was != record:
-                delete_mounting(self.connection, was)
+                delete_row(self.connection, MOUNTINGS, was.wheelset, was.from_ns)
                 found[record.wheelset, record.from_ns] = was
         return found
 
@@ -325,14 +309,13 @@ class RegistryStore:
 
     def voided(self, serial: str) -> bool:
         """Return whether a wheelset was voided and not restored since."""
-        key = RecordKey(RecordKind.WHEELSET, serial)
-        return stands_voided(self.connection, key) is not None
+        return stands_voided(self.connection, RecordKey(RecordKind.WHEELSET, serial)) is not None
 
     def add_reprofiling(self, record: Reprofiling, recorded_ns: int | None = None) -> bool:
         """Add a visit to the lathe, or change the one of that wheelset and time; return whether anything changed."""
         serialise(self.connection, Subject.REGISTRY)
         self._known_wheelset(record.wheelset)
-        was = stored_reprofiling(self.connection, record.wheelset, record.at_ns)
+        was = row_of(self.connection, REPROFILINGS, record.wheelset, record.at_ns)
         if not upsert(self.connection, REPROFILINGS, asdict(record)):
             return False
         self._note(RecordKey(RecordKind.REPROFILING, record.wheelset, record.at_ns), was, asdict(record), recorded_ns)
@@ -360,29 +343,27 @@ class RegistryStore:
     def _wheelsets(self, statement: Select[Any]) -> Sequence[WheelsetRecord]:
         rows = self.connection.execute(statement.order_by(WHEELSETS.c.serial)).all()
         turned = reprofilings_of(self.connection, [row.serial for row in rows])
-        return [_wheelset(row, turned.get(row.serial, ())) for row in rows]
+        return [
+            value_of_row(
+                WheelsetRecord,
+                row,
+                mounting=None if row.wheelset is None else value_of_row(Mounting, row),
+                reprofilings=tuple(turned.get(row.serial, ())),
+            )
+            for row in rows
+        ]
 
     def _known_fleet(self, code: str) -> None:
-        if self.connection.scalar(select(FLEETS.c.code).where(FLEETS.c.code == code)) is None:
+        if row_of(self.connection, FLEETS, code) is None:
             raise NotFoundError("fleet", code)
 
     def _known_wheelset(self, serial: str) -> None:
-        if self.connection.scalar(select(WHEELSETS.c.serial).where(WHEELSETS.c.serial == serial)) is None:
+        if row_of(self.connection, WHEELSETS, serial) is None:
             raise NotFoundError("wheelset", serial)
-
-
-def _assembled_with(record: VehicleRecord) -> tuple[object, ...]:
-    """Return what the windows of a vehicle are assembled with; its class decides its bus."""
-    return record.vehicle_class, record.axles, record.axle_offsets_m
 
 
 def _in_fleet(statement: Select[Any], column: Any, fleet: str | None) -> Select[Any]:  # noqa: ANN401 - any column
     return statement if fleet is None else statement.where(column == fleet)
-
-
-def _wheelset(row: Row[Any], reprofilings: tuple[Reprofiling, ...]) -> WheelsetRecord:
-    mounting = None if row.wheelset is None else value_of_row(Mounting, row)
-    return value_of_row(WheelsetRecord, row, mounting=mounting, reprofilings=reprofilings)
 
 
 def _still_there(was: Mounting | None, now: Mounting | None, from_ns: int, to_ns: int | None) -> bool:

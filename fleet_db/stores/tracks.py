@@ -28,7 +28,7 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.read_once import ReadOnce
 from fleet_db.registry_events import Decision, RecordKind
-from fleet_db.rows import columns_of, null_if_nan, table_of, upsert, value_of_row
+from fleet_db.rows import columns_of, null_if_nan, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
@@ -103,7 +103,7 @@ class TrackStore:
                 kind="track section",
                 key=record.code,
             )
-        was = self.connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
+        was = row_of(self.connection, SECTIONS, record.code)
         line = None if record.line is None else [list(point) for point in record.line]  # as JSON has it
         if upsert(self.connection, SECTIONS, asdict(record) | {"line": line}):
             history = RegistryHistoryStore(self.connection, self.subjects)

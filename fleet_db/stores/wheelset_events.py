@@ -1,19 +1,25 @@
-"""Mountings: which wheelset ran at which axle of which vehicle, and when."""
+"""What happens to wheelsets: mountings on vehicles, visits to the lathe, measurements of their profiles."""
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
+from functools import partial
+from typing import Any
 
-from sqlalchemy import Connection, and_, delete, or_, select
+from sqlalchemy import ColumnElement, Connection, and_, func, or_, select
 
+from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError, ParameterError
-from estimation.values.registry import Mounting
+from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.utc_text import utc_text
-from fleet_db.rows import table_of, upsert, value_of_row
-from fleet_db.tables import MountingRow
+from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
+from fleet_db.rows import by_wheelset, row_of, table_of, upsert, value_of_row
+from fleet_db.tables import MeasuredProfilesRow, MountingRow, ReprofilingRow, WheelsetRow
 
-MOUNTINGS = table_of(MountingRow)
+MOUNTINGS, REPROFILINGS = table_of(MountingRow), table_of(ReprofilingRow)
+MEASURED, WHEELSETS = table_of(MeasuredProfilesRow), table_of(WheelsetRow)
 
 
 class MountedTwiceError(ConflictError):
@@ -57,23 +63,13 @@ def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int)
 def mountings_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, list[Mounting]]:
     """Return every mounting of some wheelsets by serial, oldest first; one without a mounting is left out."""
     statement = select(MOUNTINGS).where(MOUNTINGS.c.wheelset.in_(wheelsets)).order_by(MOUNTINGS.c.from_ns)
-    found: dict[str, list[Mounting]] = {}
-    for row in connection.execute(statement):
-        found.setdefault(row.wheelset, []).append(value_of_row(Mounting, row))
-    return found
+    return by_wheelset(connection.execute(statement), partial(value_of_row, Mounting))
 
 
 def mounting_on_file(connection: Connection, record: Mounting) -> Mounting | None:
     """Return the mounting of the same wheelset and start; None where there is none."""
-    key = and_(MOUNTINGS.c.wheelset == record.wheelset, MOUNTINGS.c.from_ns == record.from_ns)
-    found = connection.execute(select(MOUNTINGS).where(key)).first()
-    return None if found is None else value_of_row(Mounting, found)
-
-
-def delete_mounting(connection: Connection, record: Mounting) -> None:
-    """Remove the mounting of the same wheelset and start."""
-    key = and_(MOUNTINGS.c.wheelset == record.wheelset, MOUNTINGS.c.from_ns == record.from_ns)
-    connection.execute(delete(MOUNTINGS).where(key))
+    row = row_of(connection, MOUNTINGS, record.wheelset, record.from_ns)
+    return None if row is None else value_of_row(Mounting, row)
 
 
 def changed_spans(before: Mounting | None, after: Mounting | None) -> list[tuple[str, int, int | None]]:
@@ -112,3 +108,56 @@ def _overlapping(connection: Connection, record: Mounting) -> Mounting | None:
         statement = statement.where(table.from_ns < record.to_ns)
     row = connection.execute(statement.order_by(table.from_ns)).first()
     return None if row is None else value_of_row(Mounting, row)
+
+
+def reprofilings_of(connection: Connection, serials: Sequence[str]) -> dict[str, list[Reprofiling]]:
+    """Return the visits of some wheelsets to the lathe by serial, oldest first."""
+    statement = select(REPROFILINGS).where(REPROFILINGS.c.wheelset.in_(serials)).order_by(REPROFILINGS.c.at_ns)
+    return by_wheelset(connection.execute(statement), lambda row: Reprofiling(*row))
+
+
+def measured_profiles_of(connection: Connection, wheelset: str) -> Sequence[MeasuredProfiles]:
+    """Return every measurement of a wheelset, oldest first."""
+    statement = select(MEASURED).where(MEASURED.c.wheelset == wheelset).order_by(MEASURED.c.at_ns)
+    found = []
+    for row in connection.execute(statement):
+        where = f"profiles of wheelset {row.wheelset!r} measured at {row.at_ns}"
+        left, right = unpack_wheel_pair(row.packed, where=where)
+        found.append(MeasuredProfiles(row.wheelset, row.at_ns, row.mileage_km, left, right, row.std_m))
+    return found
+
+
+def newest_measurement_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, tuple[int, float]]:
+    """Return time (ns UTC) and mileage (km) of the newest measurement of each wheelset that has one, by serial."""
+    statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
+    statement = statement.where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
+    return {wheelset: (int(at_ns), float(mileage)) for wheelset, at_ns, mileage in connection.execute(statement)}
+
+
+def newest_measurements(
+    connection: Connection, fleet: str | None, from_ns: int | None, to_ns: int | None, limit: int
+) -> tuple[int, list[tuple[str, int]]]:
+    """Return how many measurements there are in ``[from_ns, to_ns)``, and wheelset and time of the newest ``limit``."""
+    wanted: list[ColumnElement[bool]] = []
+    if fleet is not None:
+        wanted.append(MEASURED.c.wheelset.in_(select(WHEELSETS.c.serial).where(WHEELSETS.c.fleet == fleet)))
+    if from_ns is not None:
+        wanted.append(MEASURED.c.at_ns >= from_ns)
+    if to_ns is not None:
+        wanted.append(MEASURED.c.at_ns < to_ns)
+    total = connection.scalar(select(func.count()).select_from(MEASURED).where(*wanted)) or 0
+    newest = select(MEASURED.c.wheelset, MEASURED.c.at_ns).where(*wanted)
+    newest = newest.order_by(MEASURED.c.at_ns.desc(), MEASURED.c.wheelset).limit(limit)
+    return total, [(row.wheelset, row.at_ns) for row in connection.execute(newest)]
+
+
+def store_measured_profiles(connection: Connection, record: MeasuredProfiles) -> bool:
+    """Store a measurement of a wheelset that exists, or change the one of the same time; return whether it changed."""
+    row = {"wheelset": record.wheelset, "at_ns": record.at_ns, "mileage_km": record.mileage_km, "std_m": record.std}
+    return upsert(connection, MEASURED, row | {"packed": pack_wheel_pair(record.left, record.right)})
+
+
+def stored_measurement(connection: Connection, wheelset: str, at_ns: int) -> dict[str, Any] | None:
+    """Return the row of a measurement as JSON can hold it, its profiles in base64; None where there is none."""
+    row = row_of(connection, MEASURED, wheelset, at_ns)
+    return None if row is None else row | {"packed": base64.b64encode(row["packed"]).decode("ascii")}
