@@ -1,4 +1,4 @@
-"""What is stored whole in one blob: trends, geometries, alignments, layouts, bin tables, profiles of wheels.
+"""What is stored whole in one blob: trends, geometries, alignments, bin tables, profiles, creep, dampers, signatures.
 
 A value is packed by its own fields (``fleet_db.fields``); here is only what is stored otherwise than declared. The
 same value is the same blob: versions of a track are compared by it.
@@ -11,21 +11,27 @@ from functools import lru_cache
 from typing import Any, TypeVar, cast
 
 import numpy as np
+import orjson
 
 from estimation.contact.profiles import Profile
+from estimation.values.adhesion import FrictionSums, SectionAdhesion, WindowAdhesion
 from estimation.values.arrays import BoolArray
+from estimation.values.dampers import DamperSums, WindowDamper
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
 from estimation.values.json_value import JsonValue
 from estimation.values.roll_up import RollingSums
+from estimation.values.signatures import AxlePosition, Place, Signature
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, TrackLayout
-from fleet_db.fields import Array, fields_of, pack, to_json, unpack, value_of
+from estimation.values.worklist import WorklistRow
+from fleet_db.fields import Array, fields_of, from_json, pack, to_json, unpack, value_of
 
 V = TypeVar("V")
 VERSION = 1
 ALIGNMENTS = 4  # that are kept unpacked, some megabytes each
 GEOMETRY, LAYOUT, BIN_TABLE = "wheelset_geometry", "track_layout", "bin_table"
 WHEEL_PAIR, ALIGNMENT = "wheel_pair", "track_alignment"
-ROLLING_SUMS = "rolling_sums"
+ROLLING_SUMS, SIGNATURES = "rolling_sums", "wear_signatures"
+WINDOW_ADHESION, SECTION_ADHESION, WINDOW_DAMPER = "window_adhesion", "section_adhesion", "window_damper"
 STATUSES = {status.value: status for status in BinStatus}
 PROFILE_ARRAYS = ("y", "z", "slope")
 
@@ -209,3 +215,107 @@ def unpack_rolling_sums(blob: bytes, *, where: str) -> tuple[RollingSums, ...]:
     """Return the sums of each part of a window, bit for bit."""
     arrays = unpack(blob, ROLLING_SUMS, where=where).arrays
     return tuple(RollingSums(*both) for both in zip(arrays["products"], arrays["noise"], strict=True))
+
+
+def pack_window_adhesion(found: WindowAdhesion) -> bytes:
+    """Return the creep of a window as one blob."""
+    scalars, _ = fields_of(found, without={"sums"})
+    arrays = {} if found.sums is None else fields_of(found.sums)[1]
+    return pack(WINDOW_ADHESION, VERSION, scalars, arrays)
+
+
+def unpack_window_adhesion(blob: bytes, *, where: str) -> WindowAdhesion:
+    """Return the creep of a window, bit for bit."""
+    packed = unpack(blob, WINDOW_ADHESION, where=where)
+    sums = value_of(FrictionSums, {}, packed.arrays) if packed.arrays else None
+    return value_of(WindowAdhesion, packed.scalars, {}, sums=sums)
+
+
+def pack_section_adhesion(found: SectionAdhesion) -> bytes:
+    """Return the friction of a section as one blob."""
+    return pack(SECTION_ADHESION, VERSION, *fields_of(found))
+
+
+def unpack_section_adhesion(blob: bytes, *, where: str) -> SectionAdhesion:
+    """Return the friction of a section, bit for bit."""
+    packed = unpack(blob, SECTION_ADHESION, where=where)
+    return value_of(SectionAdhesion, packed.scalars, packed.arrays)
+
+
+def pack_window_damper(found: WindowDamper) -> bytes:
+    """Return what a window says as one blob; the products are symmetric, and half of them is kept."""
+    scalars, _ = fields_of(found, without={"sums"})
+    if found.sums is None:
+        return pack(WINDOW_DAMPER, VERSION, scalars, {})
+    products = found.sums.products
+    rows, columns = np.tril_indices(products.shape[-1])
+    scalars |= {"samples": float(found.sums.samples).hex(), "curved": found.sums.curved}
+    return pack(WINDOW_DAMPER, VERSION, scalars, {"products": products[:, rows, columns]})
+
+
+def unpack_window_damper(blob: bytes, *, where: str) -> WindowDamper:
+    """Return what a window says, bit for bit."""
+    packed = unpack(blob, WINDOW_DAMPER, where=where)
+    if not packed.arrays:
+        return value_of(WindowDamper, packed.scalars, {}, sums=None)
+    half = packed.arrays["products"]
+    size = round((np.sqrt(8.0 * half.shape[-1] + 1.0) - 1.0) / 2.0)
+    rows, columns = np.tril_indices(size)
+    products = np.zeros((len(half), size, size))
+    products[:, rows, columns] = half
+    products[:, columns, rows] = half
+    sums = DamperSums(products, float.fromhex(packed.scalars["samples"]), packed.scalars["curved"])
+    return value_of(WindowDamper, packed.scalars, {}, sums=sums)
+
+
+def pack_signatures(found: Sequence[Signature]) -> bytes:
+    """Return the signatures of a window as one blob."""
+    if not found:
+        return pack(SIGNATURES, VERSION, {}, {})
+    scalars: dict[str, JsonValue] = {
+        "vehicle": found[0].vehicle,
+        "vehicle_class": found[0].vehicle_class,
+        "position": found[0].position.value,
+        "places": [None if one.place is None else [one.place.section, one.place.cell] for one in found],
+    }
+    arrays = {
+        "order": np.array([one.order for one in found], dtype=np.int64),
+        "speed": np.array([one.speed for one in found]),
+        "peak_wavelength": np.array([one.peak_wavelength for one in found]),
+        "spectra": np.stack([one.spectra for one in found]),
+    }
+    return pack(SIGNATURES, VERSION, scalars, arrays)
+
+
+def unpack_signatures(blob: bytes, wheelset: str, start_ns: int) -> tuple[Signature, ...]:
+    """Return the signatures of a window, bit for bit."""
+    packed = unpack(blob, SIGNATURES, where=f"signatures of {wheelset}@{start_ns}")
+    if not packed.arrays:
+        return ()
+    scalars, arrays = packed.scalars, packed.arrays
+    return tuple(
+        Signature(
+            wheelset=wheelset,
+            vehicle=scalars["vehicle"],
+            vehicle_class=scalars["vehicle_class"],
+            position=AxlePosition(scalars["position"]),
+            start_ns=start_ns,
+            order=int(arrays["order"][number]),
+            place=None if place is None else Place(*place),
+            speed=float(arrays["speed"][number]),
+            spectra=arrays["spectra"][number],
+            peak_wavelength=float(arrays["peak_wavelength"][number]),
+        )
+        for number, place in enumerate(scalars["places"])
+    )
+
+
+def to_document(row: WorklistRow) -> str:
+    """Return a row of the worklist as JSON."""
+    return orjson.dumps(to_json(row)).decode()
+
+
+def from_document(document: str) -> WorklistRow:
+    """Return the row of a JSON text that :func:`to_document` made."""
+    row: WorklistRow = from_json(orjson.loads(document), WorklistRow)
+    return row

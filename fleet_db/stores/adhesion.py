@@ -12,7 +12,7 @@ from estimation.values.adhesion import CREEP, FRICTION, SectionAdhesion, WindowA
 from estimation.values.runs import SubjectKind
 from estimation.values.windows import WindowKey
 from fleet_db.due import NOT_LOOKED_AT, list_due
-from fleet_db.packed_adhesion import (
+from fleet_db.packed_values import (
     pack_section_adhesion,
     pack_window_adhesion,
     unpack_section_adhesion,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, and_, delete, select
 
 from estimation.values.dampers import GEAR, GEAR_DAMPERS, GearDamper, WindowDamper
-from fleet_db.packed_dampers import pack_window_damper, unpack_window_damper
+from fleet_db.packed_values import pack_window_damper, unpack_window_damper
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.results import ResultStore
 from fleet_db.tables.opinions import WindowDamperRow

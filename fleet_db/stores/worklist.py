@@ -23,12 +23,12 @@ from estimation.values.reasons import Reason
 from estimation.values.subjects import EVERYTHING
 from estimation.values.worklist import Urgency, WorklistRow
 from estimation.worklist.row import FORM, STAGE, WorklistInputs, distance_key, urgency_key, worklist_row
+from fleet_db.packed_values import to_document
 from fleet_db.rows import insert_new, replace_all, table_of
 from fleet_db.stores.stage_marks import MARKS
 from fleet_db.stores.worklist_inputs import WorklistReader, not_voided
 from fleet_db.subjects import Subjects
 from fleet_db.tables import WheelsetRow, WorklistAlertRow, WorklistEntryRow
-from fleet_db.worklist_documents import to_document
 
 ENTRIES, KINDS, WHEELSETS = table_of(WorklistEntryRow), table_of(WorklistAlertRow), table_of(WheelsetRow)
 AT_ONCE = 500
