@@ -10,8 +10,14 @@ from sqlalchemy import Connection, and_, exists, func, select
 
 from estimation.errors import DamagedError
 from estimation.values.windows import WindowState
-from fleet_db.keeping.kept_files import KeptFile, KeptRecording, kept_files, kept_recordings
-from fleet_db.keeping.orphans import orphaned_recordings, orphaned_samples
+from fleet_db.keeping.kept_files import (
+    KeptFile,
+    KeptRecording,
+    kept_files,
+    kept_recordings,
+    orphaned_recordings,
+    orphaned_samples,
+)
 from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork

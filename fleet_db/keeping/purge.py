@@ -30,8 +30,7 @@ from estimation.values.windows import DueStage, WindowState
 from fleet_db.due import is_due
 from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.expired_tables import expired_tables, seal
-from fleet_db.keeping.kept_files import SAMPLES
-from fleet_db.keeping.orphans import LEAST_AGE_S, orphaned_recordings, orphaned_samples
+from fleet_db.keeping.kept_files import LEAST_AGE_S, SAMPLES, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import unlink_old

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import builtins
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from typing import Any
 
@@ -16,6 +16,7 @@ from sqlalchemy import (
     bindparam,
     exists,
     func,
+    insert,
     select,
     tuple_,
     union_all,
@@ -27,10 +28,10 @@ from estimation.values.reasons import ReasonCode
 from estimation.values.runs import SubjectKind
 from estimation.values.subjects import Facet
 from estimation.values.windows import WindowState
-from fleet_db.receipts import ChunkRecord, ChunkState
+from fleet_db.receipts import ChunkRecord, ChunkState, RecordingChange
 from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
 from fleet_db.subjects import Subjects
-from fleet_db.tables import ChunkRow, MountingRow, VehicleRow, WindowRow
+from fleet_db.tables import ChunkRow, MountingRow, RawScrubRow, RecordingChangeRow, VehicleRow, WindowRow
 from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, of_length
 
 CHUNKS, VEHICLES = table_of(ChunkRow), table_of(VehicleRow)
@@ -273,3 +274,83 @@ def _in_span(clock: tuple[str, str]) -> CompoundSelect[Any]:
 
 def _values(record: ChunkRecord) -> dict[str, object]:
     return columns_of(record) | {name: record.counts.get(name) for name in CLOCKS[1]}
+
+
+CHANGES = table_of(RecordingChangeRow)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingChangeStore:
+    """The record of changes, append-only, in one transaction."""
+
+    connection: Connection
+
+    def add(self, change: RecordingChange) -> None:
+        """Add one."""
+        self.connection.execute(insert(CHANGES).values(columns_of(change)))
+
+    def list(self, digest: str) -> Sequence[RecordingChange]:
+        """Return what was done to one recording, oldest first."""
+        statement = select(CHANGES).where(CHANGES.c.digest == digest).order_by(CHANGES.c.id)
+        return [value_of_row(RecordingChange, row) for row in self.connection.execute(statement)]
+
+
+SCRUBS = table_of(RawScrubRow)
+
+
+@dataclass(frozen=True, slots=True)
+class RawScrub:
+    """One reading: begin and end (ns of our clock; None while it is not whole), the last digest, and what was found."""
+
+    scrub_id: int
+    started_ns: int
+    finished_ns: int | None
+    after_digest: str
+    files: int
+    file_bytes: int
+    faults: int
+
+
+@dataclass(frozen=True, slots=True)
+class RawFile:
+    """A raw file that a receipt refers to."""
+
+    digest: str
+    suffix: str
+    size_bytes: int
+    vehicle: str
+
+
+@dataclass(frozen=True, slots=True)
+class RawScrubStore:
+    """Readings, in one transaction."""
+
+    connection: Connection
+
+    def last(self) -> RawScrub | None:
+        """Return the newest; None before the first."""
+        row = self.connection.execute(select(SCRUBS).order_by(SCRUBS.c.scrub_id.desc()).limit(1)).first()
+        return None if row is None else value_of_row(RawScrub, row)
+
+    def begin(self, now_ns: int) -> RawScrub:
+        """Begin one, and return it."""
+        number = int(self.connection.scalar(select(func.coalesce(func.max(SCRUBS.c.scrub_id), 0))) or 0) + 1
+        begun = RawScrub(number, now_ns, None, "", 0, 0, 0)
+        self.connection.execute(insert(SCRUBS).values(**asdict(begun)))
+        return begun
+
+    def put(self, scrub: RawScrub) -> None:
+        """Keep how far one has come."""
+        self.connection.execute(update(SCRUBS).where(SCRUBS.c.scrub_id == scrub.scrub_id).values(**asdict(scrub)))
+
+    def files_after(self, digest: str, limit: int) -> Sequence[RawFile]:
+        """Return raw files that must be there, in the order of their digests, behind one."""
+        columns = (CHUNKS.c.digest, CHUNKS.c.suffix, CHUNKS.c.size_bytes, CHUNKS.c.vehicle)
+        kept = (CHUNKS.c.purged_ns.is_(None), CHUNKS.c.state != ChunkState.DELETED.value, CHUNKS.c.digest > digest)
+        found = self.connection.execute(select(*columns).where(*kept).order_by(CHUNKS.c.digest).limit(limit))
+        return [RawFile(*row) for row in found]
+
+    def count_after(self, digest: str) -> int:
+        """Return how many raw files are still to be read behind a digest."""
+        kept = (CHUNKS.c.purged_ns.is_(None), CHUNKS.c.state != ChunkState.DELETED.value, CHUNKS.c.digest > digest)
+        return int(self.connection.scalar(select(func.count()).where(*kept)) or 0)

@@ -27,7 +27,7 @@ from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.locks import Subject, serialise
 from fleet_db.packed_values import pack_alignment, pack_layout, unpack_alignment, unpack_layout
 from fleet_db.read_once import ReadOnce
-from fleet_db.registry_events import Decision, RecordKind
+from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import columns_of, null_if_nan, row_of, table_of, upsert, value_of_row
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_windows import make_stale
@@ -351,3 +351,22 @@ def store_layout(connection: Connection, layout: TrackLayout) -> int:
     row = {"section": layout.section, "version": version, "points": len(layout.s)}
     connection.execute(insert(LAYOUTS).values(**row, content_digest=digest, packed=packed))
     return version
+
+
+def free_numbers(history: RegistryHistoryStore, records: Sequence[TrackSectionRecord], recorded_ns: int | None) -> None:
+    """Give up the numbers of sections that will get another one: sections may exchange theirs."""
+    connection = history.connection
+    serialise(connection, Subject.TRACKS)
+    for record in records:
+        was = connection.execute(select(SECTIONS).where(SECTIONS.c.code == record.code)).mappings().first()
+        if was is not None and was["number"] > 0 and was["number"] != record.number:
+            key = RecordKey(RecordKind.SECTION, record.code)
+            decision = Decision(recorded_ns=recorded_ns)
+            history.note(key, RecordAction.CHANGED, dict(was), decision)
+            give_up_number(connection, record.code)
+
+
+def give_up_number(connection: Connection, code: str) -> None:
+    """Give a section a number that is on no bus."""
+    lowest = connection.scalar(select(func.min(SECTIONS.c.number))) or 0
+    connection.execute(update(SECTIONS).where(SECTIONS.c.code == code).values(number=min(lowest, 0) - 1))

@@ -24,7 +24,7 @@ from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
-from fleet_db.stores.window_reasons import refused_by_code
+from fleet_db.stores.window_counts import refused_by_code
 from fleet_db.tables import AlertRow, WheelsetRow, WindowRow
 
 Stored = TypeVar("Stored")

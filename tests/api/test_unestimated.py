@@ -25,7 +25,7 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectio
 from estimation.values.windows import WindowPosition, WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.window_reasons import COUNTED, _grouped
+from fleet_db.stores.window_counts import COUNTED, _grouped
 from ingest.vehicle_class_file import shipped_class
 
 SERIAL, OTHER = "W-1", "W-2"
