@@ -20,7 +20,7 @@ from estimation.values.windows import Window, WindowPosition, WindowRecord, Wind
 from fleet_db.keeping.retention import DAY_NS
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.tables import ChunkRow
+from fleet_db.tables.recordings import ChunkRow
 from ingest.catalogue import default_catalogue
 from ingest.receiver import Receiver
 from ingest.registry_file import load_registry

@@ -20,7 +20,11 @@ from estimation.values.subjects import Facet
 from estimation.values.trend import SUSPENSION, TREND
 from estimation.worklist.row import FACETS as SHOWN
 from fleet_db.rows import table_of
-from fleet_db.tables import MountingRow, ResultRow, SubjectVersionRow, TrackEpochWindowRow, WindowRow
+from fleet_db.tables.operation import SubjectVersionRow
+from fleet_db.tables.registry import MountingRow
+from fleet_db.tables.results import ResultRow
+from fleet_db.tables.track import TrackEpochWindowRow
+from fleet_db.tables.windows import WindowRow
 
 VERSIONS, MOUNTINGS, RESULTS = table_of(SubjectVersionRow), table_of(MountingRow), table_of(ResultRow)
 MEMBERS, WINDOWS = table_of(TrackEpochWindowRow), table_of(WindowRow)

@@ -28,7 +28,9 @@ from sqlalchemy.sql import Executable, visitors
 from sqlalchemy.sql.selectable import Alias, Join
 
 from fleet_db.rows import table_of
-from fleet_db.tables import AlertRow, ChunkRow, VehicleRow, WebhookFleetRow, WheelsetRow
+from fleet_db.tables.alerts import AlertRow, WebhookFleetRow
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.registry import VehicleRow, WheelsetRow
 
 Fleets = frozenset[str]
 Columns = Any  # the columns of a table or of an alias of it

@@ -21,7 +21,9 @@ from fleet_db.keeping.kept_files import (
 from fleet_db.raw import RawStore
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.tables import AlertEventRow, AlertRow, TrackAlignmentRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.tables.alerts import AlertEventRow, AlertRow
+from fleet_db.tables.track import TrackAlignmentRow, WindowPositionRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES, POSITIONS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WindowPositionRow)
 ALERTS, EVENTS, ALIGNMENTS = table_of(AlertRow), table_of(AlertEventRow), table_of(TrackAlignmentRow)

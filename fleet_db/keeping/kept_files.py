@@ -17,7 +17,8 @@ from fleet_db.atomic_files import sync_directory, write_atomically
 from fleet_db.raw import LostRecordingError, RawItem, RawStore, recording_name
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import ChunkRow, WindowRow
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.windows import WindowRow
 from fleet_db.telemetry import WindowFiles, unpack_window, window_digest
 
 WINDOWS = table_of(WindowRow)

@@ -36,19 +36,12 @@ from fleet_db.raw import RawStore
 from fleet_db.raw_files import unlink_old
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import (
-    AuditRow,
-    IdempotencyRow,
-    JobRunRow,
-    PurgeRow,
-    ResultRow,
-    TrackEpochRow,
-    TrackEpochWindowRow,
-    TrackReportRow,
-    WebhookDeliveryRow,
-    WindowBinTableRow,
-    WindowRow,
-)
+from fleet_db.tables.alerts import WebhookDeliveryRow
+from fleet_db.tables.operation import AuditRow, IdempotencyRow, JobRunRow
+from fleet_db.tables.recordings import PurgeRow
+from fleet_db.tables.results import ResultRow
+from fleet_db.tables.track import TrackEpochRow, TrackEpochWindowRow, TrackReportRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles
 from fleet_db.webhook_records import DeliveryState
 

@@ -35,7 +35,8 @@ from fleet_db.rows import table_of
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, sqlite_file, translate_errors
 from fleet_db.stores.installation import FeedBranchStore
 from fleet_db.stores.stale_spans import StaleSpanStore
-from fleet_db.tables import Base, WindowRow
+from fleet_db.tables import Base
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS = table_of(WindowRow)
 Progress = Callable[[int, int], None]

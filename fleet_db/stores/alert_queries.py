@@ -11,7 +11,8 @@ from sqlalchemy import Select, and_, or_, select
 
 from estimation.values.alerts import AlertScope, Condition, Severity
 from fleet_db.rows import table_of
-from fleet_db.tables import AlertEventRow, AlertRow, MountingRow
+from fleet_db.tables.alerts import AlertEventRow, AlertRow
+from fleet_db.tables.registry import MountingRow
 
 ALERTS, EVENTS, MOUNTINGS = table_of(AlertRow), table_of(AlertEventRow), table_of(MountingRow)
 

@@ -20,7 +20,7 @@ from fleet_db.rows import insert_all_new, on_sections, replace, replace_all, tab
 from fleet_db.stores.window_marks import keys_given, list_for_sums
 from fleet_db.stores.windows import NOT_PASSED_OVER, to_window_record
 from fleet_db.subjects import Subjects
-from fleet_db.tables import WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 SAME_WINDOW = and_(WINDOWS.c.wheelset == TABLES.c.wheelset, WINDOWS.c.start_ns == TABLES.c.start_ns)

@@ -31,8 +31,9 @@ from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingChange
 from fleet_db.rows import columns_of, insert_new, row_of, table_of, value_of_row
 from fleet_db.subjects import Subjects
-from fleet_db.tables import ChunkRow, MountingRow, RawScrubRow, RecordingChangeRow, VehicleRow, WindowRow
-from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, of_length
+from fleet_db.tables.recordings import CLOCKS, LENGTHS, UNDECODED, ChunkRow, RawScrubRow, RecordingChangeRow, of_length
+from fleet_db.tables.registry import MountingRow, VehicleRow
+from fleet_db.tables.windows import WindowRow
 
 CHUNKS, VEHICLES = table_of(ChunkRow), table_of(VehicleRow)
 MOUNTINGS, WINDOWS = table_of(MountingRow), table_of(WindowRow)

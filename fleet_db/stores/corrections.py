@@ -35,7 +35,7 @@ from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
 from fleet_db.stores.tracks import TrackStore, give_up_number
 from fleet_db.stores.vehicle_classes import find_class
 from fleet_db.stores.wheelset_events import MEASURED, MOUNTINGS, REPROFILINGS, stored_measurement
-from fleet_db.tables import TrackSectionRow
+from fleet_db.tables.track import TrackSectionRow
 
 SECTIONS = table_of(TrackSectionRow)
 _DATED = {RecordKind.REPROFILING: REPROFILINGS, RecordKind.MEASUREMENT: MEASURED}

@@ -37,7 +37,9 @@ from fleet_db.receipts import ChunkState
 from fleet_db.rows import replace_all, table_of
 from fleet_db.stores.window_marks import BATCH, keys_given
 from fleet_db.stores.windows import WindowStore, implausible_reason
-from fleet_db.tables import ChunkRow, WheelsetRow, WindowRow
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS, CHUNKS, WHEELSETS = table_of(WindowRow), table_of(ChunkRow), table_of(WheelsetRow)
 READING = (WINDOWS.c.start_ns, WINDOWS.c.mileage_km, WINDOWS.c.odometer_excess_m, WINDOWS.c.off_line_m)

@@ -11,7 +11,8 @@ from sqlalchemy import ColumnElement, Connection, String, and_, cast, func, or_,
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import Quarantined, QuarantineState, SubjectKind
 from fleet_db.rows import columns_of, row_of, table_of, upsert, value_of_row
-from fleet_db.tables import ChunkRow, QuarantineRow, WindowRow
+from fleet_db.tables.recordings import ChunkRow, QuarantineRow
+from fleet_db.tables.windows import WindowRow
 
 ITEMS, CHUNKS, WINDOWS = table_of(QuarantineRow), table_of(ChunkRow), table_of(WindowRow)
 Place = tuple[str, str, str]

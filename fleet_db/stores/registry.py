@@ -43,12 +43,8 @@ from fleet_db.stores.wheelset_events import (
     stored_measurement,
 )
 from fleet_db.subjects import Subjects
-from fleet_db.tables import (
-    FleetRow,
-    VehicleRow,
-    WheelsetRow,
-    WindowRow,
-)
+from fleet_db.tables.registry import FleetRow, VehicleRow, WheelsetRow
+from fleet_db.tables.windows import WindowRow
 
 FLEETS, VEHICLES, WHEELSETS = table_of(FleetRow), table_of(VehicleRow), table_of(WheelsetRow)
 WINDOWS = table_of(WindowRow)

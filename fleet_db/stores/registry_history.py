@@ -24,7 +24,7 @@ from estimation.values.json_value import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import table_of, value_of_row
 from fleet_db.subjects import Subjects
-from fleet_db.tables import RegistryEventRow, VehicleRow
+from fleet_db.tables.registry import RegistryEventRow, VehicleRow
 
 EVENTS, VEHICLES = table_of(RegistryEventRow), table_of(VehicleRow)
 Record = Mapping[str, Any] | RowMapping

@@ -16,7 +16,7 @@ from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.rows import columns_of, table_of, upsert
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.subjects import Subjects
-from fleet_db.tables import SensorChangeRow
+from fleet_db.tables.registry import SensorChangeRow
 
 CHANGES = table_of(SensorChangeRow)
 

@@ -17,9 +17,8 @@ from fleet_db.packed_values import pack_window_damper, unpack_window_damper
 from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, upsert, value_of_row
 from fleet_db.stores.results import ResultStore
 from fleet_db.subjects import Subjects
-from fleet_db.tables.opinions import WindowDamperRow
 from fleet_db.tables.track import SuspensionFindingRow
-from fleet_db.tables.windows import WindowRow
+from fleet_db.tables.windows import WindowDamperRow, WindowRow
 
 FINDINGS = table_of(SuspensionFindingRow)
 

@@ -13,7 +13,7 @@ from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_di
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of
 from fleet_db.stores.registry_history import RecordKey, last_voided, stands_voided
-from fleet_db.tables import VehicleClassRow
+from fleet_db.tables.registry import VehicleClassRow
 
 CLASSES = table_of(VehicleClassRow)
 Shipped = Callable[[str], VehicleClass | None]  # the class of the package by code

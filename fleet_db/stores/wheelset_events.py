@@ -17,7 +17,9 @@ from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.utc_text import utc_text
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.rows import by_wheelset, row_of, table_of, upsert, value_of_row
-from fleet_db.tables import MeasuredProfilesRow, MountingRow, ReprofilingRow, StaleSpanRow, WheelsetRow, WindowRow
+from fleet_db.tables.recordings import StaleSpanRow
+from fleet_db.tables.registry import MeasuredProfilesRow, MountingRow, ReprofilingRow, WheelsetRow
+from fleet_db.tables.windows import WindowRow
 
 MOUNTINGS, REPROFILINGS = table_of(MountingRow), table_of(ReprofilingRow)
 MEASURED, WHEELSETS = table_of(MeasuredProfilesRow), table_of(WheelsetRow)

@@ -14,7 +14,9 @@ from estimation.values.windows import WindowState
 from fleet_db.due import IS_PENDING, PLACED
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import stored_reason, table_of, value_of_row
-from fleet_db.tables import ChunkRow, WindowRow, WorklistEntryRow
+from fleet_db.tables.recordings import ChunkRow
+from fleet_db.tables.results import WorklistEntryRow
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS = table_of(WindowRow)
 DAY_NS = 86_400 * 10**9

@@ -11,7 +11,8 @@ from sqlalchemy import Connection, Select, delete, select
 from estimation.values.windows import WindowKey, WindowPosition
 from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, value_of_row
 from fleet_db.stores.window_marks import BATCH, keys_given
-from fleet_db.tables import WindowPositionRow, WindowRow
+from fleet_db.tables.track import WindowPositionRow
+from fleet_db.tables.windows import WindowRow
 
 POSITIONS, WINDOWS = table_of(WindowPositionRow), table_of(WindowRow)
 

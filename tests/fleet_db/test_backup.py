@@ -24,7 +24,7 @@ from fleet_db.keeping.restore import CAUSE, restore
 from fleet_db.migrate import upgrade
 from fleet_db.session import database_engine
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import WheelsetBinRow
+from fleet_db.tables.windows import WheelsetBinRow
 
 
 def quietly(_done: int, _total: int) -> None:

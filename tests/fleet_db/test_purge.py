@@ -22,7 +22,7 @@ from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.raw_files import FileRawStore, unlink_old
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import PurgeRow
+from fleet_db.tables.recordings import PurgeRow
 from fleet_db.webhook_records import Delivery, DeliveryState, Failure, Webhook, WebhookState
 
 NOW = 2_000 * DAY_NS

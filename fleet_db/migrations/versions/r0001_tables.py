@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 import uuid
+from itertools import pairwise
 from typing import Any
 
 import sqlalchemy as sa
@@ -17,20 +18,21 @@ branch_labels: str | None = None
 depends_on: str | None = None
 
 TABLES = sa.MetaData(naming_convention=NAMING)
-types: dict[str, sa.types.TypeEngine[Any]] = {
+TYPES: dict[str, sa.types.TypeEngine[Any]] = {
     # SQLite numbers rows by itself only in a column declared INTEGER, which there is 64 bits wide as well
-    "serial": sa.BigInteger().with_variant(sa.Integer(), "sqlite"),
-    "integer": sa.Integer(),
-    "big": sa.BigInteger(),
-    "flag": sa.Boolean(),
-    "real": sa.Double(),
-    "code": sa.String(64),
-    "text": sa.Text(),
-    "json": sa.JSON(),
-    "blob": sa.LargeBinary(),
-    **{f"s{length}": sa.String(length) for length in (8, 16, 32, 40, 128, 192, 255)},
+    "SERIAL": sa.BigInteger().with_variant(sa.Integer(), "sqlite"),
+    "INTEGER": sa.Integer(),
+    "BIG": sa.BigInteger(),
+    "FLAG": sa.Boolean(),
+    "REAL": sa.Double(),
+    "CODE": sa.String(64),
+    "TEXT": sa.Text(),
+    "JSON": sa.JSON(),
+    "BLOB": sa.LargeBinary(),
+    **{f"S{length}": sa.String(length) for length in (8, 16, 32, 40, 128, 192, 255)},
 }
 BIN_QUANTITIES = ("rolling_radius_sum", "rolling_radius_difference", "contact_angle_sum", "contact_angle_difference")
+DEFAULTS: dict[str, Any] = {"0": sa.text("0"), "false": sa.false()}
 Items = list[sa.schema.SchemaItem]
 
 
@@ -41,32 +43,28 @@ def upgrade() -> None:
     op.bulk_insert(feed_branches, [branch])
 
 
-def table(name: str, *parts: Items | sa.schema.SchemaItem, numbered: bool = False) -> sa.Table:
+def table(name: str, described: str, *parts: Items | sa.schema.SchemaItem, numbered: bool = False) -> sa.Table:
     """Add a table; ``numbered``: SQLite uses no number of a row twice."""
-    items = [item for part in parts for item in (part if isinstance(part, list) else [part])]
+    items = columns(described) + [item for part in parts for item in (part if isinstance(part, list) else [part])]
     return sa.Table(name, TABLES, *items, sqlite_autoincrement=numbered)
 
 
-def columns(names_by_type: dict[str, str], *, nullable: bool = True, primary_key: bool = False) -> Items:
-    """Return columns; ``wheelset>wheelsets.serial`` refers to that column."""
+def columns(described: str) -> Items:
+    """Return columns of ``name TYPE``, each with what more is said of it; ``> table.column`` is what it refers to."""
     items: Items = []
-    for kind, names in names_by_type.items():
-        for name, _, target in (name.partition(">") for name in names.split()):
-            to = [sa.ForeignKey(target)] if target else []
-            items.append(sa.Column(name, types[kind], *to, nullable=nullable, primary_key=primary_key))
+    for name, kind, *said in (column.split() for column in described.split(",")):
+        after = dict(pairwise(said))
+        options: dict[str, Any] = {
+            "nullable": "NULL" in said,
+            "primary_key": "KEY" in said,
+            "unique": "UNIQUE" in said or None,
+        }
+        if "DEFAULT" in after:
+            options["server_default"] = DEFAULTS[after["DEFAULT"]]
+        on_delete = {"CASCADE": "CASCADE", "NULLED": "SET NULL"}.get(after.get("DELETE", ""))
+        to = [sa.ForeignKey(after[">"], ondelete=on_delete)] if ">" in after else []
+        items.append(sa.Column(name, TYPES[kind], *to, **options))
     return items
-
-
-def key(**names_by_type: str) -> Items:
-    return columns(names_by_type, nullable=False, primary_key=True)
-
-
-def required(**names_by_type: str) -> Items:
-    return columns(names_by_type, nullable=False)
-
-
-def optional(**names_by_type: str) -> Items:
-    return columns(names_by_type)
 
 
 def checks(**conditions: str) -> Items:
@@ -99,49 +97,36 @@ def chunks_by_length(first: str, last: str) -> list[sa.Index]:
 
 table(
     "api_keys",
-    key(s8="prefix"),
-    required(code="digest", text="owner created_by", json="scopes", big="created_ns"),
-    optional(json="fleets", big="expires_ns revoked_ns last_used_ns"),
+    "prefix S8 KEY, digest CODE, owner TEXT, scopes JSON, fleets JSON NULL, created_ns BIG, created_by TEXT, "
+    "expires_ns BIG NULL, revoked_ns BIG NULL, last_used_ns BIG NULL",
 )
 table(
     "audit_entries",
-    key(serial="entry_id"),
-    required(big="at_ns", s16="method", text="path", integer="status"),
-    optional(text="owner object address", code="key_prefix request_id"),
+    "entry_id SERIAL KEY, at_ns BIG, owner TEXT NULL, key_prefix CODE NULL, method S16, path TEXT, status INTEGER, "
+    "object TEXT NULL, address TEXT NULL, request_id CODE NULL",
     indexes("at_ns", "key_prefix entry_id"),
     numbered=True,
 )
 table(
     "window_adhesion",
-    key(code="wheelset>wheelsets.serial", big="start_ns"),
-    required(code="content_digest", flag="with_sums", blob="packed"),
-    optional(code="track_section>track_sections.code"),
+    "wheelset CODE KEY > wheelsets.serial, start_ns BIG KEY, track_section CODE NULL > track_sections.code, "
+    "content_digest CODE, with_sums FLAG, packed BLOB",
     indexes("track_section start_ns"),
 )
 table(
     "section_adhesion",
-    key(code="track_section>track_sections.code", big="to_ns"),
-    required(big="from_ns", text="code_version", code="made_with", blob="packed"),
+    "track_section CODE KEY > track_sections.code, to_ns BIG KEY, from_ns BIG, code_version TEXT, made_with CODE, "
+    "packed BLOB",
     checks(from_before_to="from_ns <= to_ns"),
 )
 table(
     "alerts",
-    key(serial="alert_id"),
-    required(
-        code="fleet>fleets.code",
-        s32="kind",
-        s16="severity condition",
-        big="opened_ns last_seen_ns occurrence_count",
-        json="evidence external_refs",
-        text="action",
-        integer="version",
-    ),
-    optional(
-        code="wheelset>wheelsets.serial close_code track_section",
-        real="probability raise_limit clear_limit",
-        big="cleared_ns closed_ns acknowledged_ns shelved_until_ns fleet_alert_id>alerts.alert_id",
-        text="close_reason acknowledged_by shelved_reason rules_version",
-    ),
+    "alert_id SERIAL KEY, fleet CODE > fleets.code, wheelset CODE NULL > wheelsets.serial, kind S32, severity S16, "
+    "condition S16, opened_ns BIG, last_seen_ns BIG, occurrence_count BIG, probability REAL NULL, evidence JSON, "
+    "action TEXT, raise_limit REAL NULL, clear_limit REAL NULL, cleared_ns BIG NULL, closed_ns BIG NULL, "
+    "close_reason TEXT NULL, close_code CODE NULL, acknowledged_by TEXT NULL, acknowledged_ns BIG NULL, "
+    "shelved_until_ns BIG NULL, shelved_reason TEXT NULL, external_refs JSON, "
+    "fleet_alert_id BIG NULL > alerts.alert_id, rules_version TEXT NULL, track_section CODE NULL, version INTEGER",
     checks(
         kind_named="kind <> ''",
         members_have_wheelset="wheelset IS NOT NULL OR fleet_alert_id IS NULL",
@@ -168,38 +153,32 @@ table(
 )
 table(
     "alert_events",
-    key(serial="sequence"),
-    required(big="alert_id>alerts.alert_id recorded_ns", s16="kind", json="alert", text="actor note", flag="in_feed"),
+    "sequence SERIAL KEY, alert_id BIG > alerts.alert_id, kind S16, alert JSON, recorded_ns BIG, actor TEXT, "
+    "note TEXT, in_feed FLAG",
     known("kind", "raised updated acknowledged shelved unshelved cleared closed"),
     indexes("alert_id"),
     numbered=True,
 )
 table(
     "window_bin_tables",
-    key(code="wheelset", big="start_ns"),
-    required(code="window_digest", s128="parameter_key", big="samples", blob="packed"),
-    optional(integer="track_version", code="content_digest", real="running_km"),
+    "wheelset CODE KEY, start_ns BIG KEY, track_version INTEGER NULL, window_digest CODE, parameter_key S128, "
+    "samples BIG, content_digest CODE NULL, running_km REAL NULL, packed BLOB",
     sa.ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
 )
 table(
     "window_due",
-    key(s32="stage", code="wheelset", big="start_ns"),
-    required(code="vehicle section", big="version"),
+    "stage S32 KEY, wheelset CODE KEY, start_ns BIG KEY, vehicle CODE, section CODE, version BIG",
     indexes("stage section start_ns", "stage vehicle start_ns"),
 )
 table(
     "wheelset_bins",
-    key(code="wheelset>wheelsets.serial", integer="bin"),
-    required(
-        big="geometry_id>results.result_id",
-        real="lateral_displacement_low_m lateral_displacement_high_m",
-        s40=" ".join(f"{quantity}_status" for quantity in BIN_QUANTITIES),
-    ),
-    optional(
-        real="samples rolling_radius_sum_m rolling_radius_sum_std_m rolling_radius_difference_m "
-        "rolling_radius_difference_std_m contact_angle_sum_rad contact_angle_sum_std_rad contact_angle_difference_rad "
-        "contact_angle_difference_std_rad"
-    ),
+    "wheelset CODE KEY > wheelsets.serial, bin INTEGER KEY, geometry_id BIG > results.result_id, "
+    "lateral_displacement_low_m REAL, lateral_displacement_high_m REAL, samples REAL NULL, "
+    "rolling_radius_sum_m REAL NULL, rolling_radius_sum_std_m REAL NULL, rolling_radius_sum_status S40, "
+    "rolling_radius_difference_m REAL NULL, rolling_radius_difference_std_m REAL NULL, "
+    "rolling_radius_difference_status S40, contact_angle_sum_rad REAL NULL, contact_angle_sum_std_rad REAL NULL, "
+    "contact_angle_sum_status S40, contact_angle_difference_rad REAL NULL, "
+    "contact_angle_difference_std_rad REAL NULL, contact_angle_difference_status S40",
     known(
         " ".join(f"{quantity}_status" for quantity in BIN_QUANTITIES),
         "estimated too_few_samples contact_jump unobservable",
@@ -207,19 +186,10 @@ table(
 )
 table(
     "chunks",
-    key(code="digest"),
-    required(
-        code="vehicle",
-        s16="suffix state",
-        big="size_bytes frames received_ns recorded_ns",
-        text="reason",
-        json="counts",
-    ),
-    optional(
-        code="reason_code",
-        big="first_ns last_ns purged_ns clock_checked_ns recorder_first_ns recorder_last_ns",
-        text="file_name sender",
-    ),
+    "digest CODE KEY, vehicle CODE, suffix S16, size_bytes BIG, state S16, reason TEXT, reason_code CODE NULL, "
+    "first_ns BIG NULL, last_ns BIG NULL, frames BIG, counts JSON, received_ns BIG, recorded_ns BIG, "
+    "purged_ns BIG NULL, clock_checked_ns BIG NULL, file_name TEXT NULL, sender TEXT NULL, "
+    "recorder_first_ns BIG NULL, recorder_last_ns BIG NULL",
     checks(
         both_ends_or_none="(first_ns IS NULL) = (last_ns IS NULL)",
         ends_after_start="last_ns >= first_ns",
@@ -233,28 +203,19 @@ table(
 )
 table(
     "window_dampers",
-    key(code="vehicle>vehicles.code", integer="first_axle", big="start_ns"),
-    required(code="wheelset>wheelsets.serial content_digest", blob="packed"),
+    "vehicle CODE KEY > vehicles.code, first_axle INTEGER KEY, start_ns BIG KEY, wheelset CODE > wheelsets.serial, "
+    "content_digest CODE, packed BLOB",
     checks(first_axle_positive="first_axle > 0"),
 )
 feed_branches = table(
-    "feed_branches",
-    key(serial="branch_id"),
-    required(big="after_sequence began_ns"),
-    sa.Column("identity", types["s32"], unique=True, nullable=False),
-    numbered=True,
+    "feed_branches", "branch_id SERIAL KEY, identity S32 UNIQUE, after_sequence BIG, began_ns BIG", numbered=True
 )
-table("fleets", key(code="code"), required(text="name"))
-table(
-    "idempotency_keys",
-    key(s255="key"),
-    required(code="request_digest", integer="status_code", text="body", big="recorded_ns"),
-)
+table("fleets", "code CODE KEY, name TEXT")
+table("idempotency_keys", "key S255 KEY, request_digest CODE, status_code INTEGER, body TEXT, recorded_ns BIG")
 table(
     "job_runs",
-    key(serial="run_id"),
-    required(code="job", s16="trigger outcome", big="started_ns", json="counts"),
-    optional(big="finished_ns owner", text="error"),
+    "run_id SERIAL KEY, job CODE, trigger S16, started_ns BIG, finished_ns BIG NULL, outcome S16, counts JSON, "
+    "error TEXT NULL, owner BIG NULL",
     checks(running_until_finished="(outcome = 'running') = (finished_ns IS NULL)"),
     known("outcome", "running succeeded failed abandoned"),
     indexes("job run_id"),
@@ -262,32 +223,27 @@ table(
 )
 table(
     "measured_profiles",
-    key(code="wheelset>wheelsets.serial", big="at_ns"),
-    required(real="mileage_km std_m", blob="packed"),
+    "wheelset CODE KEY > wheelsets.serial, at_ns BIG KEY, mileage_km REAL, std_m REAL, packed BLOB",
     checks(std_positive="std_m > 0"),
 )
 table(
     "mountings",
-    key(code="wheelset>wheelsets.serial", big="from_ns"),
-    required(
-        code="vehicle>vehicles.code", integer="axle", real="vehicle_odometer_km wheelset_mileage_km", flag="reversed"
-    ),
-    optional(big="to_ns"),
+    "wheelset CODE KEY > wheelsets.serial, from_ns BIG KEY, to_ns BIG NULL, vehicle CODE > vehicles.code, "
+    "axle INTEGER, vehicle_odometer_km REAL, wheelset_mileage_km REAL, reversed FLAG",
     checks(axle_positive="axle > 0", ends_after_start="to_ns IS NULL OR to_ns > from_ns"),
     sa.UniqueConstraint("vehicle", "axle", "from_ns"),
 )
 table(
     "purges",
-    key(serial="purge_id"),
-    required(s32="kind", big="before_ns items item_bytes purged_ns"),
+    "purge_id SERIAL KEY, kind S32, before_ns BIG, items BIG, item_bytes BIG, purged_ns BIG",
     checks(items_counted="items >= 0"),
     indexes("kind before_ns"),
     numbered=True,
 )
 table(
     "quarantine",
-    key(s16="kind", s128="key", code="stage"),
-    required(code="code", text="error inputs", big="first_ns last_ns due_ns attempts", s16="state"),
+    "kind S16 KEY, key S128 KEY, stage CODE KEY, code CODE, error TEXT, inputs TEXT, first_ns BIG, last_ns BIG, "
+    "due_ns BIG, attempts BIG, state S16",
     checks(tried="attempts >= 1"),
     known("kind", "recording window wheelset section vehicle fleet"),
     known("state", "held resolved"),
@@ -295,37 +251,29 @@ table(
 )
 table(
     "recording_changes",
-    key(serial="id"),
-    required(
-        code="digest vehicle_before vehicle_after",
-        s16="action state_before state_after",
-        big="recorded_ns",
-        text="actor why",
-    ),
+    "id SERIAL KEY, digest CODE, action S16, recorded_ns BIG, actor TEXT, why TEXT, vehicle_before CODE, "
+    "state_before S16, vehicle_after CODE, state_after S16",
     known("action", "retry set_aside restore reassign delete take_again"),
     known("state_after state_before", "stored decoded rejected set_aside deleted"),
     indexes("digest id"),
     numbered=True,
 )
-table("raw_marks", key(code="mark"), required(big="recorded_ns"))
+table("raw_marks", "mark CODE KEY, recorded_ns BIG")
 table(
     "rail_cells",
-    key(code="wheelset>wheelsets.serial", integer="baseline mileage_interval"),
-    key(code="section>track_sections.code", integer="period"),
-    required(code="digest interval_digest", json="document"),
+    "wheelset CODE KEY > wheelsets.serial, baseline INTEGER KEY, mileage_interval INTEGER KEY, "
+    "section CODE KEY > track_sections.code, period INTEGER KEY, digest CODE, interval_digest CODE, document JSON",
     checks(baseline_counted="baseline >= 0", period_counted="period >= 0"),
 )
 table(
     "raw_scrubs",
-    key(serial="scrub_id"),
-    required(big="started_ns files file_bytes faults", code="after_digest"),
-    optional(big="finished_ns"),
+    "scrub_id SERIAL KEY, started_ns BIG, finished_ns BIG NULL, after_digest CODE, files BIG, file_bytes BIG, "
+    "faults BIG",
 )
 table(
     "registry_events",
-    key(serial="id"),
-    required(s16="kind action", code="subject", text="actor reason", json="record"),
-    optional(big="at_ns recorded_ns", json="after"),
+    "id SERIAL KEY, kind S16, subject CODE, at_ns BIG NULL, action S16, actor TEXT, reason TEXT, record JSON, "
+    "recorded_ns BIG NULL, after JSON NULL",
     known("action", "entered changed voided restored"),
     known("kind", "mounting reprofiling measurement wheelset section vehicle vehicle_class sensor_change"),
     indexes("subject kind"),
@@ -333,17 +281,9 @@ table(
 )
 table(
     "roll_ups",
-    key(serial="number"),
-    required(
-        code="wheelset>wheelsets.serial vehicle_class content",
-        integer="baseline baseline_interval side",
-        s128="table_key",
-        big="windows first_ns last_ns",
-        json="summary",
-        blob="plain",
-    ),
-    optional(blob="forgetting"),
-    sa.Column("sealed", types["flag"], server_default=sa.false(), nullable=False),
+    "number SERIAL KEY, wheelset CODE > wheelsets.serial, baseline INTEGER, baseline_interval INTEGER, side INTEGER, "
+    "table_key S128, vehicle_class CODE, windows BIG, content CODE, first_ns BIG, last_ns BIG, "
+    "sealed FLAG DEFAULT false, summary JSON, plain BLOB, forgetting BLOB NULL",
     checks(windows_counted="windows >= 0"),
     sa.UniqueConstraint(
         "wheelset", "baseline", "baseline_interval", "side", "table_key", "vehicle_class", name="uq_roll_ups_key"
@@ -351,50 +291,39 @@ table(
 )
 table(
     "roll_up_states",
-    key(code="wheelset>wheelsets.serial"),
-    required(code="rules", json="classes"),
-    optional(code="earlier_digest", blob="earlier"),
+    "wheelset CODE KEY > wheelsets.serial, rules CODE, classes JSON, earlier_digest CODE NULL, earlier BLOB NULL",
 )
 table(
     "rolling_sums",
-    key(code="wheelset>wheelsets.serial", big="start_ns"),
-    required(code="window_digest", s192="assumed", blob="packed"),
+    "wheelset CODE KEY > wheelsets.serial, start_ns BIG KEY, window_digest CODE, assumed S192, packed BLOB",
 )
-table(
-    "stage_marks",
-    key(s32="stage", code="subject"),
-    required(big="seen", code="common made_from"),
-    optional(big="again_ns"),
-)
-table("subject_versions", key(s16="kind", code="subject", s32="facet"), required(big="version"))
+table("stage_marks", "stage S32 KEY, subject CODE KEY, seen BIG, common CODE, made_from CODE, again_ns BIG NULL")
+table("subject_versions", "kind S16 KEY, subject CODE KEY, facet S32 KEY, version BIG")
 table(
     "sensor_changes",
-    key(code="vehicle>vehicles.code", integer="axle", big="at_ns"),
-    required(s16="work", text="removed fitted note"),
+    "vehicle CODE KEY > vehicles.code, axle INTEGER KEY, at_ns BIG KEY, work S16, removed TEXT, fitted TEXT, note TEXT",
     checks(axle_positive="axle > 0"),
     known("work", "swap calibration"),
 )
-table("stored_settings", key(code="name"), required(text="value", big="recorded_ns"))
+table("stored_settings", "name CODE KEY, value TEXT, recorded_ns BIG")
 table(
     "wear_signatures",
-    key(code="wheelset>wheelsets.serial", big="start_ns"),
-    required(code="vehicle>vehicles.code window_digest assumed", big="places", text="reason", blob="packed"),
-    optional(code="section>track_sections.code reason_code", integer="speed_band_m_s"),
+    "wheelset CODE KEY > wheelsets.serial, start_ns BIG KEY, vehicle CODE > vehicles.code, "
+    "section CODE NULL > track_sections.code, speed_band_m_s INTEGER NULL, window_digest CODE, assumed CODE, "
+    "places BIG, reason TEXT, reason_code CODE NULL, packed BLOB",
     checks(places_counted="places >= 0"),
 )
 table(
     "stale_spans",
-    key(serial="id"),
-    required(code="vehicle", big="from_ns to_ns", text="cause"),
+    "id SERIAL KEY, vehicle CODE, from_ns BIG, to_ns BIG, cause TEXT",
     checks(ends_after_start="to_ns > from_ns"),
     indexes("vehicle from_ns"),
     numbered=True,
 )
 table(
     "suspension_findings",
-    key(code="vehicle>vehicles.code section>track_sections.code", big="to_ns"),
-    required(big="from_ns recorded_ns", real="ratio ratio_std assumed_m", text="code_version"),
-    optional(integer="epoch"),
+    "vehicle CODE KEY > vehicles.code, section CODE KEY > track_sections.code, to_ns BIG KEY, from_ns BIG, "
+    "ratio REAL, ratio_std REAL, assumed_m REAL, code_version TEXT, epoch INTEGER NULL, recorded_ns BIG",
     checks(
         assumed_positive="assumed_m > 0",
         from_before_to="from_ns <= to_ns",
@@ -404,92 +333,69 @@ table(
 )
 table(
     "track_epochs",
-    key(code="section>track_sections.code", integer="number"),
-    required(
-        text="before survey", code="input_digest", big="horizon_ns windows report recorded_ns", flag="waits stale"
-    ),
-    optional(integer="version same_since estimated_on", code="survey_code"),
+    "section CODE KEY > track_sections.code, number INTEGER KEY, before TEXT, input_digest CODE, horizon_ns BIG, "
+    "windows BIG, waits FLAG, stale FLAG, version INTEGER NULL, same_since INTEGER NULL, estimated_on INTEGER NULL, "
+    "survey TEXT, survey_code CODE NULL, report BIG, recorded_ns BIG",
     checks(number_positive="number > 0"),
 )
 table(
     "track_epoch_windows",
-    key(code="wheelset", big="start_ns"),
-    required(code="section vehicle content_digest context assumed", integer="epoch", real="mileage_km"),
-    optional(integer="estimated_version"),
+    "wheelset CODE KEY, start_ns BIG KEY, section CODE, epoch INTEGER, vehicle CODE, content_digest CODE, "
+    "mileage_km REAL, context CODE, assumed CODE, estimated_version INTEGER NULL",
     indexes("section epoch"),
     sa.ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
 )
 table(
     "track_epoch_vehicles",
-    key(code="section vehicle", integer="epoch"),
-    required(integer="version", real="stiffness_ratio"),
+    "section CODE KEY, vehicle CODE KEY, epoch INTEGER KEY, version INTEGER, stiffness_ratio REAL",
     sa.ForeignKeyConstraint(["section", "epoch"], ["track_epochs.section", "track_epochs.number"], ondelete="CASCADE"),
 )
 table(
     "track_sections",
-    key(code="code"),
-    required(text="name rail_profile", real="rail_inclination nominal_gauge_m length_m"),
-    optional(json="line", real="tonnage_mgt_per_year"),
-    sa.Column("number", types["integer"], unique=True, nullable=False),
+    "code CODE KEY, number INTEGER UNIQUE, name TEXT, rail_profile TEXT, rail_inclination REAL, nominal_gauge_m REAL, "
+    "length_m REAL, line JSON NULL, tonnage_mgt_per_year REAL NULL",
     checks(length_positive="length_m > 0"),
 )
 table(
     "track_alignments",
-    key(code="section>track_sections.code", integer="version"),
-    required(s16="status", big="points", code="content_digest", blob="packed"),
+    "section CODE KEY > track_sections.code, version INTEGER KEY, status S16, points BIG, content_digest CODE, "
+    "packed BLOB",
     checks(version_positive="version > 0"),
     known("status", "unestimated estimated invalid model_mismatch"),
 )
 table(
     "track_versions",
-    key(code="section", integer="version"),
-    required(s16="source", integer="same_since", real="scale_std", flag="gauge_known", big="recorded_ns"),
-    optional(real="cut_off_m alignment_std_m", big="superseded_ns"),
+    "section CODE KEY, version INTEGER KEY, source S16, same_since INTEGER, cut_off_m REAL NULL, scale_std REAL, "
+    "gauge_known FLAG, alignment_std_m REAL NULL, recorded_ns BIG, superseded_ns BIG NULL",
     checks(same_since_before="same_since <= version"),
     known("source", "recorded fleet"),
     sa.ForeignKeyConstraint(["section", "version"], ["track_alignments.section", "track_alignments.version"]),
 )
 table(
     "track_reports",
-    key(serial="report_id"),
-    required(
-        code="section>track_sections.code input_digest",
-        flag="made",
-        s16="status",
-        text="reason code_version",
-        big="windows recorded_ns",
-        json="report",
-    ),
-    optional(integer="version", code="reason_code"),
+    "report_id SERIAL KEY, section CODE > track_sections.code, version INTEGER NULL, made FLAG, status S16, "
+    "reason TEXT, reason_code CODE NULL, windows BIG, input_digest CODE, code_version TEXT, report JSON, "
+    "recorded_ns BIG",
     known("status", "unestimated estimated invalid model_mismatch"),
     indexes("section report_id"),
     numbered=True,
 )
 table(
     "window_positions",
-    key(code="wheelset", big="start_ns"),
-    required(code="content_digest", real="offset_m scale middle_m", text="reason"),
-    optional(integer="version", code="reason_code"),
+    "wheelset CODE KEY, start_ns BIG KEY, content_digest CODE, version INTEGER NULL, offset_m REAL, scale REAL, "
+    "middle_m REAL, reason TEXT, reason_code CODE NULL",
     sa.ForeignKeyConstraint(["wheelset", "start_ns"], ["windows.wheelset", "windows.start_ns"], ondelete="CASCADE"),
 )
 table(
     "track_layouts",
-    key(code="section>track_sections.code", integer="version"),
-    required(big="points", code="content_digest", blob="packed"),
+    "section CODE KEY > track_sections.code, version INTEGER KEY, points BIG, content_digest CODE, packed BLOB",
     checks(version_positive="version > 0"),
 )
 table(
     "results",
-    key(serial="result_id"),
-    required(
-        s32="stage",
-        s16="kind status",
-        code="subject part made_from",
-        text="numerics reason",
-        json="parameters",
-        big="recorded_ns",
-    ),
-    optional(code="reason_code", text="head", blob="value", big="superseded_ns"),
+    "result_id SERIAL KEY, stage S32, kind S16, subject CODE, part CODE, made_from CODE, numerics TEXT, status S16, "
+    "reason TEXT, reason_code CODE NULL, head TEXT NULL, value BLOB NULL, parameters JSON, recorded_ns BIG, "
+    "superseded_ns BIG NULL",
     known("status", "unestimated estimated invalid model_mismatch"),
     indexes("recorded_ns", "superseded_ns"),
     part("ix_results_put_last", "stage subject result_id", "superseded_ns IS NULL"),
@@ -499,54 +405,38 @@ table(
 )
 table(
     "vehicle_classes",
-    key(code="code", integer="version"),
-    required(json="document", big="recorded_ns"),
+    "code CODE KEY, version INTEGER KEY, document JSON, recorded_ns BIG",
     checks(version_counted="version > 0"),
 )
 table(
     "vehicles",
-    key(code="code"),
-    required(
-        code="fleet>fleets.code", text="vehicle_class", integer="axles", real="max_speed_m_s", json="axle_offsets_m"
-    ),
+    "code CODE KEY, fleet CODE > fleets.code, vehicle_class TEXT, axles INTEGER, max_speed_m_s REAL, "
+    "axle_offsets_m JSON",
     checks(axles_positive="axles > 0"),
     indexes("fleet"),
 )
 table(
     "webhooks",
-    key(serial="webhook_id"),
-    required(
-        text="url description created_by",
-        json="fleets kinds severities",
-        s16="state",
-        big="since_ns created_ns position revision delivered failed",
-    ),
-    optional(s32="disabled_reason"),
+    "webhook_id SERIAL KEY, url TEXT, description TEXT, fleets JSON, kinds JSON, severities JSON, state S16, "
+    "disabled_reason S32 NULL, since_ns BIG, created_ns BIG, created_by TEXT, position BIG, revision BIG, "
+    "delivered BIG, failed BIG",
     checks(disabled_with_reason="(state = 'disabled') = (disabled_reason IS NOT NULL)"),
     known("disabled_reason", "gone failing"),
     known("state", "active paused disabled"),
     numbered=True,
 )
-table("webhook_fleets", key(serial="webhook_id>webhooks.webhook_id", code="fleet"))
+table("webhook_fleets", "webhook_id SERIAL KEY > webhooks.webhook_id, fleet CODE KEY")
 table(
     "webhook_secrets",
-    key(serial="secret_id"),
-    required(serial="webhook_id>webhooks.webhook_id", text="secret", big="created_ns"),
-    optional(big="until_ns"),
+    "secret_id SERIAL KEY, webhook_id SERIAL > webhooks.webhook_id, secret TEXT, created_ns BIG, until_ns BIG NULL",
     indexes("webhook_id"),
     numbered=True,
 )
 table(
     "webhook_deliveries",
-    key(serial="delivery_id"),
-    required(
-        serial="webhook_id>webhooks.webhook_id",
-        big="sequence alert_id event_ns attempts first_ns last_ns",
-        text="event_id",
-        s32="event_kind",
-        s16="state",
-    ),
-    optional(big="next_ns", integer="status_code", s32="failure", text="detail"),
+    "delivery_id SERIAL KEY, webhook_id SERIAL > webhooks.webhook_id, sequence BIG, event_id TEXT, event_kind S32, "
+    "alert_id BIG, event_ns BIG, state S16, attempts BIG, first_ns BIG, last_ns BIG, next_ns BIG NULL, "
+    "status_code INTEGER NULL, failure S32 NULL, detail TEXT NULL",
     checks(waiting_for_a_time="(state = 'waiting') = (next_ns IS NOT NULL)"),
     known("state", "waiting delivered failed withdrawn"),
     indexes("state last_ns", "webhook_id delivery_id"),
@@ -554,35 +444,22 @@ table(
 )
 table(
     "wheelsets",
-    key(code="serial"),
-    required(code="fleet>fleets.code", text="wheel_profile", real="nominal_radius_m"),
+    "serial CODE KEY, fleet CODE > fleets.code, wheel_profile TEXT, nominal_radius_m REAL",
     checks(radius_positive="nominal_radius_m > 0"),
     indexes("fleet"),
 )
-table("reprofilings", key(code="wheelset>wheelsets.serial", big="at_ns"), required(real="mileage_km", text="note"))
+table("reprofilings", "wheelset CODE KEY > wheelsets.serial, at_ns BIG KEY, mileage_km REAL, note TEXT")
 table(
     "windows",
-    key(code="wheelset>wheelsets.serial", big="start_ns"),
-    required(
-        big="length_ns gaps sample_bytes recorded_ns",
-        code="vehicle>vehicles.code content_digest",
-        integer="axle",
-        real="mileage_km",
-        flag="sensor_fault",
-        s16="state",
-        text="reason",
-    ),
-    optional(
-        code="track_section>track_sections.code reason_code implausible_code",
-        real="coverage longest_gap_s clipped invalid speed_min_m_s speed_max_m_s position_quality "
-        "hunting_share hunting_hz hunting_amplitude_m blows_share blows_m_s2 blows_turn_m",
-        integer="blows_side",
-        text="implausible",
-        big="samples_purged_ns table_purged_ns",
-        s16="passed_over",
-    ),
-    sa.Column("odometer_excess_m", types["real"], server_default=sa.text("0"), nullable=False),
-    sa.Column("off_line_m", types["real"], server_default=sa.text("0"), nullable=False),
+    "wheelset CODE KEY > wheelsets.serial, start_ns BIG KEY, length_ns BIG, vehicle CODE > vehicles.code, "
+    "axle INTEGER, track_section CODE NULL > track_sections.code, mileage_km REAL, coverage REAL NULL, "
+    "longest_gap_s REAL NULL, gaps BIG, clipped REAL NULL, invalid REAL NULL, speed_min_m_s REAL NULL, "
+    "speed_max_m_s REAL NULL, position_quality REAL NULL, sensor_fault FLAG, hunting_share REAL NULL, "
+    "hunting_hz REAL NULL, hunting_amplitude_m REAL NULL, blows_share REAL NULL, blows_m_s2 REAL NULL, "
+    "blows_turn_m REAL NULL, blows_side INTEGER NULL, state S16, reason TEXT, reason_code CODE NULL, "
+    "content_digest CODE, sample_bytes BIG, recorded_ns BIG, odometer_excess_m REAL DEFAULT 0, "
+    "off_line_m REAL DEFAULT 0, implausible TEXT NULL, implausible_code CODE NULL, samples_purged_ns BIG NULL, "
+    "table_purged_ns BIG NULL, passed_over S16 NULL",
     checks(length_positive="length_ns > 0"),
     known("state", "pending estimated refused"),
     indexes("track_section start_ns", "vehicle start_ns"),
@@ -594,33 +471,23 @@ table(
 )
 table(
     "work_leases",
-    key(serial="lease_id"),
-    required(text="holder", big="length_ns until_ns"),
-    optional(s32="unit"),
-    sa.Column("owner", types["big"], sa.ForeignKey("work_leases.lease_id", ondelete="CASCADE")),
+    "lease_id SERIAL KEY, holder TEXT, owner BIG NULL > work_leases.lease_id DELETE CASCADE, unit S32 NULL, "
+    "length_ns BIG, until_ns BIG",
     checks(length_positive="length_ns > 0"),
     indexes("until_ns"),
     numbered=True,
 )
 table(
     "work_claims",
-    key(code="stage", s128="key"),
-    required(big="attempts begun_ns"),
-    sa.Column("lease_id", types["big"], sa.ForeignKey("work_leases.lease_id", ondelete="SET NULL")),
+    "stage CODE KEY, key S128 KEY, lease_id BIG NULL > work_leases.lease_id DELETE NULLED, attempts BIG, begun_ns BIG",
     checks(begun="attempts >= 1"),
     indexes("lease_id"),
 )
 table(
     "worklist_entries",
-    key(code="wheelset>wheelsets.serial"),
-    required(code="fleet", s16="status urgency", real="urgency_key", text="document"),
-    optional(
-        code="vehicle",
-        text="vehicle_class",
-        s16="worst_severity",
-        real="distance_key conicity_key trend_key mileage_key",
-        big="last_data_ns",
-    ),
+    "wheelset CODE KEY > wheelsets.serial, fleet CODE, vehicle CODE NULL, vehicle_class TEXT NULL, status S16, "
+    "urgency S16, worst_severity S16 NULL, urgency_key REAL, distance_key REAL NULL, conicity_key REAL NULL, "
+    "trend_key REAL NULL, mileage_key REAL NULL, last_data_ns BIG NULL, document TEXT",
     known("status", "unestimated estimated invalid model_mismatch"),
     known("urgency", "over_limit critical_alert due warning_alert unknown not_due not_mounted"),
     known("worst_severity", "info warning critical"),
@@ -646,10 +513,5 @@ table(
     ),
 )
 table(
-    "worklist_alerts",
-    key(s32="kind"),
-    sa.Column(
-        "wheelset", types["code"], sa.ForeignKey("worklist_entries.wheelset", ondelete="CASCADE"), primary_key=True
-    ),
-    indexes("wheelset"),
+    "worklist_alerts", "kind S32 KEY, wheelset CODE KEY > worklist_entries.wheelset DELETE CASCADE", indexes("wheelset")
 )

@@ -25,7 +25,9 @@ from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.windows import WindowStore
-from fleet_db.tables import ResultRow, TrackAlignmentRow, WindowBinTableRow, WindowRow
+from fleet_db.tables.results import ResultRow
+from fleet_db.tables.track import TrackAlignmentRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 NAMES = ("W0", "W1", "W2")
 MINUTE_NS = 60 * 10**9
