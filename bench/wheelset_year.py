@@ -88,7 +88,7 @@ class WheelsetYear:
         assert record is not None
         unit.tables.put(SERIAL, start_ns, one.table, one.version, record.content_digest)
         unit.windows.mark(SERIAL, start_ns, WindowState.ESTIMATED)
-        unit.tracks.put_position(WindowPosition(SERIAL, start_ns, record.content_digest, one.version))
+        unit.tracks.put_positions([WindowPosition(SERIAL, start_ns, record.content_digest, one.version)])
         return EpochMember(record, "c" * 64, "a" * 64)
 
 

@@ -13,11 +13,10 @@ from estimation.values.track import TrackAlignment, TrackLayout
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.registry_events import RecordKind
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.distances import MOUNTINGS, mountings_where
-from fleet_db.stores.mountings import MountedTwiceError
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey
-from fleet_db.stores.section_numbers import free_numbers
+from fleet_db.stores.tracks import free_numbers
+from fleet_db.stores.wheelset_events import MOUNTINGS, MountedTwiceError, mountings_where
 from ingest.input_file import Location
 from ingest.registry_entry.checks import Entered, contradictions, mileage_point
 from ingest.registry_entry.classes_on_file import class_refusals, without_class
