@@ -10,12 +10,7 @@ from starlette.routing import compile_path
 
 
 def allowed_methods(operations: Iterable[tuple[str, str]], path: str, named: str) -> str:
-    """Return the value of ``Allow`` (RFC 9110, 10.2.1) for a path; HEAD goes with GET.
-
-    Args:
-        operations: Path template and method of each operation of the API.
-        named: What the framework found, for a path outside the API.
-    """
+    """Return the value of ``Allow`` (RFC 9110, 10.2.1) for a path; HEAD goes with GET."""
     methods: dict[str, set[str]] = {}
     for template, method in operations:
         methods.setdefault(template, set()).add(method)

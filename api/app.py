@@ -169,8 +169,6 @@ def build_app(
     Args:
         services: None while the database is waited for: all but ``/healthz`` and ``/metrics`` is refused until
             ``state.services`` is set.
-        access: Who may ask; by default whoever has a key.
-        sender: To webhooks; by default to public addresses alone.
     """
     app = describe()
     registry = CollectorRegistry(auto_describe=False)

@@ -14,12 +14,7 @@ from fleet_db.storage import SqlStorage
 
 
 class JobRunner:
-    """Runs one job at a time, in a thread of its own; built by the factory, closed with the app.
-
-    Args:
-        context: What the jobs may touch.
-        holder: Name of this process, as owner of the runs.
-    """
+    """Runs one job at a time, in a thread of its own; built by the factory, closed with the app."""
 
     def __init__(self, context: JobContext, storage: SqlStorage, holder: str) -> None:
         self._holder = holder
@@ -31,12 +26,7 @@ class JobRunner:
         self._running: Future[JobRun] | None = None
 
     def start(self, job: Job) -> JobRun:
-        """Start a run of ``job`` and return its record as soon as it is committed.
-
-        Raises:
-            ConflictError: A run of this job is under way, here or elsewhere, or another job runs here.
-            StorageError: The run could not be recorded.
-        """
+        """Start a run and return its record as soon as it is committed; refused while it, or another one here, runs."""
         with self._starting:
             self._refuse_second(job)
             begun: Future[JobRun] = Future()

@@ -15,15 +15,7 @@ def require_known(
     vehicle_class: str | None = None,
     fleet_alert: int | None = None,
 ) -> None:
-    """Refuse filters that name nothing; to be asked where a page is empty, for one with rows shows that they do.
-
-    Args:
-        fleet, vehicle, wheelset, vehicle_class: Codes and serial to filter by; None is no filter.
-        fleet_alert: Number of the fleet alert whose members are asked for.
-
-    Raises:
-        NotFoundError: There is no such fleet, vehicle, wheelset, class or fleet alert.
-    """
+    """Refuse filters that name nothing; to be asked where a page is empty, for one with rows shows that they do."""
     if fleet is not None and all(one.code != fleet for one in unit.registry.fleets()):
         raise NotFoundError("fleet", fleet)
     if vehicle is not None:

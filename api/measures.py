@@ -11,11 +11,7 @@ Numbers = Mapping[str, float] | Mapping[tuple[str, str], float] | Mapping[tuple[
 
 
 class Measured(Collector):
-    """Measures that a function reads when they are asked for.
-
-    Args:
-        read: Returns the measures of now; not called when it is registered.
-    """
+    """Measures that a function reads when they are asked for."""
 
     def __init__(self, read: Callable[[], Iterable[Metric]]) -> None:
         self._read = read
@@ -30,12 +26,7 @@ class Measured(Collector):
 
 
 def gauge(name: str, text: str, labels: str, numbers: Numbers) -> Metric:
-    """Return a gauge.
-
-    Args:
-        labels: Names of the labels, with spaces between them.
-        numbers: By the value of the label, or by those of several.
-    """
+    """Return a gauge."""
     return _filled(GaugeMetricFamily(name, text, labels=labels.split()), numbers)
 
 

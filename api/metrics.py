@@ -72,11 +72,7 @@ class RequestMeasures:
 
 
 def stored_measures(services: Services | None) -> list[Metric]:
-    """Return what is read from the database; only ``treadwatch_database_up`` while it is down.
-
-    Args:
-        services: None while the database is waited for.
-    """
+    """Return what is read from the database; only ``treadwatch_database_up`` while it is down."""
     up = GaugeMetricFamily("treadwatch_database_up", "Whether the database answers.")
     measures: list[Metric] = []
     try:

@@ -76,11 +76,7 @@ class _Answer:
 
 
 class Turn:
-    """The place of a request among those that are answered; one that waits for news gives it back meanwhile.
-
-    Args:
-        count: Called with the change of how many are being answered.
-    """
+    """The place of a request among those that are answered; one that waits for news gives it back meanwhile."""
 
     def __init__(self, count: Callable[[int], None]) -> None:
         self._count = count
@@ -161,11 +157,7 @@ class RequestContextMiddleware:
                 )
 
     async def _run(self, scope: Scope, receive: Receive, answer: _Answer) -> None:
-        """Let the application answer; a thread that is late goes on, but the client does not wait for it.
-
-        Raises:
-            ProblemError: 503: too many requests are being answered, or there was no answer in time.
-        """
+        """Let the application answer; a thread that is late goes on, but the client does not wait for it."""
         if self._running >= REQUESTS and scope["path"] != ALWAYS_ANSWERED:
             detail = f"{REQUESTS} requests are being answered; try again"
             raise ProblemError(503, "overloaded", detail, headers={"Retry-After": "1"})
@@ -217,16 +209,7 @@ def _refuse_large_head(scope: Scope) -> None:
 
 
 async def with_body(scope: Scope, receive: Receive, timeout_s: float, most_bytes: int = MAX_BODY_BYTES) -> Receive:
-    """Wait for the whole body and return ``receive`` that hands it over.
-
-    Args:
-        scope: Of the request; ``Content-Length`` and ``Transfer-Encoding`` are read from it.
-        timeout_s: How long the whole body may take.
-        most_bytes: How large it may be.
-
-    Raises:
-        ProblemError: 413: it is too large, announced or not; 408: it is late.
-    """
+    """Wait for the whole body and return ``receive`` that hands it over."""
     headers = Headers(scope=scope)
     announced = headers.get("content-length", "0")
     if announced == "0" and "transfer-encoding" not in headers:

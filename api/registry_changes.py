@@ -44,11 +44,7 @@ class BodySource:
 
 @dataclass(frozen=True, slots=True)
 class RegistryRequest:
-    """A request that changes the registry.
-
-    Attributes:
-        asked: Its ``if_match`` is None in requests that create something.
-    """
+    """A request that changes the registry."""
 
     asked: AskedChange
     body: RegistryChange
@@ -58,11 +54,7 @@ class RegistryRequest:
         return Decision(self.asked.caller.acts_as(self.body.by, UNNAMED), self.body.why, now_ns)
 
     def visible(self, find: Callable[[SqlUnitOfWork], object]) -> None:
-        """Refuse what the body names and the caller does not see, as if it did not exist.
-
-        Args:
-            find: Raises where there is no such thing in a transaction that shows the caller's fleets only.
-        """
+        """Refuse what the body names and the caller does not see, as if it did not exist."""
         with self.asked.read() as unit:
             find(unit)
 
@@ -76,7 +68,6 @@ class RegistryRequest:
 
         Args:
             current: Representation of the asset that is changed, for ``If-Match``; None where there is none yet.
-            apply: Changes it; returns what is answered.
         """
         post: IdempotentPost = idempotent_post(self.asked.request, self.asked.key, self.body)
         now_ns = self.asked.services.clock.now_ns()
@@ -91,10 +82,6 @@ class RegistryRequest:
         return answer(self.asked.request, done, status=status)
 
     def enter(self, unit: SqlUnitOfWork, decision: Decision, contents: RegistryContents, source: BodySource) -> None:
-        """Enter records as a registry file does.
-
-        Raises:
-            RegistryRefusedError: They are impossible or contradict what is on file.
-        """
+        """Enter records as a registry file does."""
         confirmed = frozenset(map(Rule, self.body.confirm))
         enter(contents, unit, source, Entry(decision, decision.recorded_ns, confirmed))

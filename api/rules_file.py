@@ -104,9 +104,6 @@ class _Layer:
 def load_rules(path: Path, book: RuleBook | None = None) -> RuleBook:
     """Return the rule book of a TOML file.
 
-    Args:
-        book: What it changes; the shipped rules by default.
-
     Raises:
         InputError: The file cannot be read or is no TOML; an unknown table or key; a value of the wrong type or outside
             its range; values that contradict each other, such as a clear limit on the wrong side of its raise limit;
@@ -153,11 +150,7 @@ def _schema(book: RuleBook) -> type[InputTable]:
 
 
 def _layers(given: Any, file: InputFile) -> Iterator[_Layer]:  # noqa: ANN401 - of the schema made above
-    """Yield what the file says of classes, of fleets, and of classes in fleets: the later go before the earlier.
-
-    Raises:
-        InputError: One scope twice, or the alarm flood of a class.
-    """
+    """Yield what the file says of classes, of fleets, and of classes in fleets: the later go before the earlier."""
     classes = [_Layer(None, one.code, one, ("class", i)) for i, one in enumerate(given.classes)]
     fleets = [_Layer(one.fleet, one.code, one, ("fleet", i)) for i, one in enumerate(given.fleets)]
     seen: dict[tuple[str | None, str | None], _Layer] = {}
@@ -179,11 +172,7 @@ def _scopes(layers: Sequence[_Layer]) -> list[tuple[str | None, str | None]]:
 
 
 def _with(book: RuleBook, layer: _Layer, file: InputFile) -> RuleBook:
-    """Return a book with what a layer changes.
-
-    Raises:
-        InputError: What comes out contradicts itself.
-    """
+    """Return a book with what a layer changes."""
     rules = []
     for rule in book.rules:
         table = getattr(layer.tables, rule.kind)

@@ -48,9 +48,6 @@ def changed(value: _Value, given: BaseModel | None) -> _Value:
     """Return a dataclass with the fields that a table sets.
 
     A delay that the table sets takes the place of the same delay in the other unit.
-
-    Args:
-        given: The table; None changes nothing.
     """
     if given is None:
         return value
@@ -63,11 +60,7 @@ def changed(value: _Value, given: BaseModel | None) -> _Value:
 
 
 def both_units(given: BaseModel | None) -> str | None:
-    """Return the key of a delay in kilometres that a table of delays sets beside the same one in evaluations.
-
-    Args:
-        given: A table of delays; None sets nothing.
-    """
+    """Return the key of a delay in kilometres that a table of delays sets beside the same one in evaluations."""
     if given is None:
         return None
     return next((km for evaluations, km in _EITHER if {evaluations, km} <= given.model_fields_set), None)

@@ -44,11 +44,7 @@ class Services:
     contacts: ContactCache = field(default_factory=ContactCache)
 
     def job(self, name: str) -> Job:
-        """Return the job of this name.
-
-        Raises:
-            NotFoundError: There is none.
-        """
+        """Return the job of this name."""
         try:
             return self.jobs[name]
         except KeyError:
@@ -65,10 +61,6 @@ ServicesDep = Annotated[Services, Depends(services_of)]
 
 
 async def writer_slot(services: ServicesDep) -> AsyncIterator[None]:
-    """Hold a place among the requests that write; for the routes that do.
-
-    Raises:
-        BusyError: None became free in time.
-    """
+    """Hold a place among the requests that write; for the routes that do."""
     async with services.writers.slot():
         yield

@@ -16,11 +16,7 @@ _log = logging.getLogger(__name__)
 
 
 def upload_measures(services: Services | None) -> list[Metric]:
-    """Return the measures of this process's uploads, and of the backlog of all.
-
-    Args:
-        services: None while the database is waited for.
-    """
+    """Return the measures of this process's uploads, and of the backlog of all."""
     if services is None:
         return []
     measures = _counted(services)

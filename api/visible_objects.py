@@ -59,12 +59,7 @@ FINDERS: Mapping[str, Find] = {
 
 
 async def visible(request: Request, services: ServicesDep, caller: CallerDep) -> None:
-    """Refuse a change to something that its caller does not see, as if it did not exist.
-
-    Raises:
-        NotFoundError: The caller is bound to fleets, and it belongs to none of them.
-        LookupError: Nothing says how what the path names is found.
-    """
+    """Refuse a change to something that its caller does not see, as if it did not exist."""
     route: APIRoute = request.scope["route"]
     if caller.fleets is None or request.method in _READING or not request.path_params:
         return
@@ -79,11 +74,7 @@ async def visible(request: Request, services: ServicesDep, caller: CallerDep) ->
 
 
 def finder_of(path: str) -> tuple[str, Find]:
-    """Return the template of the first object in a path, and how it is found.
-
-    Raises:
-        LookupError: Nothing says it.
-    """
+    """Return the template of the first object in a path, and how it is found."""
     template = path[: path.index("}") + 1]
     if template not in FINDERS:
         raise LookupError(f"api/visible_objects.py does not say how {template} is found")

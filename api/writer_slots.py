@@ -20,12 +20,7 @@ PATIENCE_S = 3.0
 
 
 class WriterSlots:
-    """Places for requests that write.
-
-    Args:
-        at_once: How many write at the same time.
-        patience_s: How long the others wait, s.
-    """
+    """Places for requests that write."""
 
     def __init__(self, at_once: int, patience_s: float) -> None:
         self._slots = asyncio.Semaphore(at_once)
@@ -35,11 +30,7 @@ class WriterSlots:
 
     @asynccontextmanager
     async def slot(self) -> AsyncIterator[None]:
-        """Hold a place.
-
-        Raises:
-            BusyError: None became free in time, or too many wait already.
-        """
+        """Hold a place."""
         if self._present >= self._most:
             raise BusyError(f"{self._present} requests write or wait for it already")
         self._present += 1

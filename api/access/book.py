@@ -37,11 +37,7 @@ class _Change:
 
 @dataclass(slots=True)
 class AccessBook:
-    """Writes in one thread, which starts with the first thing to write.
-
-    Args:
-        storage: Returns the storage of all fleets.
-    """
+    """Writes in one thread, which starts with the first thing to write."""
 
     storage: Callable[[], SqlStorage]
     _queue: queue.Queue[AuditEntry | _Change | _Use | None] = field(
@@ -51,11 +47,7 @@ class AccessBook:
     _thread: threading.Thread | None = None
 
     def used(self, prefix: str, at_ns: int) -> None:
-        """Note that a key was used; written at most once a minute.
-
-        Args:
-            at_ns: Our time, ns UTC.
-        """
+        """Note that a key was used; written at most once a minute."""
         if at_ns - self._used.get(prefix, 0) >= USED_EVERY_NS:
             self._used[prefix] = at_ns
             self._put(_Use(prefix, at_ns))

@@ -22,7 +22,6 @@ class Caller:
 
     Args:
         name: Of the owner, as it is recorded with what is done; None where access is open.
-        scopes: What may be done.
         fleets: Codes of the fleets that are visible; None for all.
         identity: Of the key or token's subject, such as ``key 3fq2xh7a``: what limits and Idempotency-Keys belong to;
             None where access is open.
@@ -43,11 +42,7 @@ class Caller:
         """Return who is recorded as the actor: the owner of the key; where access is open, whom the body names.
 
         Args:
-            by: Of the request's body.
             unnamed: Who it is where access is open and the body names nobody; None refuses that.
-
-        Raises:
-            ProblemError: 422: it names another than the owner, or, where access is open, nobody.
         """
         if self.name is None and (by or unnamed) is not None:
             return by or str(unnamed)
@@ -75,11 +70,7 @@ def known_caller(scope: Scope) -> Caller | None:
 
 
 async def caller_of(request: Request) -> Caller:
-    """Return who asks.
-
-    Raises:
-        LookupError: The request did not pass the gate.
-    """
+    """Return who asks."""
     found = known_caller(request.scope)
     if found is None:
         raise LookupError("the request did not pass api.access.gate")

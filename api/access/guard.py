@@ -33,21 +33,13 @@ class Access:
     https: bool
 
     def protect(self, headers: MutableHeaders) -> None:
-        """Add to an answer what browsers are to do with it.
-
-        Args:
-            headers: Of the answer; changed where they do not say it themselves.
-        """
+        """Add to an answer what browsers are to do with it."""
         for name, value in security_headers(https=self.https, shared=bool(self.origins)).items():
             headers.setdefault(name, value)
 
 
 def guard_of(plan: AccessPlan, storage: Callable[[], SqlStorage]) -> Access:
-    """Return what guards one app.
-
-    Args:
-        storage: Returns the storage of all fleets.
-    """
+    """Return what guards one app."""
     book = AccessBook(storage)
     return Access(
         gate=plan.gate(storage, book),

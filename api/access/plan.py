@@ -34,11 +34,7 @@ class AccessPlan:
     https: bool = False
 
     def gate(self, storage: Callable[[], SqlStorage], book: AccessBook) -> Gate:
-        """Return the gate of one app.
-
-        Args:
-            storage: Returns the storage of all fleets.
-        """
+        """Return the gate of one app."""
         return Gate(
             hosts=self.hosts,
             doors=self.doors,
@@ -79,11 +75,7 @@ def plan_of(settings: Settings) -> AccessPlan:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether an address to listen on is reached from this machine alone.
-
-    Args:
-        host: A name or an address; a name other than ``localhost`` may be any address.
-    """
+    """Return whether an address to listen on is reached from this machine alone."""
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -91,11 +83,7 @@ def is_loopback(host: str) -> bool:
 
 
 def listed(value: str | None) -> list[str]:
-    """Return the parts of a setting with commas between them.
-
-    Args:
-        value: Of the setting; None for none.
-    """
+    """Return the parts of a setting with commas between them."""
     return [part for one in (value or "").split(",") if (part := one.strip())]
 
 

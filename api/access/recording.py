@@ -24,11 +24,7 @@ _OF_ADDRESS = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Recorder:
-    """Decides what is recorded, and has it written.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
+    """Decides what is recorded, and has it written."""
 
     book: AccessBook
     refusals: Rate
@@ -62,11 +58,7 @@ class Recorder:
 
 
 def recorder_of(book: AccessBook) -> Recorder:
-    """Return the recorder of one app.
-
-    Args:
-        book: Where entries are written.
-    """
+    """Return the recorder of one app."""
     return Recorder(book, Rate(_OF_ADDRESS / 60.0, _OF_ADDRESS))
 
 

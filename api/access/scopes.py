@@ -28,14 +28,7 @@ _READING = frozenset({HTTPMethod.GET.value, HTTPMethod.HEAD.value})
 
 
 def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep], None]:
-    """Return a dependency that refuses callers without a scope.
-
-    Args:
-        all_fleets: Whether the operation concerns more than the fleets of a caller that is bound to some.
-
-    Raises:
-        ProblemError: In the dependency, 403: the caller does not have it; names the scope.
-    """
+    """Return a dependency that refuses callers without a scope."""
 
     def check(caller: CallerDep) -> None:
         refuse_without(caller, scope)
@@ -47,11 +40,7 @@ def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep],
 
 
 def refuse_without(caller: Caller, scope: Scope) -> None:
-    """Refuse a caller without a scope.
-
-    Raises:
-        ProblemError: 403; names the scope.
-    """
+    """Refuse a caller without a scope."""
     if scope not in caller.scopes:
         raise ProblemError(403, "forbidden", f"this needs the scope '{scope}'")
 
@@ -67,12 +56,7 @@ def scope_of(route: APIRoute) -> Scope | None:
 
 
 async def authorise(request: Request, caller: CallerDep) -> None:
-    """Refuse callers who lack the scope of the operation; for every route of the API.
-
-    Raises:
-        ProblemError: 403: the caller does not have it; names the scope.
-        LookupError: The route changes something and declares no scope, or several.
-    """
+    """Refuse callers who lack the scope of the operation; for every route of the API."""
     route: APIRoute = request.scope["route"]
     scope = scope_of(route)
     if scope is None:

@@ -13,12 +13,7 @@ HTTPS_ONLY = "max-age=31536000"
 
 
 def security_headers(*, https: bool, shared: bool) -> Mapping[str, str]:
-    """Return the headers of an answer.
-
-    Args:
-        https: Whether a proxy serves it by HTTPS alone.
-        shared: Whether pages of other origins may read it.
-    """
+    """Return the headers of an answer."""
     found = {
         "X-Content-Type-Options": "nosniff",
         "Referrer-Policy": "no-referrer",

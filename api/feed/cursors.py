@@ -39,11 +39,7 @@ class FeedCursor:
 
 
 def check_of(event: AlertEvent | None) -> str:
-    """Return what a cursor keeps of its last event: enough to know another of the same number from it.
-
-    Args:
-        event: None before the first.
-    """
+    """Return what a cursor keeps of its last event: enough to know another of the same number from it."""
     if event is None:
         return _NO_EVENT
     alert = event.alert
@@ -53,21 +49,13 @@ def check_of(event: AlertEvent | None) -> str:
 
 
 def encode(narrowed: FeedFilter, branch: FeedBranch, event: AlertEvent | None) -> str:
-    """Return the cursor behind an event.
-
-    Args:
-        event: The last one seen; None at the beginning.
-    """
+    """Return the cursor behind an event."""
     sequence = 0 if event is None else event.sequence
     return cursors.encode(FEED, narrowed.bound, f"{sequence}.{branch.identity}.{check_of(event)}")
 
 
 def decode(narrowed: FeedFilter, cursor: str | None) -> FeedCursor | None:
-    """Return what a cursor says; None without one.
-
-    Raises:
-        ProblemError: 400: it is none of the feed under this filter.
-    """
+    """Return what a cursor says; None without one."""
     key = cursors.decode(FEED, narrowed.bound, cursor)
     if key is None:
         return None

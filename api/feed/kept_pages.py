@@ -25,12 +25,7 @@ class KeptPage:
 def read_kept(
     unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, limit: int, cache: RepresentationCache
 ) -> KeptPage:
-    """Return the page behind a place that is known to be of this database.
-
-    Args:
-        after_sequence: Number of the last event that was handed over.
-        limit: How many events at most.
-    """
+    """Return the page behind a place that is known to be of this database."""
     found = unit.alerts.feed_outlines(
         after_sequence, limit, fleets=narrowed.fleets, kinds=narrowed.kinds, severities=narrowed.severities
     )

@@ -24,7 +24,6 @@ class Place:
 
     Args:
         sequence: What matches up to this number has been handed over.
-        cursor: The same for clients.
     """
 
     sequence: int
@@ -53,17 +52,7 @@ def opened(
     after: str | None,
     read: Callable[[SqlUnitOfWork, FeedFilter, int], PageT],
 ) -> PageT:
-    """Return the page behind a client's cursor.
-
-    Args:
-        narrowed: The client's filter.
-        after: The cursor; None for the beginning, ``latest`` for the end.
-        read: Reads the page behind a number.
-
-    Raises:
-        ProblemError: 400: the cursor is none of the feed under this filter; 409: it is of another history of the
-            database.
-    """
+    """Return the page behind a client's cursor; refused where it is of another filter (400) or history (409)."""
     given = cursors.decode(narrowed, None if after == LATEST else after)
     with storage.read() as unit:
         if after == LATEST:
@@ -73,12 +62,7 @@ def opened(
 
 
 def read_page(unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, limit: int) -> FeedPage:
-    """Return the page behind a place that is known to be of this database.
-
-    Args:
-        after_sequence: Number of the last event that was handed over.
-        limit: How many events at most.
-    """
+    """Return the page behind a place that is known to be of this database."""
     found = unit.alerts.feed(
         after_sequence, limit, fleets=narrowed.fleets, kinds=narrowed.kinds, severities=narrowed.severities
     )

@@ -25,11 +25,7 @@ class Waits(StrEnum):
 
 
 class WaitingPlaces:
-    """Counts who waits, refuses who would be too many, and shows it to Prometheus.
-
-    Args:
-        limit: Of all in this process.
-    """
+    """Counts who waits, refuses who would be too many, and shows it to Prometheus."""
 
     def __init__(self, limit: int, of_keys: StreamPlaces) -> None:
         self._limit = limit
@@ -38,11 +34,7 @@ class WaitingPlaces:
 
     @contextmanager
     def held(self, how: Waits, caller: Caller) -> Iterator[None]:
-        """Hold a place.
-
-        Raises:
-            ProblemError: 503: the process has no more places; 429: the key has no more.
-        """
+        """Hold a place."""
         if sum(self._waiting.values()) >= self._limit:
             detail = f"limit max_streams: {self._limit} clients wait for news; try again"
             raise ProblemError(503, "overloaded", detail, headers=TRY_AGAIN)

@@ -35,11 +35,7 @@ _log = logging.getLogger(__name__)
 
 
 class EventStream(StreamingResponse):
-    """An answer that goes on; a client that does not read is left, nothing is kept for it.
-
-    Args:
-        held: Entered for as long as it goes on; may refuse it with a problem.
-    """
+    """An answer that goes on; a client that does not read is left, nothing is kept for it."""
 
     media_type = EVENT_STREAM
 
@@ -71,12 +67,7 @@ class EventStream(StreamingResponse):
 
 @dataclass(slots=True)
 class FeedStream:
-    """One client's stream.
-
-    Args:
-        narrowed: The client's filter.
-        good: Returns whether the client would still be let in.
-    """
+    """One client's stream."""
 
     watch: FeedWatch
     narrowed: FeedFilter
@@ -85,11 +76,7 @@ class FeedStream:
     clock_s: Callable[[], float] = time.monotonic
 
     async def parts(self, page: FeedPage) -> AsyncIterator[bytes]:
-        """Yield what is sent, one or more whole events at a time, until the stream ends.
-
-        Args:
-            page: The first events behind the client's cursor.
-        """
+        """Yield what is sent, one or more whole events at a time, until the stream ends."""
         ends, history = self.clock_s() + LONGEST_S, self.watch.histories
         yield b"retry: %d\n: the feed of alerts\n\n" % RETRY_MS + _text(page)
         async with self.watch.following(self.narrowed, self.storage, page) as channel:

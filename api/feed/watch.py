@@ -44,11 +44,8 @@ class Channel:
     """What is new under one filter.
 
     Attributes:
-        narrowed, storage: The filter, and the database as its clients see it.
         begin: All that matches and has a higher number is in ``kept``.
         end: Up to where has been looked.
-        kept: In commit order.
-        followers: How many wait for it.
     """
 
     narrowed: FeedFilter
@@ -78,12 +75,7 @@ def as_sent(event: AlertEvent, cursor: str) -> bytes:
 
 
 class FeedWatch:
-    """Looks for news while somebody waits for them; one an app.
-
-    Args:
-        storage: Of the app, where it has one by now.
-        ending: Whether the server is about to end.
-    """
+    """Looks for news while somebody waits for them; one an app."""
 
     def __init__(self, storage: Callable[[], SqlStorage | None], ending: Callable[[], bool]) -> None:
         self._storage = storage
@@ -107,12 +99,7 @@ class FeedWatch:
 
     @asynccontextmanager
     async def following(self, narrowed: FeedFilter, storage: SqlStorage, page: FeedPage) -> AsyncIterator[Channel]:
-        """Yield what is new under a filter from a page on.
-
-        Args:
-            narrowed: The client's filter.
-            page: The last one that was read for the client.
-        """
+        """Yield what is new under a filter from a page on."""
         channel = self._channels.get(narrowed)
         if channel is None:
             channel = self._channels[narrowed] = Channel(narrowed, storage, page.newest.sequence, page.newest)

@@ -53,11 +53,7 @@ SCHEME = {
 
 
 def scopes_of(modules: Iterable[ModuleType]) -> dict[str, Scope]:
-    """Return the scope of every operation by its name.
-
-    Raises:
-        LookupError: One has none.
-    """
+    """Return the scope of every operation by its name."""
     found = {}
     for module in modules:
         for route in module.router.routes:
@@ -70,11 +66,7 @@ def scopes_of(modules: Iterable[ModuleType]) -> dict[str, Scope]:
 
 
 def describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
-    """Add the key to the document, and the scope to every operation; `/healthz` and `/readyz` need none.
-
-    Args:
-        scopes: Each under the name of its operation; `read` where nothing is said, as of `/metrics`.
-    """
+    """Add the key to the document, and the scope to every operation; `/healthz` and `/readyz` need none."""
     document["components"]["securitySchemes"] = {KEY: SCHEME}
     for path, operations in document["paths"].items():
         for operation in operations.values():
@@ -131,11 +123,7 @@ _POINTED = [{"in": "query", "pointer": "#/limit", "detail": "Input should be les
 
 
 def describe_problems(path: str, operation: dict[str, Any]) -> None:
-    """Give every problem of an operation an example.
-
-    Args:
-        path: Template of the operation's path.
-    """
+    """Give every problem of an operation an example."""
     for status, response in operation["responses"].items():
         content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)
         if content is not None:
@@ -168,11 +156,7 @@ Times are RFC 3339 in UTC; ranges are half-open.
 
 
 def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
-    """Return the document of this app.
-
-    Args:
-        scopes: Of every operation, by its name.
-    """
+    """Return the document of this app."""
     found = get_openapi(
         title=app.title,
         version=app.version,

@@ -40,9 +40,6 @@ def describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[st
     """Add to an operation the headers of its answers, and that ``If-Match`` is required where it is taken.
 
     The service answers a request without it with 428 rather than with 422, so the route itself cannot require it.
-
-    Args:
-        schemas: Of the document, each under its name; they show which answers are pages.
     """
     for parameter in operation.get("parameters", ()):
         if parameter["name"] == IF_MATCH:

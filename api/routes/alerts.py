@@ -116,11 +116,7 @@ def _found(
 
 
 def _place(after: object) -> tuple[Severity, int | None]:
-    """Return severity and number of the last alert of the page before; the worst, and none, at the beginning.
-
-    Raises:
-        ProblemError: 400: it is no place of this list.
-    """
+    """Return severity and number of the last alert of the page before; the worst, and none, at the beginning."""
     if after is None:
         return list(Severity)[-1], None
     match after:

@@ -99,11 +99,7 @@ def _suffix(given: str) -> str:
 
 
 def _require_visible(services: Services, vehicle: str) -> None:
-    """Refuse a vehicle of another fleet, as if it did not exist, to a caller who is bound to fleets.
-
-    Raises:
-        NotFoundError: It belongs to none of them.
-    """
+    """Refuse a vehicle of another fleet, as if it did not exist, to a caller who is bound to fleets."""
     with services.storage.read() as unit:
         unit.registry.vehicle(vehicle)
 

@@ -66,11 +66,7 @@ def get_recording(asked: AskedDep, digest: Digest) -> Response:
 
 
 def with_history(unit: SqlUnitOfWork, digest: str) -> recordings.RecordingWithHistory:
-    """Return the representation of one recording.
-
-    Raises:
-        NotFoundError: There is none.
-    """
+    """Return the representation of one recording."""
     record = unit.chunks.get(digest)
     if record is None:
         raise NotFoundError("recording", digest)

@@ -102,11 +102,7 @@ def _row(entry: WorklistEntry) -> worklist.WheelsetRow:
 
 
 def _place(key: object) -> WorklistPlace | None:
-    """Return the place in a cursor; None at the beginning.
-
-    Raises:
-        ProblemError: 400: it is no place of this list.
-    """
+    """Return the place in a cursor; None at the beginning."""
     if key is None:
         return None
     match key:

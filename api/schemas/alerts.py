@@ -191,10 +191,6 @@ class AlertRow(Alert):
 
 
 def alert_row(record: AlertValue, now_ns: int, place: tuple[str | None, int | None]) -> AlertRow:
-    """Return the representation of an alert in a list.
-
-    Args:
-        place: Vehicle and axle that its wheelset ran under when it was opened.
-    """
+    """Return the representation of an alert in a list."""
     vehicle, axle = place
     return AlertRow.made(record, **_own(record, now_ns), vehicle=vehicle, axle=axle)

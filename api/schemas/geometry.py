@@ -145,11 +145,7 @@ def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> 
 
 
 def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEstimate | None = None) -> Geometry:
-    """Return the representation of a wheelset of which nothing was ever estimated.
-
-    Args:
-        without: The same by its windows; None of a time that has passed.
-    """
+    """Return the representation of a wheelset of which nothing was ever estimated."""
     unknown, empty = Estimate.unknown(reason), BinValues(np.zeros(0), np.zeros(0), ())
     nothing = WheelsetGeometry(
         bin_edges=np.zeros(1),
@@ -289,11 +285,7 @@ def interval(record: GeometryRecord) -> Interval:
 
 
 def data_quality(serial: str, found: WindowCounts, waiting: Sequence[window_reasons.WindowsOfReason]) -> DataQuality:
-    """Return the representation of the windows of a wheelset over time.
-
-    Args:
-        waiting: Those that wait, by what they wait for.
-    """
+    """Return the representation of the windows of a wheelset over time."""
     stretches: dict[int, dict[tuple[WindowState, ReasonCode | None], int]] = {}
     total: dict[tuple[WindowState, ReasonCode | None], int] = {}
     for one in found.counts:

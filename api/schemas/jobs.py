@@ -42,12 +42,7 @@ def run(record: JobRunValue) -> JobRun:
 
 
 def job(name: str, description: str, every_s: float, last: JobRunValue | None) -> Job:
-    """Return the representation of a job.
-
-    Args:
-        every_s: Interval of its schedule, s.
-        last: Its last run, if any.
-    """
+    """Return the representation of a job."""
     due = None if last is None else to_rfc3339(last.started_ns + int(every_s * 1e9))
     return Job(
         name=name,

@@ -112,11 +112,7 @@ def section_rails(found: Result[RailsFinding]) -> SectionRails:
 
 
 def wheelset_rails(found: Result[WheelsFinding], geometry: GeometryRecord | None) -> WheelsetRails:
-    """Return the representation of a wheelset's wheels, beside its geometry.
-
-    Args:
-        geometry: The current one; None without.
-    """
+    """Return the representation of a wheelset's wheels, beside its geometry."""
     assert found.value is not None
     record, part, own = found.value, found.value.part, f"/v1/wheelsets/{segment(found.subject)}"
     rows = []

@@ -47,11 +47,7 @@ class SignatureAnswer(_Said, of=values.SignatureFinding, without=("answer", "sig
 
 
 def signature_answer(result: Result[values.SignatureFinding], seen: Collection[str]) -> SignatureAnswer:
-    """Return the representation of an answer.
-
-    Args:
-        seen: Wheelsets of the library that may be named.
-    """
+    """Return the representation of an answer."""
     assert result.value is not None
     found, own = result.value.answer, f"/v1/wheelsets/{segment(result.subject)}"
     return SignatureAnswer.made(

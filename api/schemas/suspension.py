@@ -35,12 +35,7 @@ class Suspension(Representation):
 
 
 def suspension(vehicle: str, findings: Sequence[SuspensionFinding], change: SuspensionChange | None) -> Suspension:
-    """Return the representation of the findings of a vehicle.
-
-    Args:
-        findings: In order of time.
-        change: Against the past; None where too little is known.
-    """
+    """Return the representation of the findings of a vehicle."""
     own = f"/v1/vehicles/{segment(vehicle)}"
     return Suspension(
         vehicle=vehicle,

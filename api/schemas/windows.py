@@ -37,11 +37,7 @@ class Window(
 
 
 def window(record: values.WindowRecord, reason: Reason | None) -> Window:
-    """Return the representation of a window.
-
-    Args:
-        reason: Why it is refused, or what it waits for; None where it is estimated.
-    """
+    """Return the representation of a window."""
     hunting, blows = record.quality.hunting, record.quality.blows
     return Window.made(
         record,

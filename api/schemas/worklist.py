@@ -156,11 +156,7 @@ class TurningPlan(Representation):
 
 
 def candidate(row: WorklistRow, *, nominal_radii: bool) -> Candidate | None:
-    """Return a wheelset as the plan needs it; None where it is not mounted.
-
-    Args:
-        nominal_radii: Whether the radius on file is taken for that of both wheels.
-    """
+    """Return a wheelset as the plan needs it; None where it is not mounted."""
     mounting, state = row.wheelset.mounting, row.state
     if mounting is None:
         return None

@@ -30,14 +30,7 @@ class BodyLimits:
 
 
 class UploadBody:
-    """The body of one request.
-
-    Args:
-        headers, receive: Of the request; the server holds back the sender while nobody asks for more.
-
-    Attributes:
-        whole: Whether all of it has come.
-    """
+    """The body of one request."""
 
     def __init__(self, headers: Headers, receive: Receive, limits: BodyLimits) -> None:
         self._headers = headers
@@ -46,11 +39,7 @@ class UploadBody:
         self.whole = False
 
     def announced_bytes(self) -> int:
-        """Return how large it may get: what its sender says, or the limit where it does not.
-
-        Raises:
-            ProblemError: 413: it is larger than the limit.
-        """
+        """Return how large it may get: what its sender says, or the limit where it does not."""
         announced = self._headers.get("content-length", "")
         if not announced.isdecimal():
             return self._limits.most_bytes
@@ -59,11 +48,7 @@ class UploadBody:
         return int(announced)
 
     async def pieces(self) -> AsyncIterator[bytearray]:
-        """Yield it.
-
-        Raises:
-            ProblemError: 413: it is too large; 408: it is late, or its sender left.
-        """
+        """Yield it."""
         held, size, until = bytearray(), 0, time.monotonic() + self._limits.total_s
         while not self.whole:
             left_s = min(self._limits.pause_s, until - time.monotonic())

@@ -51,13 +51,7 @@ class UploadLimits:
 
 
 class Uploads:
-    """Takes uploads.
-
-    Args:
-        raw, storage: Where bytes and receipts go.
-        backlog: Says whether more may come.
-        limits: Of one upload, and of all together.
-    """
+    """Takes uploads."""
 
     def __init__(self, raw: RawStore, storage: ChunkStorage, backlog: BacklogWatch, limits: UploadLimits) -> None:
         self._raw = raw
@@ -78,9 +72,6 @@ class Uploads:
 
     async def take(self, headers: Headers, receive: Receive, digest: str, chunk: Chunk) -> Stored:
         """Store the body of a request as a chunk and return its committed receipt.
-
-        Args:
-            digest: That the body must have.
 
         Raises:
             ProblemError: 413, 408, 422 (another digest), 503 (too much waits, or the raw store takes nothing now).

@@ -22,20 +22,13 @@ def event_id(visible: frozenset[str] | None, branches: Sequence[FeedBranch], eve
     """Return the identity of an event: its id in the stream of the whole feed, which is a cursor behind it.
 
     It is of the branch in which the event happened, so that it stays the same when the database is restored.
-
-    Args:
-        visible: Codes of the fleets that the receiver may see; None for all.
     """
     of = next((one for one in reversed(branches) if one.after_sequence < event.sequence), branches[0])
     return cursors.encode(FeedFilter(visible=visible), of, event)
 
 
 def cloud_event(branches: Sequence[FeedBranch], identity: str, event: AlertEvent) -> bytes:
-    """Return what is sent for an event; its ``data`` is byte for byte the event of the feed.
-
-    Args:
-        branches: Of the feed; the first one names the database.
-    """
+    """Return what is sent for an event; its ``data`` is byte for byte the event of the feed."""
     envelope = {
         "specversion": "1.0",
         "id": identity,
@@ -49,11 +42,7 @@ def cloud_event(branches: Sequence[FeedBranch], identity: str, event: AlertEvent
 
 
 def trial_event(branches: Sequence[FeedBranch], webhook_id: int, now_ns: int) -> tuple[str, bytes]:
-    """Return identity and body of an event that only tries out a webhook.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
+    """Return identity and body of an event that only tries out a webhook."""
     identity = f"test-{uuid.uuid4().hex}"
     path = f"/v1/webhooks/{webhook_id}"
     envelope = {

@@ -33,11 +33,7 @@ class Verdict:
 
 
 def begun(webhook: Webhook, event: AlertEvent, identity: str, now_ns: int) -> Delivery:
-    """Return the delivery of an event that is about to be sent for the first time.
-
-    Args:
-        now_ns: Our time, ns UTC.
-    """
+    """Return the delivery of an event that is about to be sent for the first time."""
     return Delivery(
         delivery_id=0,
         webhook_id=webhook.webhook_id,
@@ -58,12 +54,7 @@ def begun(webhook: Webhook, event: AlertEvent, identity: str, now_ns: int) -> De
 
 
 def after_attempt(delivery: Delivery, outcome: Outcome, schedule: Schedule, now_ns: int, chance_1: float) -> Verdict:
-    """Return what follows from an attempt.
-
-    Args:
-        now_ns: Our time, ns UTC.
-        chance_1: Of a fair draw from 0 to 1, for the jitter.
-    """
+    """Return what follows from an attempt."""
     tried = replace(
         delivery,
         attempts=delivery.attempts + 1,
@@ -106,12 +97,7 @@ class _Next:
 
 @dataclass(slots=True)
 class Deliveries:
-    """Sends what is due; one in all processes, see :func:`fleet_db.sole_sender.sending_alone`.
-
-    Args:
-        storage: Of all fleets.
-        chance: Returns a fair draw from 0 to 1, for the jitter.
-    """
+    """Sends what is due; one in all processes, see :func:`fleet_db.sole_sender.sending_alone`."""
 
     storage: SqlStorage
     sender: Sender
@@ -124,11 +110,7 @@ class Deliveries:
     _ending: bool = False
 
     async def look(self) -> None:
-        """Begin to send to every webhook for which something may be due, and to which nothing is being sent.
-
-        Raises:
-            StorageError: The database cannot be read.
-        """
+        """Begin to send to every webhook for which something may be due, and to which nothing is being sent."""
         for webhook_id in await asyncio.to_thread(self._due):
             if webhook_id not in self._under_way and not self._ending:
                 self._under_way[webhook_id] = asyncio.create_task(self._deliver(webhook_id))
@@ -139,11 +121,7 @@ class Deliveries:
             await asyncio.gather(*self._under_way.values())
 
     async def end(self, patience_s: float) -> None:
-        """Begin nothing more, wait for what is being sent, and give up what takes longer.
-
-        Args:
-            patience_s: How long, s.
-        """
+        """Begin nothing more, wait for what is being sent, and give up what takes longer."""
         self._ending = True
         if self._under_way:
             _, late = await asyncio.wait(self._under_way.values(), timeout=patience_s)

@@ -13,11 +13,7 @@ from fleet_db.webhook_records import Webhook, WebhookCount, WebhookState
 
 
 def webhook_measures(storage: SqlStorage) -> list[Metric]:
-    """Return how many webhooks are in which state, how their attempts ended, and since when the oldest event waits.
-
-    Args:
-        storage: Of all fleets.
-    """
+    """Return how many webhooks are in which state, how their attempts ended, and since when the oldest event waits."""
     with storage.read() as unit:
         found = unit.webhooks.counts()
     return [_states(found), _attempts(found), _oldest(storage, [one.webhook for one in found])]

@@ -37,11 +37,7 @@ class Schedule:
         """Return when an event is sent again; None where it is given up.
 
         Args:
-            first_ns: When it was sent first, ns UTC.
-            attempts: How often it was sent, at least once; all failed.
-            now_ns: Our time, ns UTC.
             chance_1: Of a fair draw from 0 to 1, for the jitter.
-            asked_s: How long the receiver asked to wait, s; None where it did not.
         """
         end_ns = first_ns + round(self.span_s * SECOND_NS)
         if now_ns >= end_ns and attempts >= self.least_attempts:
@@ -55,12 +51,7 @@ class Schedule:
 
 
 def asked_delay_s(retry_after: str | None, now_ns: int) -> float | None:
-    """Return how long a receiver asks to wait, in seconds; None where it says nothing that can be understood.
-
-    Args:
-        retry_after: The header ``Retry-After`` (RFC 9110): seconds or a date.
-        now_ns: Our time, ns UTC.
-    """
+    """Return how long a receiver asks to wait, in seconds; None where it says nothing that can be understood."""
     text = (retry_after or "").strip()
     if text.isascii() and text.isdecimal():
         return float(text[:LONGEST_DIGITS]) if len(text) <= LONGEST_DIGITS else float(10**LONGEST_DIGITS)

@@ -20,27 +20,14 @@ def new_secret() -> str:
 
 
 def signature(secret: str, event_id: str, timestamp: int, body: bytes) -> str:
-    """Return one signature.
-
-    Args:
-        timestamp: When it is sent, in whole seconds since the Unix epoch.
-    """
+    """Return one signature."""
     key = base64.b64decode(secret.removeprefix(PREFIX), validate=True)
     signed = hmac.new(key, f"{event_id}.{timestamp}.".encode() + body, hashlib.sha256)
     return f"v1,{base64.b64encode(signed.digest()).decode()}"
 
 
 def signed_headers(secrets_of: Sequence[str], event_id: str, now_ns: int, body: bytes) -> Mapping[str, str]:
-    """Return the headers of an event: its media type, and what lets a receiver know that it is ours.
-
-    Args:
-        secrets_of: Of the webhook, the newest first; each signs.
-        event_id: Of the event; the same at every attempt.
-        now_ns: Our time, ns UTC.
-
-    Raises:
-        ValueError: There is no secret: nothing is sent that nobody can verify.
-    """
+    """Return the headers of an event: its media type, and what lets a receiver know that it is ours."""
     if not secrets_of:
         raise ValueError("the webhook has no secret")
     timestamp = now_ns // NS

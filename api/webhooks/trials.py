@@ -21,14 +21,7 @@ class Trial:
 
 
 def trial_of(storage: SqlStorage, webhook_id: int, now_ns: int) -> Trial:
-    """Return what tries out a webhook, of whatever state.
-
-    Args:
-        now_ns: Our time, ns UTC.
-
-    Raises:
-        NotFoundError: There is none of that number.
-    """
+    """Return what tries out a webhook, of whatever state."""
     with storage.read() as unit:
         webhook, branches = unit.webhooks.get(webhook_id), unit.feed_branches.all()
     with replace(storage, visible_fleets=None).read() as unit:  # no bound caller sees what signs

@@ -27,11 +27,7 @@ _log = logging.getLogger(__name__)
 
 
 class WebhookWorker:
-    """Delivers from :meth:`start` to :meth:`stop`, while no other process does.
-
-    Args:
-        services: Of the app, where it has them by now.
-    """
+    """Delivers from :meth:`start` to :meth:`stop`, while no other process does."""
 
     def __init__(self, services: Callable[[], Services | None], sender: Sender) -> None:
         self._services = services
