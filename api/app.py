@@ -32,35 +32,24 @@ from api.openapi.document import document, scopes_of
 from api.page import routes as page
 from api.reference_measures import reference_measures
 from api.routes import (
+    access,
     accuracy,
-    alert_actions,
     alert_feed,
     alerts,
-    audit,
     chunks,
-    fleets,
+    dated_records,
+    design_contact,
     geometry,
     health,
     jobs,
-    keys,
-    life,
-    measured_profiles,
-    mountings,
+    opinions,
     plans,
-    quarantine,
-    recording_corrections,
     recordings,
     registry_assets,
     registry_decisions,
-    reprofilings,
-    sensor_changes,
-    signatures,
     tracks,
-    vehicle_classes,
     vehicles,
-    webhook_actions,
     webhooks,
-    wheelsets,
     worklist,
 )
 from api.services import Services
@@ -71,35 +60,29 @@ from api.webhooks.targets import Targets
 from api.webhooks.worker import WebhookWorker
 
 RESOURCES = (
-    chunks,  # first: a request is compared with one path after the other, and these are the most
-    fleets,
-    vehicles,
-    vehicle_classes,
-    worklist,
-    plans,
-    wheelsets,
-    mountings,
-    reprofilings,
-    measured_profiles,
-    registry_assets,
-    sensor_changes,
-    registry_decisions,
-    geometry,
-    signatures,
-    accuracy,
-    life,
-    alert_feed,  # before the alerts, whose path it would be taken for
-    alerts,
-    alert_actions,
-    jobs,
-    tracks,
-    quarantine,
-    keys,
-    audit,
-    webhooks,
-    webhook_actions,
-    recordings,
-    recording_corrections,
+    chunks.router,  # first: a request is compared with one path after the other, and these are the most
+    vehicles.fleets_router,
+    vehicles.router,
+    worklist.router,
+    plans.router,
+    dated_records.router,
+    dated_records.vehicles_router,
+    registry_assets.router,
+    registry_decisions.router,
+    geometry.router,
+    opinions.router,
+    design_contact.router,
+    accuracy.router,
+    alert_feed.router,  # before the alerts, whose path it would be taken for
+    alerts.router,
+    alerts.actions_router,
+    jobs.router,
+    jobs.quarantine_router,
+    tracks.router,
+    access.router,
+    webhooks.router,
+    recordings.router,
+    recordings.corrections_router,
 )
 # Requests that work at the same time slow each other down: Python runs one of them, and all others wait as long.
 EMBEDDED_THREADS = 2  # of SQLite: one to read, one that may wait to write
@@ -125,9 +108,9 @@ def describe() -> FastAPI:
         lifespan=_lifespan,
         telemetry={"operation_spans": False, "exclude": _waits_for_news},
     )
-    for module in RESOURCES:
+    for router in RESOURCES:
         app.include_router(
-            module.router,
+            router,
             dependencies=[Depends(contract.media_type), Depends(authorise), Depends(visible)],
             responses=problems.described(401, 403, 406, 422, 429, 500, 503),
         )
@@ -161,7 +144,7 @@ def committed_document() -> bytes:
 def build_app(
     services: Services | None,
     limits: HttpLimits | None = None,
-    access: AccessPlan | None = None,
+    plan: AccessPlan | None = None,
     sender: Sender | None = None,
 ) -> FastAPI:
     """Return the app that answers with these services, within these limits or the usual ones.
@@ -181,7 +164,7 @@ def build_app(
     app.state.registry = registry
     app.state.document = committed_document()
     app.state.contracts = contract.contracts_of(orjson.loads(app.state.document))
-    guard = guard_of(access or AccessPlan(), lambda: app.state.services.storage)
+    guard = guard_of(plan or AccessPlan(), lambda: app.state.services.storage)
     app.state.access_book = guard.book
     limits = limits or HttpLimits()
     app.state.feed_watch = FeedWatch(lambda: None if (ours := app.state.services) is None else ours.storage, ending)

@@ -5,21 +5,57 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
+from typing import Annotated, Literal
 
 from fastapi import Response
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from api.answers import answer, require_match
 from api.asking import AskedChange
 from api.idempotency import IdempotentPost, idempotent_post
-from api.schemas.registry_changes import RegistryChange
+from api.parameters import CODE
+from api.schemas.common import Body
 from estimation.errors import InputError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
+from ingest.bounded_file import MEBIBYTE
 from ingest.input_file import Location, dotted
 from ingest.registry_entry.contents import Entry, RegistryContents
 from ingest.registry_entry.contradiction import Rule
 from ingest.registry_entry.enter import enter
+
+TEXT = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
+
+
+MOST_KM = 1e8
+
+
+Confirmable = Literal["odometer_backwards", "odometer_jump", "unknown_profile", "unusual_gauge", "unusual_radius"]
+
+
+Key = Annotated[str, Field(pattern=CODE)]
+
+
+Note = Annotated[str, Field(max_length=2000, pattern=TEXT)]
+
+
+Kilometres = Annotated[float, Field(ge=0.0, le=MOST_KM)]
+
+
+class RegistryChange(Body):
+    """What every change of the registry may say."""
+
+    why: Note = Field(default="", description="Kept with the record in its history.", examples=["work order 4711"])
+    by: Key | None = Field(
+        default=None, description="Who; read only where access control is off.", examples=["j.smith"]
+    )
+    confirm: list[Confirmable] = Field(
+        default=[], description="Doubts of a refusal that are unfounded: it is so all the same.", examples=[[]]
+    )
+
+
+MOST_TEXT = MEBIBYTE  # of one file; a request has at most as much
+
 
 UNNAMED = "unnamed client"
 """Who changes something where access is open and nobody says who it is."""

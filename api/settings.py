@@ -313,7 +313,7 @@ class Settings(BaseSettings):
 
 
 def load_settings(**overrides: object) -> Settings:
-    """Read the environment; ``overrides`` that are not None win; an error names the variable and not its value: a secret."""
+    """Read the environment; ``overrides`` that are not None win. An error names the variable, not its secret value."""
     given = {name: value for name, value in overrides.items() if value is not None}
     try:
         return Settings(**given)  # type: ignore[arg-type]

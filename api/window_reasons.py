@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-from api.schemas.recordings import without_folders
+from api.schemas.common import without_folders
 from estimation.errors import DamagedError, NotFoundError
 from estimation.track.update import NOT_USED
 from estimation.values.reasons import Reason, ReasonCode

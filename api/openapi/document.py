@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from http import HTTPStatus
-from types import ModuleType
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.openapi.utils import get_openapi
 from fastapi.routing import APIRoute, iter_route_contexts
 from pydantic.json_schema import models_json_schema
@@ -52,11 +51,11 @@ SCHEME = {
 }
 
 
-def scopes_of(modules: Iterable[ModuleType]) -> dict[str, Scope]:
+def scopes_of(routers: Iterable[APIRouter]) -> dict[str, Scope]:
     """Return the scope of every operation by its name."""
     found = {}
-    for module in modules:
-        for route in module.router.routes:
+    for router in routers:
+        for route in router.routes:
             if isinstance(route, APIRoute):
                 scope = scope_of(route)
                 if scope is None:

@@ -10,7 +10,7 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
-from api.schemas.unestimated import UnestimatedBecause, unestimated_because
+from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values import window_reasons

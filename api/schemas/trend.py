@@ -11,7 +11,7 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, Uncertain, finite, uncertain
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
-from api.schemas.unestimated import UnestimatedBecause, unestimated_because
+from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import QUANTITY, conicity_at_limit_amplitude
 from estimation.trend.trend import refresh

@@ -12,7 +12,7 @@ from api.visible_objects import FINDERS, finder_of
 
 
 def routes() -> list[APIRoute]:
-    return [route for module in app.RESOURCES for route in module.router.routes if isinstance(route, APIRoute)]
+    return [route for router in app.RESOURCES for route in router.routes if isinstance(route, APIRoute)]
 
 
 @pytest.mark.parametrize("route", routes(), ids=lambda route: route.name)
