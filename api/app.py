@@ -16,21 +16,18 @@ from fastapi import Depends, FastAPI
 from fastapi.routing import APIRoute
 from prometheus_client import CollectorRegistry
 
-from api import contract, docs_page, problems
-from api.access.guard import allow_pages, guard_of
-from api.access.plan import AccessPlan
-from api.access.scopes import authorise
-from api.feed.ending import ending
-from api.feed.places import WaitingPlaces
-from api.feed.watch import FeedWatch
-from api.head_requests import HeadMiddleware
+from api import contract, problems
+from api.access.caller import authorise
+from api.access.guard import AccessPlan, allow_pages, guard_of
+from api.feed.streams import WaitingPlaces
+from api.feed.watch import FeedWatch, ending
 from api.http_server import HttpLimits
-from api.measures import Measured
-from api.metrics import RequestMeasures, stored_measures
-from api.middleware import RequestContextMiddleware
+from api.measures import Measured, reference_measures
+from api.metrics import RequestMeasures, stored_measures, upload_measures
+from api.middleware import HeadMiddleware, RequestContextMiddleware
 from api.openapi.document import document, scopes_of
+from api.page import routes
 from api.page import routes as page
-from api.reference_measures import reference_measures
 from api.routes import (
     access,
     accuracy,
@@ -53,11 +50,10 @@ from api.routes import (
     worklist,
 )
 from api.services import Services
-from api.upload_measures import upload_measures
 from api.visible_objects import visible
+from api.webhooks.delivering import WebhookWorker
 from api.webhooks.sending import TRIALS, Sender
 from api.webhooks.targets import Targets
-from api.webhooks.worker import WebhookWorker
 
 RESOURCES = (
     chunks.router,  # first: a request is compared with one path after the other, and these are the most
@@ -115,7 +111,7 @@ def describe() -> FastAPI:
             responses=problems.described(401, 403, 406, 422, 429, 500, 503),
         )
     app.include_router(health.router)
-    app.include_router(docs_page.router)
+    app.include_router(routes.router)
     app.include_router(page.router)
     problems.install(app)
     return app

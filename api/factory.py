@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from api.services import Services
-    from api.uploads.taking import Uploads
+    from api.uploads import Uploads
     from ingest.topic.publishing import Publisher
 
 
@@ -240,9 +240,7 @@ def open_services(settings: Settings) -> Services:
     """Return what the routes work with; refuses where :func:`open_store` or :func:`job_context` do."""
     # the receiver and the scheduler are built in this module too and do not wait for the web framework
     from api.answers import RepresentationCache  # noqa: PLC0415 - the same
-    from api.job_runner import JobRunner  # noqa: PLC0415 - the same
-    from api.services import Services  # noqa: PLC0415 - the same
-    from api.writer_slots import PATIENCE_S, WriterSlots  # noqa: PLC0415 - the same
+    from api.services import PATIENCE_S, JobRunner, Services, WriterSlots  # noqa: PLC0415 - the same
 
     storage = replace(open_store(settings), patience_s=PATIENCE_S)
     context = job_context(settings, storage)
@@ -271,7 +269,7 @@ def backlog_watch(settings: Settings, storage: SqlStorage, raw: RawStore) -> Bac
 
 
 def _uploads(settings: Settings, storage: SqlStorage, clock: Clock, references: Publisher | None) -> Uploads:
-    from api.uploads.taking import UploadLimits, Uploads  # noqa: PLC0415 - the same
+    from api.uploads import UploadLimits, Uploads  # noqa: PLC0415 - the same
 
     patient = replace(storage, patience_s=RECEIPT_PATIENCE_S)
     limits = UploadLimits(
@@ -284,7 +282,7 @@ def _uploads(settings: Settings, storage: SqlStorage, clock: Clock, references: 
 
 def create_app(settings: Settings) -> FastAPI:
     """Return the REST application of this deployment; refuses where :func:`open_services` does."""
-    from api.access.plan import plan_of  # noqa: PLC0415 - the same
+    from api.access.guard import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_server import limits_of  # noqa: PLC0415 - the same
     from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same
@@ -302,7 +300,7 @@ def create_server(settings: Settings) -> uvicorn.Server:
 
 def serve(settings: Settings, stopping: Event) -> None:
     """Serve the REST application until a signal; it listens while the server of its database is away."""
-    from api.access.plan import plan_of  # noqa: PLC0415 - the same
+    from api.access.guard import plan_of  # noqa: PLC0415 - the same
     from api.app import build_app  # noqa: PLC0415 - the same
     from api.http_server import check_address, http_server, keep_what_is_loaded, limits_of  # noqa: PLC0415 - the same
     from api.webhooks.sending import sender_of  # noqa: PLC0415 - the same

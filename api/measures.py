@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Mapping
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
+from ingest.topic.publishing import Publisher, Sent
+
 Numbers = Mapping[str, float] | Mapping[tuple[str, str], float] | Mapping[tuple[str, str, str], float]
 
 
@@ -39,3 +41,13 @@ def _filled(family: GaugeMetricFamily | CounterMetricFamily, numbers: Numbers) -
     for key, number in numbers.items():
         family.add_metric([key] if isinstance(key, str) else list(key), number)
     return family
+
+
+def reference_measures(publisher: Publisher | None) -> list[Metric]:
+    """Return the measures of a publisher; None where no topic is set."""
+    ended = {outcome.value: 0 if publisher is None else publisher.ended[outcome] for outcome in Sent}
+    waiting, text = 0 if publisher is None else publisher.waiting, "References that wait for a broker."
+    return [
+        counter("treadwatch_references", "References to received chunks by how they ended.", "outcome", ended),
+        GaugeMetricFamily("treadwatch_references_waiting", text, value=waiting),
+    ]

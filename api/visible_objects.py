@@ -1,7 +1,8 @@
-"""What a change names in its path must be visible to who asks, before anything is written.
+"""What a request names must be there, and visible to who asks.
 
-Writing transactions see all fleets, for numbers and locks count everything. So a caller who is bound to fleets reads
-first, in a transaction that shows those fleets only, what the path of a change names.
+Filters that name something that is not there are refused, for an empty list would look like good news. Writing
+transactions see all fleets, for numbers and locks count everything: so a caller who is bound to fleets reads first what
+the path of a change names, in a transaction that shows those fleets only.
 """
 
 from __future__ import annotations
@@ -16,6 +17,29 @@ from api.access.caller import CallerDep
 from api.services import ServicesDep
 from estimation.errors import NotFoundError
 from fleet_db.storage import SqlUnitOfWork
+
+
+def require_known(
+    unit: SqlUnitOfWork,
+    *,
+    fleet: str | None = None,
+    vehicle: str | None = None,
+    wheelset: str | None = None,
+    vehicle_class: str | None = None,
+    fleet_alert: int | None = None,
+) -> None:
+    """Refuse filters that name nothing; to be asked where a page is empty, for one with rows shows that they do."""
+    if fleet is not None and all(one.code != fleet for one in unit.registry.fleets()):
+        raise NotFoundError("fleet", fleet)
+    if vehicle is not None:
+        unit.registry.vehicle(vehicle)
+    if wheelset is not None:
+        unit.registry.wheelset(wheelset)
+    if vehicle_class is not None and unit.registry.vehicle_class(vehicle_class) is None:
+        raise NotFoundError("vehicle class", vehicle_class)
+    if fleet_alert is not None and unit.alerts.get(fleet_alert).wheelset is not None:
+        raise NotFoundError("fleet alert", str(fleet_alert))
+
 
 Find = Callable[[SqlUnitOfWork, str], object]
 _READING = frozenset({"GET", "HEAD"})

@@ -1,12 +1,16 @@
-"""Who asks: the owner of the key or token of a request, with its scopes and fleets."""
+"""Who asks, and what they may do: the owner of the key or token of a request, with its scopes and fleets."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
+from http import HTTPMethod
 from typing import Annotated, cast
 
 from fastapi import Depends, Request
-from starlette.types import Scope
+from fastapi.routing import APIRoute
+from starlette import types
 
 from api.problems import ProblemError, ProblemItem
 
@@ -59,12 +63,12 @@ ANYONE = Caller(None, EVERYTHING, None)
 """The caller of a service whose access is open."""
 
 
-def name_caller(scope: Scope, caller: Caller) -> None:
+def name_caller(scope: types.Scope, caller: Caller) -> None:
     """Let a request be that of a caller; to be called once it is known."""
     scope[_PLACE] = caller
 
 
-def known_caller(scope: Scope) -> Caller | None:
+def known_caller(scope: types.Scope) -> Caller | None:
     """Return who asks; None where nobody is known yet, as of a request that is refused."""
     return cast("Caller | None", scope.get(_PLACE))
 
@@ -78,3 +82,54 @@ async def caller_of(request: Request) -> Caller:
 
 
 CallerDep = Annotated[Caller, Depends(caller_of)]
+
+
+class Scope(StrEnum):
+    """What a key or a token allows; each stands for itself alone."""
+
+    READ = "read"
+    ACT = "act"
+    INGEST = "ingest"
+    ADMIN = "admin"
+
+
+SCOPE_OF = "treadwatch_scope"
+"""Attribute of a dependency under which the document and the tests find the scope of an operation."""
+_READING = frozenset({HTTPMethod.GET.value, HTTPMethod.HEAD.value})
+
+
+def requires(scope: Scope, *, all_fleets: bool = False) -> Callable[[CallerDep], None]:
+    """Return a dependency that refuses callers without a scope."""
+
+    def check(caller: CallerDep) -> None:
+        refuse_without(caller, scope)
+        if all_fleets and caller.fleets is not None:
+            raise ProblemError(403, "forbidden", "this needs a key of all fleets")
+
+    setattr(check, SCOPE_OF, scope)
+    return check
+
+
+def refuse_without(caller: Caller, scope: Scope) -> None:
+    """Refuse a caller without a scope."""
+    if scope not in caller.scopes:
+        raise ProblemError(403, "forbidden", f"this needs the scope '{scope}'")
+
+
+def scope_of(route: APIRoute) -> Scope | None:
+    """Return the scope of an operation: the one that it declares, `read` where it only reads; None is a mistake."""
+    declared = {
+        scope for depends in route.dependencies if (scope := getattr(depends.dependency, SCOPE_OF, None)) is not None
+    }
+    if len(declared) == 1:
+        return Scope(declared.pop())
+    return Scope.READ if not declared and (route.methods or set()) <= _READING else None
+
+
+async def authorise(request: Request, caller: CallerDep) -> None:
+    """Refuse callers who lack the scope of the operation; for every route of the API."""
+    route: APIRoute = request.scope["route"]
+    scope = scope_of(route)
+    if scope is None:
+        raise LookupError(f"{route.path_format} declares no scope: dependencies=[Depends(requires(Scope....))]")
+    refuse_without(caller, scope)

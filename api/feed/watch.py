@@ -8,19 +8,31 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import signal
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
+import uvicorn
 from starlette.concurrency import run_in_threadpool
 
-from api.feed.filters import FeedFilter
-from api.feed.pages import FeedPage, Place, read_page
+from api.feed.pages import FeedFilter, FeedPage, Place, read_page
 from api.schemas import alerts
 from estimation.errors import TreadwatchError
 from estimation.values.alerts import AlertEvent
 from fleet_db.storage import SqlStorage
+
+
+def ending() -> bool:
+    """Return whether a signal has asked uvicorn to end.
+
+    A server that makes processes of its own (``uvicorn --workers 2``) tells its applications only when the last
+    connection is closed, for which those that stream would let it wait. It has its own handler of the signal.
+    """
+    server = getattr(signal.getsignal(signal.SIGTERM), "__self__", None)
+    return isinstance(server, uvicorn.Server) and server.should_exit
+
 
 INTERVAL_S = 0.2
 """Between two looks at the database, while somebody waits."""

@@ -8,9 +8,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field, Strict, StringConstraints
 
-from api.access.caller import NOBODY_NAMED, CallerDep
+from api.access.caller import NOBODY_NAMED, CallerDep, Scope, requires
 from api.access.key_ring import Wanted, make_key
-from api.access.scopes import Scope, requires
 from api.answers import answer
 from api.asking import AskedDep, AskedListDep
 from api.parameters import CODE, require_order

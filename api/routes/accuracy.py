@@ -14,7 +14,6 @@ from api.accuracy.placed import Placed, placed_comparisons
 from api.answers import answer_payload, table_payload
 from api.asking import AskedDep
 from api.contract import TABLE, Accepted
-from api.known import require_known
 from api.parameters import FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
 from api.routes.design_contact import ProfileContact, comparison_reader, profile_contact
@@ -23,6 +22,7 @@ from api.schemas.derived import Derived
 from api.schemas.geometry import MM, Bins, bin_table
 from api.schemas.registry import segment
 from api.times import Moment, Timestamp, to_rfc3339
+from api.visible_objects import require_known
 from estimation.accuracy.fleet_accuracy import (
     Comparison,
     ConicityPair,

@@ -10,16 +10,16 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Query, Request, Response
 
 from api import cursors
-from api.access.scopes import Scope, requires
+from api.access.caller import Scope, requires
 from api.answers import answer, answer_payloads, payload_of, require_match, wants_table
 from api.asking import AskedChange, AskedDep, AskedListDep, ChangeDep
 from api.idempotency import idempotent_post
-from api.known import require_known
 from api.parameters import FleetFilter, Number, WheelsetFilter
 from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Body, Page
 from api.services import ServicesDep, writer_slot
+from api.visible_objects import require_known
 from estimation.alerts.actions import acknowledge, link, shelve, unshelve
 from estimation.values.alerts import Alert, AlertScope, Condition, Severity, Transition
 from fleet_db.stores.alert_queries import AlertChoice, AlertOutline

@@ -10,8 +10,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
-from api.access.caller import Caller, CallerDep
-from api.access.scopes import Scope, requires
+from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import answer
 from api.asking import AskedDep
 from api.middleware import turn_of

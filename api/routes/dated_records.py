@@ -9,7 +9,7 @@ from typing import Any, Literal
 from fastapi import APIRouter, Depends, Response
 from pydantic import Field
 
-from api.access.scopes import Scope, requires
+from api.access.caller import Scope, requires
 from api.asking import AskedListDep, ChangeDep
 from api.parameters import Code, Serial
 from api.problems import ProblemError, ProblemItem, described, pointer

@@ -10,12 +10,10 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from pydantic import Field
 
 from api import cursors
-from api.access.caller import Caller, CallerDep
-from api.access.scopes import Scope, requires
+from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import IdempotencyKey, answer
 from api.asking import AskedDep, AskedListDep
 from api.idempotency import idempotent_post
-from api.known import require_known
 from api.parameters import CODE, Code, Number
 from api.problems import described
 from api.schemas.common import Links, Page, Representation, without_folders
@@ -23,6 +21,7 @@ from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.services import Services, ServicesDep, writer_slot
 from api.times import Timestamp, to_rfc3339
+from api.visible_objects import require_known
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobRun as JobRunValue
 from estimation.values.runs import Quarantined, QuarantineState, SubjectKind

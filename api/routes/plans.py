@@ -8,7 +8,6 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from api.answers import answer
-from api.known import require_known
 from api.parameters import FleetFilter, VehicleFilter
 from api.problems import described
 from api.schemas.common import Links, Representation, finite
@@ -17,6 +16,7 @@ from api.schemas.registry import segment
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.services import ServicesDep
 from api.times import Timestamp, to_rfc3339
+from api.visible_objects import require_known
 from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.worklist import Urgency, WorklistRow, WorklistState

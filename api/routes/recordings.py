@@ -10,12 +10,10 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from pydantic import Field
 
 from api import cursors
-from api.access.caller import Caller, CallerDep
-from api.access.scopes import Scope, requires
+from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import answer
 from api.asking import AskedChange, AskedDep, AskedListDep, NewDep
 from api.idempotency import idempotent_post
-from api.known import require_known
 from api.parameters import CODE, FleetFilter, MeasuredFrom, MeasuredTo, require_order
 from api.problems import described
 from api.schemas.common import Body, Links, Page, Representation, without_folders
@@ -23,6 +21,7 @@ from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.services import Services, ServicesDep, writer_slot
 from api.times import Moment
+from api.visible_objects import require_known
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.windows import WindowState

@@ -11,7 +11,7 @@ from typing import Annotated, NoReturn
 from fastapi import APIRouter, Depends, Response
 from pydantic import Field
 
-from api.access.scopes import Scope, requires
+from api.access.caller import Scope, requires
 from api.asking import NewDep, PutDep
 from api.parameters import Code, Serial
 from api.problems import ProblemError, ProblemItem, described

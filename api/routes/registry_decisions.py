@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Query, Response
 from pydantic import BaseModel, Field
 
-from api.access.scopes import Scope, requires
+from api.access.caller import Scope, requires
 from api.answers import answer, require_match
 from api.asking import AskedChange, AskedListDep, ChangeDep
 from api.idempotency import idempotent_post

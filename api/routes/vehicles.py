@@ -10,7 +10,6 @@ from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
 from api.asking import AskedDep, AskedListDep
-from api.known import require_known
 from api.parameters import Code, FleetFilter
 from api.problems import described
 from api.schemas import registry
@@ -18,6 +17,7 @@ from api.schemas.common import Links, Page, Representation, finite
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
+from api.visible_objects import require_known
 from estimation.errors import NotFoundError
 from estimation.trend.suspension import SuspensionParameters, suspension_changes
 from estimation.values.dampers import GearDamper

@@ -12,12 +12,10 @@ from pydantic import AfterValidator, Field, Strict, StringConstraints
 from starlette.concurrency import run_in_threadpool
 
 from api import cursors
-from api.access.caller import NOBODY_NAMED, Caller, CallerDep
-from api.access.scopes import Scope, requires
+from api.access.caller import NOBODY_NAMED, Caller, CallerDep, Scope, requires
 from api.answers import IfMatch, answer, require_match
 from api.asking import AskedDep, AskedListDep
-from api.feed.places import TRY_AGAIN
-from api.known import require_known
+from api.feed.streams import TRY_AGAIN
 from api.middleware import turn_of
 from api.parameters import CODE
 from api.problems import ProblemError, ProblemItem, described
@@ -26,11 +24,11 @@ from api.schemas.common import Body, Links, Page, Representation
 from api.schemas.derived import Derived
 from api.services import Services, ServicesDep, writer_slot
 from api.times import Moment, Timestamp, to_rfc3339
+from api.visible_objects import require_known
+from api.webhooks.cloud_events import new_secret, trial_of
 from api.webhooks.making import Wanted, handled_up_to, in_state, make_webhook, place_of
 from api.webhooks.sending import TRIALS, Outcome, Sender
-from api.webhooks.signing import new_secret
 from api.webhooks.targets import MOST_CHARACTERS, RefusedTargetError, parsed
-from api.webhooks.trials import trial_of
 from estimation.errors import ParameterError
 from estimation.values.alerts import AlertEventKind, Severity
 from fleet_db.webhook_records import Delivery, DeliveryState, Failure, WebhookState
@@ -320,17 +318,11 @@ def _changed(services: Services, webhook_id: int, body: WebhookChange, if_match:
 
 def _as_asked(known: WebhookRecord, body: WebhookChange, now_ns: int) -> WebhookRecord:
     """Return a webhook with what a change names; one that becomes active again is no longer disabled."""
-    wanted = known
-    if body.url is not None:
-        wanted = replace(wanted, url=body.url)
-    if body.description is not None:
-        wanted = replace(wanted, description=body.description)
-    if body.fleets is not None:
-        wanted = replace(wanted, fleets=frozenset(body.fleets))
-    if body.kinds is not None:
-        wanted = replace(wanted, kinds=frozenset(body.kinds))
-    if body.severities is not None:
-        wanted = replace(wanted, severities=frozenset(one.value for one in body.severities))
+    given = body.model_dump(mode="json", exclude_none=True, exclude={"state"})
+    changes: dict[str, Any] = {
+        name: frozenset(value) if isinstance(value, list) else value for name, value in given.items()
+    }
+    wanted = replace(known, **changes)
     return wanted if body.state is None else in_state(wanted, WebhookState(body.state), now_ns)
 
 

@@ -12,7 +12,6 @@ from pydantic import Field
 from api import cursors
 from api.answers import DEFAULT_LIMIT, Cursor, Limit, answer_payloads, operation, payload_of
 from api.asking import AskedDep
-from api.known import require_known
 from api.parameters import CODE, FleetFilter, Serial, VehicleFilter
 from api.problems import described
 from api.schemas import registry
@@ -22,6 +21,7 @@ from api.schemas.derived import Derived
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.services import ServicesDep
 from api.times import Timestamp, to_rfc3339
+from api.visible_objects import require_known
 from estimation.values.alerts import Severity
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
-from api.feed import cursors as feed_cursors
-from api.feed.filters import FeedFilter
-from api.feed.pages import LATEST
-from api.known import require_known
+from api.feed import pages as feed_cursors
+from api.feed.pages import LATEST, FeedFilter
 from api.problems import ProblemError
-from api.webhooks.signing import new_secret
+from api.visible_objects import require_known
+from api.webhooks.cloud_events import new_secret
 from estimation.errors import ConflictError
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.webhook_records import Webhook, WebhookState
@@ -43,12 +42,7 @@ def make_webhook(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> t
     secret = new_secret()
     made = Webhook(
         webhook_id=0,
-        url=wanted.url,
-        description=wanted.description,
-        fleets=wanted.fleets,
-        kinds=wanted.kinds,
-        severities=wanted.severities,
-        bound=wanted.bound,
+        **asdict(wanted),
         state=WebhookState.ACTIVE,
         disabled_reason=None,
         since_ns=now_ns,
@@ -81,10 +75,10 @@ def place_of(unit: SqlUnitOfWork, webhook: Webhook, after: str | None, from_ns: 
     whole = FeedFilter(visible=webhook.bound)
     own = replace(whole, fleets=webhook.fleets, kinds=webhook.kinds, severities=webhook.severities)
     try:
-        narrowed, given = whole, feed_cursors.decode(whole, after)
+        narrowed, given = whole, feed_cursors.cursor_of(whole, after)
     except ProblemError:
-        narrowed, given = own, feed_cursors.decode(own, after)
-    last = feed_cursors.position(unit, narrowed, path, given)
+        narrowed, given = own, feed_cursors.cursor_of(own, after)
+    last = feed_cursors.event_of(unit, narrowed, path, given)
     return 0 if last is None else last.sequence
 
 

@@ -1,4 +1,4 @@
-"""Following the feed: events in order, each handed over before its cursor is kept."""
+"""The reference client of the feed of alerts over HTTP: events in order, each handed over before its cursor is kept."""
 
 from __future__ import annotations
 
