@@ -14,7 +14,7 @@ from api.terminal.ingest import registry_lines
 from api.terminal.store import reading, user_name, writing
 from api.times import from_rfc3339, to_rfc3339
 from estimation.errors import InputError, ParameterError, TreadwatchError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey

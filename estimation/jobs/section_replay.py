@@ -15,8 +15,8 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
 from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import Alert, CloseReason, Condition
+from estimation.values.opinions import SectionAdhesion
 
 
 def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple[int, int]) -> list[Alert]:

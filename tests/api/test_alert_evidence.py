@@ -47,9 +47,8 @@ from estimation.alerts.rules.wheels import (
     wheel_asymmetry_finding,
 )
 from estimation.trend.steps import StepSurroundings
-from estimation.values.adhesion import CellFriction, SectionAdhesion
 from estimation.values.alerts import AlertEventKind, Finding
-from estimation.values.dampers import GearDamper
+from estimation.values.opinions import CellFriction, GearDamper, SectionAdhesion
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import Mounting
 from estimation.values.trend import SuspensionChange, TrendStep, WearTrend

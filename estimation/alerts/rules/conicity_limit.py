@@ -34,10 +34,10 @@ from estimation.trend.extrapolation import (
 )
 from estimation.trend.trend import probability_above
 from estimation.values.alerts import Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.registry import VehicleRecord
-from estimation.values.served import Served
 from estimation.values.trend import WearTrend
 
 LAST_POINTS = 2  # of a trend: one alone may be an outlier

@@ -12,10 +12,10 @@ from estimation.alerts.identity import IdentityEvent, IdentityParameters, Mistak
 from estimation.alerts.rules.rule import AlertRule, Evidence, WheelsetFacts, number_evidence, restated
 from estimation.trend.steps import StepSurroundings, explanations
 from estimation.values.alerts import Alert, Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
-from estimation.values.served import Served
 from estimation.values.trend import IDENTITY, UNREGISTERED_CHANGE, StepCause, StepExplanation, TrendStep
 
 MOUNTED = "mounted"

@@ -20,9 +20,9 @@ from estimation.alerts.rules.standing import IntervalsRule
 from estimation.trend.extrapolation import QUANTITY
 from estimation.trend.trend import probability_within
 from estimation.values.alerts import Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.served import Served
 from estimation.values.trend import WearTrend
 
 ANY_PROBABILITY = Interval(ge=0.01, le=0.9)

@@ -15,13 +15,12 @@ from estimation.alerts.identity import IdentityEvent
 from estimation.trend.steps import StepSurroundings
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
-from estimation.values.dampers import GearDamper
+from estimation.values.fields import JsonValue, Served
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
-from estimation.values.json_value import JsonValue
+from estimation.values.opinions import GearDamper
 from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.registry import VehicleRecord, WheelsetRecord
-from estimation.values.served import Served
 from estimation.values.trend import SuspensionShown, TrendRecord
 from estimation.values.windows import WindowRecord, WindowState
 

@@ -26,10 +26,10 @@ from estimation.alerts.rules.rule import (
 from estimation.alerts.rules.standing import WindowsRule
 from estimation.trend.suspension import SuspensionParameters
 from estimation.values.alerts import Finding, Severity
-from estimation.values.dampers import GearDamper
+from estimation.values.fields import Served
+from estimation.values.opinions import GearDamper
 from estimation.values.quantities import NORMAL_95, Estimate, with_interval
 from estimation.values.reasons import Reason
-from estimation.values.served import Served
 from estimation.values.trend import SuspensionChange
 from estimation.values.windows import HUNTING_SHARE, WindowRecord
 

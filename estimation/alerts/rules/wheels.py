@@ -29,11 +29,10 @@ from estimation.alerts.rules.rule import (
 from estimation.alerts.rules.standing import Standing, WindowShareRule, counting
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.fields import JsonValue, Served
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
 
 MOST_APART = 0.1  # relative, of the turn from that of the wheel: worn wheels, and speeds by wheels of another radius
