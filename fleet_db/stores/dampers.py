@@ -24,7 +24,7 @@ SAME = and_(
 
 @dataclass(frozen=True, slots=True)
 class DamperStore:
-    """Implements ``estimation.storage.Dampers``."""
+    """What windows say of the lateral dampers of running gears, and what they say together."""
 
     connection: Connection
     results: ResultStore

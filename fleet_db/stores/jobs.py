@@ -20,7 +20,7 @@ GONE = "the process ended during the run"
 
 @dataclass(frozen=True, slots=True)
 class JobRunStore:
-    """Implements ``estimation.storage.JobRuns``."""
+    """The record of every run."""
 
     connection: Connection
     owner: int | None = None  # lease of the process that starts runs here

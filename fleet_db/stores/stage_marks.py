@@ -40,7 +40,11 @@ SUM = func.sum(VERSIONS.c.version)
 
 @dataclass(frozen=True, slots=True)
 class StageMarkStore:
-    """Implements ``estimation.storage.Marks``."""
+    """What each stage has seen of its subjects.
+
+    `due` reads versions in the snapshot in which the inputs are read. `note` is of the transaction that stores what was
+    made of them: what was raised meanwhile leaves the subject due.
+    """
 
     connection: Connection
     subjects: Subjects

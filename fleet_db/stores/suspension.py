@@ -21,7 +21,7 @@ FINDINGS = table_of(SuspensionFindingRow)
 
 @dataclass(frozen=True, slots=True)
 class SuspensionStore:
-    """Implements ``estimation.storage.Suspensions``."""
+    """What the passes of sections show of the suspension of vehicles."""
 
     connection: Connection
     subjects: Subjects

@@ -86,7 +86,7 @@ REALS = (
 
 @dataclass(frozen=True, slots=True)
 class WindowStore:
-    """Implements ``estimation.storage.Windows``."""
+    """Windows of samples and their state."""
 
     connection: Connection
     subjects: Subjects

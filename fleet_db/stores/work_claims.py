@@ -43,7 +43,7 @@ KEPT_NS = 86_400_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class WorkClaimStore:
-    """Implements ``estimation.storage.WorkClaims``."""
+    """Leases of processes, and what is claimed under them."""
 
     connection: Connection
 
