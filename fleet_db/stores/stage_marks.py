@@ -31,6 +31,7 @@ from estimation.values.runs import SubjectKind
 from estimation.values.subjects import EVERYTHING, Due, Look, Mark, StageInputs
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import table_of
+from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.subjects import VERSIONS, Subjects
 from fleet_db.tables import StageMarkRow
 
@@ -62,6 +63,8 @@ class StageMarkStore:
         if inputs.kind is SubjectKind.WINDOW:
             return self.windows.due(inputs, subjects)
         if not inputs.facets:
+            if inputs.kind is SubjectKind.VEHICLE:
+                return StaleSpanStore(self.connection).due(subjects)
             return self.windows.wheelsets(inputs, subjects)
         rows = self.connection.execute(_due(inputs, now_ns, subjects))
         return {
