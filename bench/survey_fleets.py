@@ -20,9 +20,8 @@ from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.jobs.settings import EstimationSettings
 from estimation.motion.bogie_frame import with_frame_yaw
 from estimation.motion.parameters import WindowParameters
-from estimation.track.examination import examine
 from estimation.track.gridded_pass import resampled
-from estimation.track.passes import Pass, ProfileLife
+from estimation.track.passes import Pass, ProfileLife, examine
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters

@@ -13,10 +13,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from estimation.errors import PassingFaultError, TreadwatchError
-from estimation.failures import after_failure
 from estimation.storage import Clock
 from estimation.values.reasons import Reason
-from estimation.values.runs import Quarantined, SubjectKind, resolved
+from estimation.values.runs import Quarantined, SubjectKind, after_failure, resolved
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork

@@ -13,14 +13,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
 from estimation.errors import NotFoundError, StorageError, TreadwatchError
-from estimation.failures import first_line
 from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import Counted, Outcome, Stage
 from estimation.storage import Clock
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import SubjectKind, first_line
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import decode_again
 from fleet_db.stores.stale_spans import EARLIEST_NS, StaleSpan

@@ -36,8 +36,8 @@ from estimation.adhesion.along_track import (
 from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.pass_sums import PassSums, pass_sums
 from estimation.adhesion.scales import Agreed, contradicting
-from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.arrays import FloatArray
+from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 

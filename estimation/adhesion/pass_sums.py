@@ -8,8 +8,8 @@ from typing import Annotated
 
 import numpy as np
 
-from estimation.values.adhesion import INVERSE, WindowAdhesion
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
+from estimation.values.opinions import INVERSE, WindowAdhesion
 
 
 @dataclass(frozen=True, slots=True)

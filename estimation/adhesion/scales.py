@@ -15,8 +15,8 @@ import numpy as np
 
 from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.pass_sums import PassSums
-from estimation.values.adhesion import LeftOut
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
+from estimation.values.opinions import LeftOut
 from estimation.values.reasons import Reason, ReasonCode
 
 GRID = frozen_array(np.linspace(-1.8, 1.8, 73), (73,), name="GRID")

@@ -20,7 +20,7 @@ from estimation.compiled import compiled
 from estimation.dampers.suspension_equations import suspension_equations, uncertain_parameters
 from estimation.dampers.thinning import between_samples, low_pass, stride_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
-from estimation.values.dampers import SHARES
+from estimation.values.opinions import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.signal import firwin, kaiserord, oaconvolve
 
 from estimation.values.arrays import FloatArray, frozen_array
 
@@ -25,6 +24,8 @@ def stride_of(sample_interval_s: float) -> int:
 @lru_cache(maxsize=4)
 def low_pass(sample_interval_s: float) -> FloatArray:
     """Return the taps (k,) of the low-pass, odd in number and symmetric."""
+    from scipy.signal import firwin, kaiserord  # noqa: PLC0415 - slow to import, and few need it
+
     count, beta = kaiserord(STOPPED_DB, 2.0 * sample_interval_s * (STOPPED_HZ - PASSED_HZ))
     corner = 0.5 * (PASSED_HZ + STOPPED_HZ)
     taps = firwin(count | 1, corner, window=("kaiser", beta), fs=1.0 / sample_interval_s)
@@ -37,6 +38,8 @@ def thinned(values: FloatArray, sample_interval_s: float) -> FloatArray:
     Args:
         values: (n,) as measured.
     """
+    from scipy.signal import oaconvolve  # noqa: PLC0415 - slow to import, and few need it
+
     passed = oaconvolve(values, low_pass(sample_interval_s), mode="valid")
     return np.asarray(passed[:: stride_of(sample_interval_s)])
 

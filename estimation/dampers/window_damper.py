@@ -18,7 +18,7 @@ from estimation.dampers.suspension_equations import mass_std, nominal_damping, u
 from estimation.dampers.thinning import PASSED_HZ, between_samples, low_pass, stride_of, thinned
 from estimation.motion.integration import bridged
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
-from estimation.values.dampers import DamperSums, WindowDamper
+from estimation.values.opinions import DamperSums, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass

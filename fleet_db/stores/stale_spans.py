@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, delete, func, insert, select, update
 
-from estimation.values.subjects import Due
+from estimation.values.results import Due
 from fleet_db.rows import table_of
 from fleet_db.tables import StaleSpanRow
 

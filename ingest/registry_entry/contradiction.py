@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimation.values.utc_text import utc_text
+from estimation.values.reasons import utc_text
 
 
 class Rule(StrEnum):

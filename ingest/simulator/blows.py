@@ -14,7 +14,7 @@ import numpy as np
 from annotated_types import Interval
 
 from estimation.values.arrays import FloatArray
-from estimation.values.file_units import FileDefault, Key, M
+from estimation.values.fields import FileDefault, Key, M
 from ingest.file_value import Counted, between, written
 from ingest.input_file import Text, field_error
 from ingest.simulator.motion import WheelsetMotion

@@ -24,7 +24,7 @@ from pydantic import AfterValidator
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.file_units import MM, M
+from estimation.values.fields import MM, M
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from ingest.file_value import between
 from ingest.input_file import NotNegative, Positive, field_error

@@ -30,7 +30,7 @@ import scipy.special
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.values.file_units import MM, PERCENT, Key
+from estimation.values.fields import MM, PERCENT, Key
 from ingest.file_value import between
 from ingest.input_file import Positive, field_error
 

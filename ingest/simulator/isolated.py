@@ -12,7 +12,7 @@ from annotated_types import Interval
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.values.file_units import MM, FileUnit, Key, M
+from estimation.values.fields import MM, FileUnit, Key, M
 from ingest.file_value import As, IncreasingPlaces, between
 from ingest.input_file import field_error
 

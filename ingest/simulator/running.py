@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Self
 
-from estimation.values.file_units import MM, PERCENT, Key, M
+from estimation.values.fields import MM, PERCENT, Key, M
 from ingest.file_value import Counted, between
 from ingest.input_file import NotNegative, Positive, field_error
 from ingest.simulator.blows import TrackBlows, WheelFlat

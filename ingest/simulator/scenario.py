@@ -13,7 +13,7 @@ from typing import Annotated, Self
 from annotated_types import Interval
 
 from estimation.errors import ScenarioError
-from estimation.values.file_units import KM, M_S, M_S2, MINUTES, MS, PERCENT, US, FileUnit, Key, M, S
+from estimation.values.fields import KM, M_S, M_S2, MINUTES, MS, PERCENT, US, FileUnit, Key, M, S
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
 from ingest.file_value import Counted, between, written

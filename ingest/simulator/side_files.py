@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from ingest.simulator.campaign import failed
 from ingest.simulator.scenario import ClassOnFile, Scenario, VehiclePlan, WheelsetPlan
 from ingest.simulator.section import SectionPlan

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from estimation.errors import InputError, ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, frozen_array
-from estimation.values.file_units import MM, Key, M
+from estimation.values.fields import MM, Key, M
 from ingest.file_value import As, Inline, between
 from ingest.input_file import Positive
 from ingest.simulator.curves import Curve, Curves, laid_out

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from estimation.errors import MigrationError, PassingFaultError, StoppedError, StorageError
-from estimation.failures import first_line
+from estimation.values.runs import first_line
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import Behind, Limit
 from ingest.intake.decoding import decode_received

@@ -8,7 +8,7 @@ from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.friction import FrictionParameters
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import WindowAdhesion
+from estimation.values.opinions import WindowAdhesion
 
 HOUR_NS = 3_600_000_000_000
 

@@ -13,8 +13,8 @@ from estimation.adhesion.along_track import (
     AlongParameters,
     along_track,
 )
-from estimation.values.adhesion import INVERSE
 from estimation.values.arrays import FloatArray
+from estimation.values.opinions import INVERSE
 
 PLACE_STD = 0.45
 KNOWN = AlongParameters(3.3, 3.0, 0.2, 0.05)

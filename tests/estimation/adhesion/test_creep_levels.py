@@ -8,8 +8,8 @@ from test_friction import a_pass
 
 from estimation.adhesion.along_track import MEDIAN_ERROR, ROBUST, CreepLevels, RailsBefore, creep_levels
 from estimation.adhesion.pass_sums import pass_sums
-from estimation.values.adhesion import WindowAdhesion
 from estimation.values.arrays import BoolArray
+from estimation.values.opinions import WindowAdhesion
 
 USUAL = 0.3
 BEFORE = RailsBefore(1.0 / USUAL, 0.1, 0.1)

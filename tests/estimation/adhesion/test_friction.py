@@ -18,7 +18,7 @@ from estimation.adhesion.friction import (
     pooled_friction,
     section_adhesion,
 )
-from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
+from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 
