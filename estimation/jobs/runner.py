@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial
 from itertools import dropwhile, islice
 
-from estimation.errors import ConflictError, NotFiniteError, TreadwatchError
+from estimation.errors import ConflictError, NotFiniteError, StoppedError, TreadwatchError
 from estimation.jobs.hand_out import hand_out, unit_size
 from estimation.jobs.isolation import Isolation, fails_alone
 from estimation.jobs.job import JobContext, Work
@@ -152,6 +152,8 @@ class _Working:
         waiting = deque([subjects])
         while waiting:
             rest = self._do(waiting.popleft())
+            if rest and self.context.stopping is not None and self.context.stopping():
+                raise StoppedError(len(self._stored), len(self._stored) + len(rest))
             self._stored.update(rest)
             waiting.extend([subject] for subject in rest)
 

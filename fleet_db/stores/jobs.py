@@ -41,7 +41,7 @@ KEPT_NS = 86_400_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class WorkClaimStore:
-    """Implements ``estimation.storage.WorkClaims``."""
+    """Leases of processes, and what is claimed under them."""
 
     connection: Connection
 
@@ -219,7 +219,7 @@ GONE = "the process ended during the run"
 
 @dataclass(frozen=True, slots=True)
 class JobRunStore:
-    """Implements ``estimation.storage.JobRuns``."""
+    """The record of every run."""
 
     connection: Connection
     owner: int | None = None  # lease of the process that starts runs here
