@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, insert, or_, select, update
+from sqlalchemy import Connection, Row, insert, or_, select, update
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
@@ -15,6 +15,7 @@ from fleet_db.stores.work_claims import LEASES, WorkClaimStore, living
 from fleet_db.tables import JobRunRow
 
 RUNS = table_of(JobRunRow)
+RUNNING = JobOutcome.RUNNING.value
 GONE = "the process ended during the run"
 
 
@@ -26,15 +27,13 @@ class JobRunStore:
     owner: int | None = None  # lease of the process that starts runs here
 
     def start(self, job: str, trigger: JobTrigger, started_ns: int) -> JobRun:
-        """Record that a run has begun; a process runs one job at a time, so that what it ran before has ended."""
-        if self.owner is not None:
-            self._abandon(started_ns, RUNS.c.owner == self.owner)
+        """Record that a run has begun."""
         statement = insert(RUNS).values(
             job=job,
             trigger=trigger.value,
             started_ns=started_ns,
             finished_ns=None,
-            outcome=JobOutcome.RUNNING.value,
+            outcome=RUNNING,
             counts={},
             error=None,
             owner=self.owner,
@@ -53,7 +52,7 @@ class JobRunStore:
         """
         row = self.connection.execute(
             update(RUNS)
-            .where(RUNS.c.run_id == run_id, RUNS.c.outcome == JobOutcome.RUNNING.value)
+            .where(RUNS.c.run_id == run_id, RUNS.c.outcome == RUNNING)
             .values(outcome=outcome.value, counts=dict(counts), finished_ns=finished_ns, error=error)
             .returning(RUNS)
         ).first()
@@ -62,21 +61,19 @@ class JobRunStore:
             raise ConflictError(
                 f"run {run_id} of {ended.job} has ended: {ended.outcome}", kind="job run", key=str(run_id)
             )
-        return _run(row, ())
+        return _run(row)
 
     def abandon_running(self, finished_ns: int) -> int:
         """Mark every run as abandoned whose process is gone; return how many."""
         WorkClaimStore(self.connection).end_outdated()
-        return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id))))
-
-    def _abandon(self, finished_ns: int, which: ColumnElement[bool]) -> int:
-        statement = update(RUNS).where(RUNS.c.outcome == JobOutcome.RUNNING.value, which)
+        gone = or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id)))
+        statement = update(RUNS).where(RUNS.c.outcome == RUNNING, gone)
         return self.connection.execute(
             statement.values(outcome=JobOutcome.ABANDONED.value, finished_ns=finished_ns, error=GONE)
         ).rowcount
 
     def get(self, run_id: int) -> JobRun:
-        """Return one run; abandoned where its process is gone.
+        """Return one run; abandoned where its process is gone, or has begun another one: it runs one job at a time.
 
         Raises:
             NotFoundError: There is no such run.
@@ -96,14 +93,25 @@ class JobRunStore:
         return self._runs(self.connection.execute(statement.order_by(RUNS.c.run_id.desc()).limit(limit)).all())
 
     def _runs(self, rows: Sequence[Row[Any]]) -> list[JobRun]:
-        tokens = {row.owner for row in rows if row.owner is not None and row.outcome == JobOutcome.RUNNING.value}
-        return [_run(row, tokens - living(self.connection, tokens)) for row in rows]
+        running = {row.run_id: row.owner for row in rows if row.owner is not None and row.outcome == RUNNING}
+        if not running:
+            return [_run(row) for row in rows]
+        owners = living(self.connection, set(running.values()))
+        following = _LATER.where(RUNS.c.run_id.in_(running))
+        began = {row.run_id: row.started_ns for row in self.connection.execute(following)}
+        gone = {number for number, owner in running.items() if owner not in owners or began[number] is not None}
+        return [_run(row, gone=row.run_id in gone, finished_ns=began.get(row.run_id)) for row in rows]
 
 
-def _run(row: Row[Any], gone: Collection[int]) -> JobRun:
-    fields = dict(row._mapping)  # noqa: SLF001 - SQLAlchemy's public accessor
-    owner = fields.pop("owner")
+LATER = RUNS.alias("later")
+_OF_SAME = select(LATER.c.started_ns).where(LATER.c.owner == RUNS.c.owner, LATER.c.run_id > RUNS.c.run_id)
+_LATER = select(
+    RUNS.c.run_id, _OF_SAME.order_by(LATER.c.run_id).limit(1).correlate(RUNS).scalar_subquery().label("started_ns")
+)
+"""When the process of a run has begun its next one."""
+
+
+def _run(row: Row[Any], *, gone: bool = False, finished_ns: int | None = None) -> JobRun:
+    fields = {name: value for name, value in row._mapping.items() if name != "owner"}  # noqa: SLF001 - SQLAlchemy's public accessor
     run = JobRun(**{**fields, "trigger": JobTrigger(row.trigger), "outcome": JobOutcome(row.outcome)})
-    if run.outcome is JobOutcome.RUNNING and owner in gone:
-        return replace(run, outcome=JobOutcome.ABANDONED, error=GONE)
-    return run
+    return replace(run, outcome=JobOutcome.ABANDONED, finished_ns=finished_ns, error=GONE) if gone else run
