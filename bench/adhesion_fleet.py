@@ -14,7 +14,7 @@ import numpy as np
 from scipy.signal import firwin
 
 from estimation.contact.geometry import ContactTable
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import with_frame_yaw
 from estimation.values.arrays import FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment

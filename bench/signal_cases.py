@@ -13,7 +13,7 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
-from estimation.motion.cross_level import standard_displacement
+from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.quantities import Status
 from estimation.values.track import TrackAlignment, TrackLayout

@@ -18,11 +18,10 @@ from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import WearFamily, wear_course, worn
 from estimation.jobs.settings import EstimationSettings
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import with_frame_yaw
 from estimation.motion.parameters import WindowParameters
-from estimation.track.examination import examine
 from estimation.track.gridded_pass import resampled
-from estimation.track.passes import Pass, ProfileLife
+from estimation.track.passes import Pass, ProfileLife, examine
 from estimation.values.arrays import FloatArray
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters

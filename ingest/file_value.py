@@ -37,9 +37,8 @@ from pydantic import (
 from pydantic_core import core_schema
 
 from estimation.errors import ParameterError
-from estimation.values.file_units import FileDefault, FileForm, FileUnit, Key
-from estimation.values.json_value import JsonValue
-from estimation.values.utc_text import utc_text
+from estimation.values.fields import FileDefault, FileForm, FileUnit, JsonValue, Key
+from estimation.values.reasons import utc_text
 from ingest.input_file import (
     Code,
     FreeText,

@@ -10,10 +10,9 @@ from urllib.parse import quote
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
-from estimation.values.file_units import MM
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import MM, JsonValue
+from estimation.values.reasons import utc_text
 from estimation.values.track import TrackAlignment, TrackSectionRecord
-from estimation.values.utc_text import utc_text
 from estimation.vehicle.vehicle_class import class_document
 from fleet_db.atomic_files import write_atomically
 from fleet_db.storage import SqlUnitOfWork

@@ -18,7 +18,7 @@ from pydantic import ConfigDict
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.errors import InputError, ParameterError, ProfileError
 from estimation.values.arrays import FloatArray
-from estimation.values.file_units import MM, Key
+from estimation.values.fields import MM, Key
 from estimation.values.quantities import Status
 from estimation.values.registry import (
     Code,

@@ -14,7 +14,7 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from estimation.errors import ParameterError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.kalker import (
     RAIL_CONDITION_STD,

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.motion.blows import struck
 from estimation.motion.hunting import find_hunting
-from estimation.motion.without_blows import blows_unless_hunting
+from estimation.motion.without_blows import blows_unless_hunting, struck
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, runs
 from estimation.values.registry import Mounting, VehicleRecord
 from estimation.values.track import SectionLine

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import can
 
 from estimation.errors import ParameterError
-from estimation.failures import first_line
+from estimation.values.runs import first_line
 from ingest.frames import DATA_BYTES, ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from ingest.live.backoff import Backoff
 from ingest.live.records import FrameBuffer, pack_frame

@@ -22,8 +22,8 @@ from estimation.errors import (
     StorageError,
     TreadwatchError,
 )
-from estimation.failures import first_line
 from estimation.values.reasons import ReasonCode
+from estimation.values.runs import first_line
 from fleet_db.receipts import ChunkRecord, ChunkState
 from ingest.frames import DEFAULT_CHANNEL, concatenate, dropped_marker, from_owned_arrays, sort_by_time
 from ingest.live.backoff import Backoff

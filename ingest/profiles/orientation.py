@@ -24,9 +24,8 @@ from __future__ import annotations
 import numpy as np
 
 from estimation.contact.penalised_spline import rough_noise
-from estimation.contact.profiles import TREAD_DATUM, Profile, ProfileKind
+from estimation.contact.profiles import GAUGE_DEPTH, TREAD_DATUM, Profile, ProfileKind
 from estimation.contact.smoothed_profile import SmoothedProfile, advancing, smoothed_profile, thinned, without_spikes
-from estimation.contact.surface import GAUGE_DEPTH
 from estimation.errors import ProfileError
 from estimation.values.arrays import FloatArray, IntArray
 from ingest.profiles.points import FilePoints, Origin

@@ -10,11 +10,11 @@ from functools import cache
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.errors import ProfileError
 from estimation.jobs.steps.running_mileage import most_km, running_mileage
+from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
-from estimation.values.utc_text import utc_text
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.distances import MOUNTINGS, any_windows, lives_on_file, mountings_where, windows_beside
+from fleet_db.stores.wheelset_events import MOUNTINGS, any_windows, lives_on_file, mountings_where, windows_beside
 from ingest.registry_entry.contents import Contradiction, Kind, RecordName, Rule
 
 LEAST_RADIUS_MM, MOST_RADIUS_MM = 140.0, 650.0

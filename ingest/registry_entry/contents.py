@@ -8,9 +8,9 @@ from typing import Protocol
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import InputError
+from estimation.values.reasons import utc_text
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, SensorChange, VehicleRecord, WheelsetRecord
 from estimation.values.track import TrackAlignment, TrackLayout, TrackSectionRecord
-from estimation.values.utc_text import utc_text
 from estimation.vehicle.vehicle_class import VehicleClass
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.registry_events import Decision

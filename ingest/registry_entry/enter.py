@@ -13,11 +13,10 @@ from estimation.values.track import TrackAlignment, TrackLayout
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.registry_events import RecordKind
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.distances import MOUNTINGS, mountings_where
-from fleet_db.stores.mountings import MountedTwiceError
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey
-from fleet_db.stores.section_numbers import free_numbers
+from fleet_db.stores.tracks import free_numbers
+from fleet_db.stores.wheelset_events import MOUNTINGS, MountedTwiceError, mountings_where
 from ingest.input_file import Location
 from ingest.registry_entry.checks import Entered, contradictions, mileage_point
 from ingest.registry_entry.classes_on_file import class_refusals, without_class
@@ -195,7 +194,7 @@ class _Entering:
         def add_layout(one: TrackLayout) -> None:
             before = tracks.layout(one.section)
             if tracks.add_layout(one) != (None if before is None else before.version):
-                self.unit.windows.requeue_section(one.section)
+                self.unit.windows.estimate_again(one.section)
 
         self._each(Kind.SECTION, contents.layouts, add_layout)
 
@@ -218,7 +217,7 @@ def _add_alignment(unit: SqlUnitOfWork, alignment: TrackAlignment) -> None:
     version = tracks.add_alignment(alignment)
     if before is not None and version > before.version:
         tracks.forget_positions(alignment.section)
-        unit.windows.requeue_section(alignment.section)
+        unit.windows.estimate_again(alignment.section)
 
 
 def refuse_contradicted(unit: SqlUnitOfWork, key: RecordKey, now_ns: int) -> None:

@@ -24,7 +24,7 @@ from typing import Annotated, NamedTuple
 from annotated_types import Interval
 
 from estimation.errors import ParameterError
-from estimation.values.file_units import Key
+from estimation.values.fields import Key
 from ingest.file_value import written
 from ingest.input_file import NotNegative, Text, field_error
 from ingest.simulator.rates import stepped

@@ -10,7 +10,7 @@ from typing import Annotated, Self
 
 from annotated_types import Interval, MinLen
 
-from estimation.values.file_units import KM_H, MM, PERCENT, Key
+from estimation.values.fields import KM_H, MM, PERCENT, Key
 from estimation.values.registry import MAX_AXLES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE
 from ingest.file_value import As, FileBeside, between

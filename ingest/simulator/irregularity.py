@@ -31,7 +31,7 @@ from annotated_types import Interval
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import FloatArray
-from estimation.values.file_units import MM, PERCENT, FileUnit, Key, M
+from estimation.values.fields import MM, PERCENT, FileUnit, Key, M
 from ingest.file_value import As, IncreasingPlaces, between
 from ingest.input_file import Positive, field_error
 

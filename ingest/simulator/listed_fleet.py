@@ -11,7 +11,7 @@ from typing import Annotated, Self
 from annotated_types import Interval, Len
 
 from estimation.contact.wear import WearFamily, wear_course
-from estimation.values.file_units import KM, KM_H, MM, FileUnit, Key
+from estimation.values.fields import KM, KM_H, MM, FileUnit, Key
 from estimation.values.registry import MAX_AXLES
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, Arrangement, BogieParameters

@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Interval
 
 from estimation.values.arrays import FloatArray
-from estimation.values.file_units import MM, PERCENT, FileDefault, Key, M
+from estimation.values.fields import MM, PERCENT, FileDefault, Key, M
 from ingest.file_value import Counted, between, written
 from ingest.input_file import NotNegative, Positive, Text, field_error
 from ingest.simulator.creep_laws import Creep, CreepLaw, Share

@@ -14,7 +14,7 @@ import numpy as np
 from annotated_types import Interval
 
 from estimation.errors import ScenarioError
-from estimation.values.file_units import KM, M_S, M_S2, MINUTES, MS, PERCENT, US, FileUnit, Key, M, S
+from estimation.values.fields import KM, M_S, M_S2, MINUTES, MS, PERCENT, US, FileUnit, Key, M, S
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, BogieParameters, VehicleClass
 from ingest.file_value import Counted, between, written

@@ -17,7 +17,7 @@ from typing import Annotated, Self
 from estimation.contact.profiles import Profile
 from estimation.contact.wear import DEEPEST_BAND
 from estimation.errors import ProfileError, ScenarioError
-from estimation.values.file_units import MM
+from estimation.values.fields import MM
 from ingest.file_value import As, FileBeside, between, read_value, taken
 from ingest.input_file import Location, Text, field_error, read_toml
 from ingest.simulator.campaign import MARGIN

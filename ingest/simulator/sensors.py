@@ -20,7 +20,7 @@ from pydantic import AfterValidator
 
 from estimation.errors import ParameterError
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
-from estimation.values.file_units import MS, PERCENT, FileUnit, Key
+from estimation.values.fields import MS, PERCENT, FileUnit, Key
 from estimation.values.windows import ACCELERATIONS
 from estimation.vehicle.equations_of_motion import GRAVITY
 from ingest.file_value import between

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from estimation.values.arrays import FloatArray
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
+from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, Reprofiling
-from estimation.values.utc_text import utc_text
 from ingest.file_value import entry_of
 from ingest.simulator.campaign import failed
 from ingest.simulator.scenario import Scenario, VehiclePlan, WheelsetPlan

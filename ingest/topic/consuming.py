@@ -14,10 +14,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from estimation.errors import ConflictError, MigrationError, PassingFaultError, StoppedError, StorageError
-from estimation.failures import after_failure, first_line
 from estimation.storage import Clock
 from estimation.values.reasons import ReasonCode, code_of
-from estimation.values.runs import Quarantined, SubjectKind
+from estimation.values.runs import Quarantined, SubjectKind, after_failure, first_line
 from fleet_db.raw import LostRecordingError, RawStore
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimation.values.utc_text import utc_text
+from estimation.values.reasons import utc_text
 from estimation.values.windows import Window, WindowQuality
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
