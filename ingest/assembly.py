@@ -13,12 +13,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlUnitOfWork
-from ingest.align.clock import (
-    CONTEXT_NS,
-    AlignedFrames,
-    merge_aligned,
-    values_near,
-)
+from ingest.align.clock import CONTEXT_NS, AlignedFrames, merge_aligned, values_near
 from ingest.align.windows import (
     MountedWindow,
     RegistryLookup,

@@ -126,19 +126,9 @@ class RecordingCorrections:
             held = unit.quarantine.get(SubjectKind.RECORDING, before.digest, STAGE)
             if held is not None:
                 unit.quarantine.put(resolved(held))
-            unit.recording_changes.add(
-                RecordingChange(
-                    before.digest,
-                    action,
-                    now_ns,
-                    author.actor,
-                    author.why,
-                    before.vehicle,
-                    before.state,
-                    after.vehicle,
-                    after.state,
-                )
-            )
+            states = (before.vehicle, before.state, after.vehicle, after.state)
+            change = RecordingChange(before.digest, action, now_ns, author.actor, author.why, *states)
+            unit.recording_changes.add(change)
             return after
 
 

@@ -26,12 +26,7 @@ from estimation.vehicle.kalker import (
     creep_coefficients,
 )
 from estimation.vehicle.plausibility import check_plausible
-from estimation.vehicle.vehicle_class import (
-    Arrangement,
-    BogieParameters,
-    VehicleClass,
-    default_relative_std,
-)
+from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass, default_relative_std
 from ingest.input_file import Code, InputTable, NotNegative, Text, field_error
 from ingest.vehicle_sensor_schema import SensorsTable
 

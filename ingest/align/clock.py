@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 
 from estimation.errors import LogFileError
-from estimation.values.arrays import BoolArray, IntArray, frozen_array
+from estimation.values.arrays import BoolArray, IntArray, freeze, frozen_array
 from ingest.align.cycles import UNPLACED, SyncClock, place_frames, sync_clock_of
 from ingest.catalogue import (
     ACCELERATION,
@@ -188,15 +189,14 @@ class TickedValues:
     """One message on the vehicle's clock; where ``conflict`` is set, two frames claimed one instant."""
 
     plan: MessagePlan
-    tick: IntArray  # (n,) strictly increasing
+    tick: Annotated[IntArray, "n"]  # strictly increasing
     raw: RawArray  # (n, m)
-    conflict: BoolArray  # (n,)
+    conflict: Annotated[BoolArray, "n"]
 
     def __post_init__(self) -> None:
-        n = len(self.tick)
-        object.__setattr__(self, "tick", frozen_array(self.tick, (n,), np.int64, name="tick"))
-        object.__setattr__(self, "raw", frozen_array(self.raw, (n, len(self.plan.signals)), self.raw.dtype, name="raw"))
-        object.__setattr__(self, "conflict", frozen_array(self.conflict, (n,), np.bool_, name="conflict"))
+        freeze(self)
+        shape = (len(self.tick), len(self.plan.signals))
+        object.__setattr__(self, "raw", frozen_array(self.raw, shape, self.raw.dtype, name="raw"))
 
     def column(self, name: str) -> IntArray:
         """Return the raw values of one signal, (n,) int64."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,7 +12,7 @@ import numpy as np
 
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.motion.checks import BACKWARDS, LOOK_S, high_pass_running_mean, lateral_yaw_correlation
-from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
+from estimation.motion.integration import IntegratedSegment, integrate
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray
 from estimation.values.registry import VehicleRecord
@@ -75,15 +76,29 @@ class SignEvidence:
 
 
 def sign_evidence(run: ExchangeRun, axle: int, *, in_bogie: bool) -> SignEvidence:
-    """Return how lateral, yaw and roll of an axle go with each other over a run."""
+    """Return how lateral, yaw and roll of an axle go with each other over a run.
+
+    The lateral accelerometer of a node that rolls by phi measures y'' + g phi, so the displacement from it has a part
+    whose second derivative is g phi: it bounds the correlation with roll, taken out with the measured sign and with the
+    other one.
+    """
     integrated = integrate(_window(run, axle), np.ones(len(run.tick), np.bool_), SignalParameters())
-    low, high = _roll_bounds(integrated)
+    seconds, sums = round(LOOK_S / INTERVAL_S), np.zeros(8)
+    for segment in integrated.segments:
+        above = (segment.rates if in_bogie else segment.accelerations)[3]
+        signals = (segment.rates[0], segment.speed * segment.displacements[1], above)
+        v, turned, mass = (high_pass_running_mean(signal, seconds) for signal in signals)
+        y, phi, falling = _rolling(segment)
+        products = (v @ v, turned @ turned, mass @ v, mass @ mass, y @ phi, abs(falling @ phi), y @ y, phi @ phi)
+        sums += products
+    lateral, yaw, with_mass, of_mass, with_roll, gravity, of_y, of_roll = sums.tolist()
+    scale = math.sqrt(of_y * of_roll)
     return SignEvidence(
         lateral_yaw_correlation(integrated),
-        low,
-        high,
-        _mass_correlation(integrated, in_bogie=in_bogie),
-        _lateral_yaw_gain(integrated),
+        (with_roll - gravity) / scale if scale else 0.0,
+        (with_roll + gravity) / scale if scale else 0.0,
+        with_mass / math.sqrt(of_mass * lateral) if of_mass * lateral > 0.0 else 0.0,
+        math.sqrt(lateral / yaw) if yaw > 0.0 else None,
     )
 
 
@@ -131,11 +146,7 @@ def _axis_error(kind: Turned, found: Mapping[int, SignEvidence], axes: AxesTable
 
 
 def _sensor_error(
-    file: ExchangeFile,
-    at: int,
-    turned: Mapping[int, Turned | None],
-    found: Mapping[int, SignEvidence],
-    toml: InputFile,
+    file: ExchangeFile, at: int, turned: Mapping[int, Turned | None], found: Mapping[int, SignEvidence], toml: InputFile
 ) -> InputError:
     axle = file.axles[at]
     kind = turned[axle.axle] or Turned.LATERAL
@@ -161,43 +172,6 @@ def _contradiction(kind: Turned, items: Collection[SignEvidence]) -> str:
         f"{sentence} (correlation of lateral velocity with yaw {yaw:.2f}, of displacement with roll {roll:.2f},"
         f" of velocity with the mass {mass:.2f})"
     )
-
-
-def _lateral_yaw_gain(integrated: IntegratedWindow) -> float | None:
-    seconds = round(LOOK_S / INTERVAL_S)
-    lateral, yaw = 0.0, 0.0
-    for segment in integrated.segments:
-        a = high_pass_running_mean(segment.rates[0], seconds)
-        b = high_pass_running_mean(segment.speed * segment.displacements[1], seconds)
-        lateral, yaw = lateral + float(a @ a), yaw + float(b @ b)
-    return float(np.sqrt(lateral / yaw)) if yaw > 0.0 else None
-
-
-def _roll_bounds(integrated: IntegratedWindow) -> tuple[float, float]:
-    """Return the least and the largest correlation of roll with the displacement that gravity leaves possible.
-
-    The lateral accelerometer of a node that rolls by phi measures y'' + g phi, so the displacement from it has a part
-    whose second derivative is g phi: taken out with the measured sign and with the other one.
-    """
-    product, gravity, displacement, roll = 0.0, 0.0, 0.0, 0.0
-    for segment in integrated.segments:
-        y, phi, falling = _rolling(segment)
-        product, gravity = product + float(y @ phi), gravity + abs(float(falling @ phi))
-        displacement, roll = displacement + float(y @ y), roll + float(phi @ phi)
-    scale = np.sqrt(displacement * roll)
-    if scale == 0.0:
-        return 0.0, 0.0
-    return float((product - gravity) / scale), float((product + gravity) / scale)
-
-
-def _mass_correlation(integrated: IntegratedWindow, *, in_bogie: bool) -> float:
-    seconds = round(LOOK_S / INTERVAL_S)
-    product, mass, velocity = 0.0, 0.0, 0.0
-    for segment in integrated.segments:
-        a = high_pass_running_mean((segment.rates if in_bogie else segment.accelerations)[3], seconds)
-        b = high_pass_running_mean(segment.rates[0], seconds)
-        product, mass, velocity = product + float(a @ b), mass + float(a @ a), velocity + float(b @ b)
-    return float(product / np.sqrt(mass * velocity)) if mass * velocity > 0.0 else 0.0
 
 
 def _rolling(segment: IntegratedSegment) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -192,16 +192,15 @@ class Entered:
         return [*map(mileage_of, self.mountings), *self.reprofilings, *self.measurements]
 
 
-def mileage_of(mounting: Mounting) -> DistancePoint:
-    """Return the mileage of the wheelset that a mounting gives for its start."""
+def mileage_of(mounting: Mounting, field: str = "wheelset_mileage_km") -> DistancePoint:
+    """Return the mileage of the wheelset, or another distance, that a mounting gives for its start."""
     name = RecordName(Kind.MOUNTING, mounting.wheelset, mounting.from_ns)
-    return DistancePoint(name, mounting.from_ns, mounting.wheelset_mileage_km, "wheelset_mileage_km")
+    return DistancePoint(name, mounting.from_ns, getattr(mounting, field), field)
 
 
 def odometer_of(mounting: Mounting) -> DistancePoint:
     """Return what the odometer of the vehicle showed at the start of a mounting."""
-    name = RecordName(Kind.MOUNTING, mounting.wheelset, mounting.from_ns)
-    return DistancePoint(name, mounting.from_ns, mounting.vehicle_odometer_km, "vehicle_odometer_km")
+    return mileage_of(mounting, "vehicle_odometer_km")
 
 
 def mileage_point(kind: Kind, wheelset: str, at_ns: int, km: float) -> DistancePoint:

@@ -19,14 +19,7 @@ from estimation.errors import ParameterError, ScenarioError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from ingest.simulator.irregularity import Waves, superpose
 from ingest.simulator.motion import STEP, WheelsetMotion, travelled
-from ingest.simulator.running import (
-    CONTACT_STEP,
-    STRETCH_END,
-    FrictionPlan,
-    RunningPlan,
-    with_flat,
-    with_track_blows,
-)
+from ingest.simulator.running import CONTACT_STEP, STRETCH_END, FrictionPlan, RunningPlan, with_flat, with_track_blows
 from ingest.simulator.scenario import (
     NORMAL_REACH,
     Scenario,

@@ -283,8 +283,21 @@ class SensorsTable:
         if self.kind == "ideal":
             return ideal_node(self.rate_hz)
         angular = Channel(self.angular_noise, self.angular_offset, self.angular_drift, self.angular_limit)
+        linear_slope, angular_slope = self.offset_drift_std, self.angular_offset_drift_std
         if self.gyroscopes:
             angular = Channel(self.gyroscope_noise, limit=self.gyroscope_limit, gyroscope=True)
+            angular_slope = 0.0
+        box = self.axle_box_vibration, self.axle_box_angular_vibration
+        errors = SensorErrors(
+            scale=self.scale_error_std,
+            mounting=self.mounting_error_std,
+            skew=self.skew_std,
+            offset_slope=(linear_slope, angular_slope, angular_slope, linear_slope),
+            scale_drift=self.scale_drift_std,
+            vibration=Vibration(*box, self.mass_vibration_share, self.vibration_from_hz, self.vibration_to_hz)
+            if any(box)
+            else None,
+        )
         return SensorNode(
             Channel(self.lateral_noise, self.lateral_offset, self.lateral_drift, self.lateral_limit),
             angular,
@@ -292,26 +305,7 @@ class SensorsTable:
             Channel(self.mass_noise, self.mass_offset, self.mass_drift, self.mass_limit),
             rate_hz=self.rate_hz,
             anti_alias=self.anti_alias,
-            errors=self._errors(),
+            errors=errors,
             measures_gravity=self.measures_gravity,
             on_mass=self.mass_sensor,
-        )
-
-    def _errors(self) -> SensorErrors:
-        linear, angular = self.offset_drift_std, 0.0 if self.gyroscopes else self.angular_offset_drift_std
-        vibrates = self.axle_box_vibration > 0.0 or self.axle_box_angular_vibration > 0.0
-        vibration = Vibration(
-            self.axle_box_vibration,
-            self.axle_box_angular_vibration,
-            self.mass_vibration_share,
-            self.vibration_from_hz,
-            self.vibration_to_hz,
-        )
-        return SensorErrors(
-            scale=self.scale_error_std,
-            mounting=self.mounting_error_std,
-            skew=self.skew_std,
-            offset_slope=(linear, angular, angular, linear),
-            scale_drift=self.scale_drift_std,
-            vibration=vibration if vibrates else None,
         )
