@@ -17,7 +17,6 @@ from ingest.align.clock import CONTEXT_NS, AlignedFrames, merge_aligned, values_
 from ingest.align.windows import (
     MountedWindow,
     RegistryLookup,
-    VehicleSamples,
     WindowCounts,
     vehicle_samples,
     windows_of,
@@ -227,23 +226,19 @@ class Assembler:
             samples, counts = own_samples(vehicle, catalogue, near)
         else:
             samples, counts = vehicle_samples(vehicle, catalogue, near)
+        starts: set[int] = set()  # of the windows that any wheelset has samples in
+        for node in samples.nodes.values():
+            low, high = np.searchsorted(node.block.t_ns, span)
+            numbers = node.block.t_ns[low:high] // self.length_ns
+            starts.update((numbers[np.diff(numbers, prepend=-1) != 0] * self.length_ns).tolist())
         windows, made = [], WindowCounts()
-        for outcome in windows_of(samples, _starts(samples, span, self.length_ns), self.length_ns, lookup):
+        for outcome in windows_of(samples, sorted(starts), self.length_ns, lookup):
             if isinstance(outcome, MountedWindow):
                 windows.append(outcome)
             else:
                 made += outcome
         made = replace(made, windows=len(windows))
         return windows, {**_nonzero(asdict(counts)), **asdict(made)}
-
-
-def _starts(samples: VehicleSamples, span: Span, length_ns: int) -> list[int]:
-    found: set[int] = set()
-    for node in samples.nodes.values():
-        low, high = np.searchsorted(node.block.t_ns, span)
-        numbers = node.block.t_ns[low:high] // length_ns
-        found.update((numbers[np.diff(numbers, prepend=-1) != 0] * length_ns).tolist())
-    return sorted(found)
 
 
 def _check_one_kind(vehicle: str, suffix: str, sources: Iterable[ChunkRecord]) -> None:

@@ -41,13 +41,6 @@ def printable_name(path: Path) -> str:
     return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
 
 
-def read_or_raise(recording: Recording | Exception) -> Recording:
-    """Return what was read; raise what was raised at reading."""
-    if isinstance(recording, Exception):
-        raise recording
-    return recording
-
-
 def check_undecided(unit: SqlUnitOfWork, receipts: Iterable[ChunkRecord]) -> None:
     """Raise where a recording was reassigned, deleted, set aside or rejected while its windows were assembled."""
     for receipt in receipts:

@@ -41,7 +41,6 @@ from ingest.receipts import (
     check_undecided,
     enter_receipt,
     of_another_vehicle,
-    read_or_raise,
     to_nobody,
 )
 from ingest.recordings import Recording, Recordings
@@ -219,7 +218,7 @@ class Receiver:
         changed = 0
         try:
             with trace.get_tracer("treadwatch").start_as_current_span("recording") as span:
-                record, changed = self._decode(record, read_or_raise(recording))
+                record, changed = self._decode(record, recording)
                 span.set_attributes({"treadwatch.frames": record.frames, "treadwatch.windows_changed": changed})
         except LogFileError as error:
             text = error.reason if error.line is None else f"line {error.line}: {error.reason}"
@@ -289,7 +288,9 @@ class Receiver:
         self._announce(found)
         return found, known
 
-    def _decode(self, record: ChunkRecord, recording: Recording) -> tuple[ChunkRecord, int]:
+    def _decode(self, record: ChunkRecord, recording: Recording | Exception) -> tuple[ChunkRecord, int]:
+        if isinstance(recording, Exception):
+            raise recording
         try:
             for _ in range(ATTEMPTS_BESIDE_OTHERS):
                 with self._storage.read() as unit:

@@ -194,12 +194,9 @@ def _touch(first: Recording, second: Recording) -> bool:
     if offsets is None or others is None or max(a, c) >= min(b, d):
         return True
     agree = offsets[0] <= others[1] + OFFSET_STEP_NS and others[0] <= offsets[1] + OFFSET_STEP_NS
-    return agree or _share_frames(first.batch, second.batch, max(a, c), min(b, d))
-
-
-def _share_frames(first: FrameBatch, second: FrameBatch, from_ns: int, to_ns: int) -> bool:
-    ours, theirs = (
-        part.t_ns * IDENTIFIERS + part.arbitration_id.astype(np.int64)  # wraps around: a fingerprint
-        for part in (between(first, from_ns, to_ns + 1), between(second, from_ns, to_ns + 1))
-    )
+    if agree:
+        return True
+    parts = (between(one.batch, max(a, c), min(b, d) + 1) for one in (first, second))
+    # wraps around: a fingerprint of each frame
+    ours, theirs = (part.t_ns * IDENTIFIERS + part.arbitration_id.astype(np.int64) for part in parts)
     return 2 * len(np.intersect1d(ours, theirs)) >= min(len(ours), len(theirs)) > 0

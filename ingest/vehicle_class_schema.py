@@ -7,7 +7,7 @@ one, that of its kind holds (``default_relative_std``).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from decimal import Decimal
 from typing import Annotated, Literal, Self
 
@@ -195,8 +195,12 @@ class VehicleClassEntry(InputTable):
 
     def record(self) -> VehicleClass:
         """Return the class in SI units, its creep coefficients computed where they are not given."""
-        numbers = {**self._wheelset_numbers(), **self._creep_numbers()}
-        bogie_numbers = self._bogie_numbers()
+        own = {"suspended_mass": self._suspended_mass(), "load": self._axle_load()}
+        of_wheelset = {"wheelset": self.wheelset, "primary_suspension": self.primary_suspension}
+        creep = self._kalker() if self.creep.source == "kalker" else _numbers({"creep": self.creep})
+        numbers = {**own, **_numbers(of_wheelset, but=own), **creep}
+        of_bogie = {"bogie": self.bogie, "secondary_suspension": self.secondary_suspension or SecondaryTable()}
+        bogie_numbers = {} if self.bogie is None else _numbers(of_bogie)
         return VehicleClass(
             code=self.code,
             name=self.name,
@@ -231,26 +235,12 @@ class VehicleClassEntry(InputTable):
         own, own_std = _number("wheelset_mass", self.wheelset.mass_kg, "mass_kg")
         return (own + suspended) * GRAVITY, math.hypot(own * own_std, suspended * std) / (own + suspended)
 
-    def _wheelset_numbers(self) -> dict[str, tuple[float, float]]:
-        own = {"suspended_mass": self._suspended_mass(), "load": self._axle_load()}
-        return own | {
-            field: _number(field, getattr(getattr(self, table), key), key)
-            for field, (table, key) in _LOCATIONS.items()
-            if table in {"wheelset", "primary_suspension"} and field not in own
-        }
-
-    def _creep_numbers(self) -> dict[str, tuple[float, float]]:
-        creep = self.creep
-        if creep.source == "kalker":
-            radii, radii_std = self._kalker_radii()
-            rail_std = RAIL_CONDITION_STD if creep.relative_std is None else creep.relative_std
-            values, std = creep_coefficients(radii), creep_coefficient_std(radii, radii_std, rail_std)
-            return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
-        return {
-            field: _number(field, getattr(creep, key) or _zero(), key)
-            for field, (table, key) in _LOCATIONS.items()
-            if table == "creep"
-        }
+    def _kalker(self) -> dict[str, tuple[float, float]]:
+        """Return value and relative std of Kalker's coefficients by field of ``VehicleParameters``."""
+        radii, radii_std = self._kalker_radii()
+        rail_std = RAIL_CONDITION_STD if self.creep.relative_std is None else self.creep.relative_std
+        values, std = creep_coefficients(radii), creep_coefficient_std(radii, radii_std, rail_std)
+        return {field: (getattr(values, name), getattr(std, name)) for field, name in _CREEP_FIELDS.items()}
 
     def _kalker_radii(self) -> tuple[ContactRadii, ContactRadiiStd]:
         creep = self.creep
@@ -277,16 +267,6 @@ class VehicleClassEntry(InputTable):
             wheel_load=load_std,
             wheel_transverse_radius=(across.relative_std or 0.0) if across else 0.0,
         )
-
-    def _bogie_numbers(self) -> dict[str, tuple[float, float]]:
-        if self.bogie is None:
-            return {}
-        tables = {"bogie": self.bogie, "secondary_suspension": self.secondary_suspension or SecondaryTable()}
-        return {
-            field: _number(field, getattr(tables[table], key), key)
-            for field, (table, key) in _LOCATIONS.items()
-            if table in tables
-        }
 
 
 _CREEP_FIELDS: Mapping[str, str] = {
@@ -333,6 +313,15 @@ def class_tables(*values: VehicleParameters | BogieParameters | None) -> dict[st
                 value = getattr(one, field)
                 tables.setdefault(table, {})[key] = round(1e3 * value, 6) if key.endswith("_mm") else value
     return tables
+
+
+def _numbers(tables: Mapping[str, InputTable | None], but: Collection[str] = ()) -> dict[str, tuple[float, float]]:
+    """Return value and relative std by field of the parameters that are in some tables."""
+    return {
+        field: _number(field, getattr(tables[table], key) or _zero(), key)
+        for field, (table, key) in _LOCATIONS.items()
+        if table in tables and field not in but
+    }
 
 
 def _number(field: str, number: UncertainNumber, key: str) -> tuple[float, float]:

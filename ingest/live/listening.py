@@ -87,7 +87,9 @@ class Listening:
         try:
             bus = self._source.open()
         except Exception as error:  # noqa: BLE001 - it may be there later
-            if isinstance(error, ParameterError) and not _is_passing(error):
+            cause = error.__cause__
+            passing = isinstance(cause, OSError | can.CanError) and not isinstance(cause, NotImplementedError)
+            if isinstance(error, ParameterError) and not passing:
                 self.refused = error
             else:
                 self._failed(first_line(error))
@@ -163,11 +165,6 @@ def packed(message: can.Message) -> bytes:
     identifier |= REMOTE_FLAG if message.is_remote_frame else 0
     identifier |= ERROR_FLAG if message.is_error_frame else 0
     return pack_frame(round(message.timestamp * 1e9), identifier, message.dlc, bytes(message.data[:DATA_BYTES]))
-
-
-def _is_passing(error: ParameterError) -> bool:
-    cause = error.__cause__
-    return isinstance(cause, OSError | can.CanError) and not isinstance(cause, NotImplementedError)
 
 
 class _Losses:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -12,7 +11,7 @@ from pydantic import Field, model_validator
 from estimation.errors import CatalogueError, ParameterError
 from estimation.values.registry import MAX_AXLES
 from ingest.catalogue import Catalogue, MessagePlan, SignalPlan
-from ingest.input_file import InputFile, InputTable, Location, Positive, Text, field_error, read_toml
+from ingest.input_file import InputTable, Location, Positive, Text, field_error
 from ingest.units import DERIVATIVES, Quantity
 
 
@@ -276,9 +275,3 @@ class MappingFile(InputTable):
                 if isinstance(value, SignalTable):
                     found.append(((*location, name), value))
         return found
-
-
-def read_mapping(path: Path) -> tuple[MappingFile, InputFile]:
-    """Return the content of a mapping file, and where in the file each key stands."""
-    file = read_toml(path, CatalogueError)
-    return file.parse(MappingFile), file

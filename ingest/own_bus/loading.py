@@ -9,13 +9,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from estimation.errors import ParameterError
+from estimation.errors import CatalogueError, ParameterError
 from ingest.catalogue import NO_SCALE, MessagePlan, SignalPlan, parse_dbc, plan_of, raw_range
 from ingest.frames import DATA_BYTES, EXTENDED_FLAG
-from ingest.input_file import InputFile, Location
+from ingest.input_file import InputFile, Location, read_toml
 from ingest.own_bus.bus import (
     QUANTITIES,
     CanopenClock,
+    MappingFile,
     NodeTable,
     OwnBus,
     OwnMessage,
@@ -28,7 +29,6 @@ from ingest.own_bus.bus import (
     StampClock,
     StateReference,
     StateTable,
-    read_mapping,
 )
 from ingest.units import DERIVATIVES, Quantity, unit_of
 
@@ -60,7 +60,8 @@ def load_own_bus(path: Path) -> OwnBus:
         CatalogueError: A file cannot be read, or a signal is missing, in another unit, too coarse, multiplexed
             otherwise, or of a form that is not read; names file, line and field.
     """
-    mapping, toml = read_mapping(path)
+    toml = read_toml(path, CatalogueError)
+    mapping = toml.parse(MappingFile)
     dbc = path.parent / mapping.dbc
     database = parse_dbc(dbc)
     builder = _Builder(toml, {message.name: message for message in database.messages})

@@ -127,14 +127,9 @@ def read_stored_profile(path: Path) -> Profile:
 
 def stored_profile_text(profile: Profile) -> str:
     """Return the content of the file of a profile."""
-    content = {
-        "format": FORMAT,
-        "name": profile.name,
-        "y_m": profile.y.tolist(),
-        "z_m": profile.z.tolist(),
-        "slope_1": profile.slope.tolist(),
-    }
-    return json.dumps(content)
+    columns = {"y_m": profile.y, "z_m": profile.z, "slope_1": profile.slope}
+    named = {key: values.tolist() for key, values in columns.items()}
+    return json.dumps({"format": FORMAT, "name": profile.name, **named})
 
 
 FLANGE_END = -0.045  # m from the tread datum: contact in flanging comes 2 mm nearer to the tip at most

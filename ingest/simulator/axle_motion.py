@@ -128,7 +128,18 @@ def axle_motions(
     else:
         motions = simulate_gear(gear, contacts, track, run.speed, start)
     for axle, table, motion in zip(axles, found, motions, strict=True):
-        _check_on_rails(run, axle, table, motion)
+        at = first_climb(table, motion)
+        if at is None:
+            continue
+        error = DerailmentError(
+            f"{run.vehicle.wheelsets[axle].serial} derails in campaign {run.campaign + 1}: at "
+            f"{motion.distance[at]:.1f} m of the section a wheel climbs its rail, "
+            f"{1e3 * motion.relative_displacement[at]:+.1f} mm beside the track centre in "
+            f"{1e3 * motion.gauge_deviation[at]:+.1f} mm of gauge deviation",
+            field=f"vehicles.{run.vehicle.code}",
+        )
+        error.axle = axle
+        raise error
     return motions
 
 
@@ -184,20 +195,6 @@ def averaged(table: ContactTable, half_width: float) -> ContactTable:
     weights /= weights.sum()
     means: dict[str, Any] = {name: convolve1d(getattr(table, name), weights, axis=0, mode="nearest") for name in MEANS}
     return replace(table, **means)
-
-
-def _check_on_rails(run: VehicleRun, axle: int, table: ContactTable, motion: WheelsetMotion) -> None:
-    at = first_climb(table, motion)
-    if at is None:
-        return
-    error = DerailmentError(
-        f"{run.vehicle.wheelsets[axle].serial} derails in campaign {run.campaign + 1}: at {motion.distance[at]:.1f} m "
-        f"of the section a wheel climbs its rail, {1e3 * motion.relative_displacement[at]:+.1f} mm beside the track "
-        f"centre in {1e3 * motion.gauge_deviation[at]:+.1f} mm of gauge deviation",
-        field=f"vehicles.{run.vehicle.code}",
-    )
-    error.axle = axle
-    raise error
 
 
 def contact_of(scenario: Scenario, track: TrackTruth, plan: WheelsetPlan, odometer: float) -> WornContact:

@@ -186,7 +186,10 @@ def record(scenario: Scenario, out: Path, track: TrackTruth, vehicle: str, campa
     if scenario.drawn is None:
         plan = scenario.vehicle(vehicle)
         return [_write(scenario, out, plan, c, *simulate_campaign(scenario, track, plan, c)) for c in campaigns]
-    scenario, axles = _on_the_rails(scenario, track, vehicle, campaigns)
+    axles: list[_Axle] = []
+    for group in _groups(scenario, scenario.vehicle(vehicle)):
+        scenario, moved = _group_on_the_rails(scenario, track, vehicle, group, campaigns)
+        axles += moved
     plan = scenario.vehicle(vehicle)
     return [
         _write(scenario, out, plan, campaign, *_campaign(scenario, track, plan, axles, campaign))
@@ -202,20 +205,6 @@ class _Axle:
     geometry: GeometryTruth
 
 
-def _on_the_rails(
-    scenario: Scenario, track: TrackTruth, vehicle: str, campaigns: Campaigns
-) -> tuple[Scenario, list[_Axle]]:
-    """Return the scenario with as much wear as keeps a vehicle on the rails, and its wheelsets.
-
-    In narrow places a worn wheelset may hunt until it leaves the rails, and a nearly new one too: no railway runs them.
-    """
-    axles: list[_Axle] = []
-    for group in _groups(scenario, scenario.vehicle(vehicle)):
-        scenario, found = _group_on_the_rails(scenario, track, vehicle, group, campaigns)
-        axles += found
-    return scenario, axles
-
-
 def _groups(scenario: Scenario, vehicle: VehiclePlan) -> list[tuple[int, ...]]:
     groups = (together(scenario, vehicle, axle) for axle in range(len(vehicle.wheelsets)))
     return list(dict.fromkeys(groups))
@@ -224,6 +213,10 @@ def _groups(scenario: Scenario, vehicle: VehiclePlan) -> list[tuple[int, ...]]:
 def _group_on_the_rails(
     scenario: Scenario, track: TrackTruth, vehicle: str, group: tuple[int, ...], campaigns: Campaigns
 ) -> tuple[Scenario, list[_Axle]]:
+    """Return the scenario with as much wear as keeps wheelsets on the rails, and these.
+
+    In narrow places a worn wheelset may hunt until it leaves the rails, and a nearly new one too: no railway runs them.
+    """
     shares = {axle: shares_of_wear(scenario.vehicle(vehicle).wheelsets[axle]) for axle in group}
     tries = dict.fromkeys(group, 0)
     while True:

@@ -113,10 +113,13 @@ class ScenarioTable:
             if math.isfinite(vehicle.longest_run) and self.sessions.whole_section:
                 reason = "runs over the whole section are not shorter for one vehicle"
                 raise field_error(reason, "vehicles", index, "minutes_each")
-        self._check_stretches()
-        self._check_flats()
+        self._check_running()
         self._check_bogies()
-        self._check_driven_axles()
+        drawn = self.drawn_fleet
+        fewest = min(len(vehicle.wheelsets) for vehicle in self.vehicles) if drawn is None else drawn.wheelsets
+        for axle in () if self.traction is None else self.traction.driven_axles:
+            if axle > fewest:
+                raise field_error(f"there is no axle {axle} in every vehicle", "traction", "driven_axles")
         self._check_length()
         self._check_growth_of_rail_wear()
         return self
@@ -139,14 +142,12 @@ class ScenarioTable:
             reason = f"{campaign} is outside the range: at most {self.sessions.campaigns}"
             raise field_error(reason, *place, "from_campaign")
 
-    def _check_stretches(self) -> None:
+    def _check_running(self) -> None:
         for i, stretch in enumerate(self.creep.stretches):
             if self.length is not None and stretch.end > self.length:
                 reason = f"{stretch.end:g} is outside the range: at most {self.length:g}, the length of the section"
                 raise field_error(reason, "creep", "stretches", i, "to_m")
             self._check_campaign(stretch.from_campaign, "creep", "stretches", i)
-
-    def _check_flats(self) -> None:
         serials = {wheelset.serial for vehicle in self.vehicles for wheelset in vehicle.wheelsets}
         if self.drawn_fleet is not None:
             serials = {drawn_serial(rank) for rank in range(self.drawn_fleet.places)}
@@ -165,13 +166,6 @@ class ScenarioTable:
             reason = impossible_bogies(vehicle.offsets(bogie), bogie.wheelbase)
             if reason is not None:
                 raise field_error(reason, "vehicles", index, "axle_offsets_m")
-
-    def _check_driven_axles(self) -> None:
-        drawn = self.drawn_fleet
-        fewest = min(len(vehicle.wheelsets) for vehicle in self.vehicles) if drawn is None else drawn.wheelsets
-        for axle in () if self.traction is None else self.traction.driven_axles:
-            if axle > fewest:
-                raise field_error(f"there is no axle {axle} in every vehicle", "traction", "driven_axles")
 
     def _check_length(self) -> None:
         length, duration = self.length, self.sessions.duration

@@ -10,7 +10,7 @@ that they measure. Quantisation to int16 happens in the codec, by the scale of t
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Annotated, Self
 
@@ -124,9 +124,7 @@ def measure(
     """
     n, stride = len(motion), node.stride
     size = -(-n // stride)
-    signals = _true_signals(motion, node, errors, short_pulses=short_pulses and node.anti_alias)
-    if errors is not None:
-        signals = list(_with_errors(signals, errors, rng))
+    signals = _true_signals(motion, node, errors, rng, short_pulses=short_pulses and node.anti_alias)
     values, clipped = np.empty((size, 4)), np.zeros((size, 4), dtype=np.bool_)
     taps = _low_pass(stride) if node.anti_alias and stride > 1 else None
     for place, channel in enumerate(node.channels):
@@ -152,7 +150,12 @@ def measure(
 
 
 def _true_signals(
-    motion: WheelsetMotion, node: SensorNode, errors: NodeErrors | None, *, short_pulses: bool
+    motion: WheelsetMotion,
+    node: SensorNode,
+    errors: NodeErrors | None,
+    rng: np.random.Generator,
+    *,
+    short_pulses: bool,
 ) -> list[FloatArray]:
     """Return what the transducers are exposed to, four signals (n,) in the order of ``ACCELERATIONS``."""
     if short_pulses:
@@ -167,16 +170,12 @@ def _true_signals(
     if errors is None:
         return signals
     longitudinal = np.gradient(motion.speed, STEP)
-    return list(in_sensor_axes(np.stack(signals), longitudinal, errors, gravity=node.measures_gravity))
-
-
-def _with_errors(signals: Sequence[FloatArray], errors: NodeErrors, rng: np.random.Generator) -> FloatArray:
-    """Return the signals (4, n) of a node that is late, vibrates, and has another scale, which changes with time."""
-    late = sampled_late(np.stack(signals), errors.skew, STEP)
+    turned = in_sensor_axes(np.stack(signals), longitudinal, errors, gravity=node.measures_gravity)
+    late, n = sampled_late(turned, errors.skew, STEP), len(motion)
     if errors.vibration is not None:
-        late += vibration_of(errors.vibration, late.shape[1], STEP, rng)
-    passed = np.linspace(0.0, 1.0, late.shape[1])
-    return np.asarray(late * (errors.scale[:, None] + np.outer(errors.scale_drift, passed)))
+        late += vibration_of(errors.vibration, n, STEP, rng)
+    drift = np.outer(errors.scale_drift, np.linspace(0.0, 1.0, n))
+    return list(np.asarray(late * (errors.scale[:, None] + drift)))
 
 
 def draw_offsets(node: SensorNode, rng: np.random.Generator) -> FloatArray:

@@ -23,17 +23,11 @@ from ingest.simulator.section import MGT_OF_GROWTH, SectionPlan
 DAYS_PER_YEAR = 365.25
 
 
-def depth_gained(section: SectionPlan, days: float) -> float:
-    """Return by how much the bands of both rails are deeper after some days of traffic, m."""
-    if section.tonnage is None:
-        return 0.0
-    return section.rail_growth * section.tonnage / MGT_OF_GROWTH * days / DAYS_PER_YEAR
-
-
 def section_at(scenario: Scenario, odometer: float) -> SectionPlan:
     """Return the section as its rails are when the vehicles' odometer stands at ``odometer``, m."""
     section, sessions = scenario.section, scenario.sessions
-    gained = depth_gained(section, (odometer - sessions.first_odometer) / sessions.distance_per_day)
+    days = (odometer - sessions.first_odometer) / sessions.distance_per_day
+    gained = section.rail_growth * (section.tonnage or 0.0) / MGT_OF_GROWTH * days / DAYS_PER_YEAR
     if gained == 0.0:
         return section
     left, right = (one and replace(one, depth=one.depth + gained) for one in section.rail_wear)
@@ -54,12 +48,6 @@ def rail_in(path: Path, mirror: bool | None) -> Profile:  # noqa: FBT001 - a pla
         mirror: Whether its gauge side is at positive y of the file; None decides from the shape.
     """
     return read_profile(path, "rail", mirror=mirror)
-
-
-def wheels_of(plan: WheelsetPlan) -> tuple[Profile, Profile]:
-    """Return left and right wheel of a wheelset before the wear of the scenario."""
-    left, right = (wheel_profile(plan.wheel_profile) if path is None else wheel_in(path) for path in plan.wheel_files)
-    return left, right
 
 
 def rails_of(section: SectionPlan) -> tuple[Profile, Profile, float]:
@@ -182,7 +170,7 @@ def truth_of(contact: WornContact) -> GeometryTruth:
 
 def worn_profiles(plan: WheelsetPlan, wear: WearState) -> tuple[Profile, Profile]:
     """Return the profiles of the left and the right wheel of ``plan`` after that wear."""
-    left, right = wheels_of(plan)
+    left, right = (wheel_profile(plan.wheel_profile) if path is None else wheel_in(path) for path in plan.wheel_files)
     return _worn(plan, left, wear.depth_left), _worn(plan, right, wear.depth_right)
 
 
