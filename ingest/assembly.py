@@ -228,8 +228,8 @@ class Assembler:
             samples, counts = vehicle_samples(vehicle, catalogue, near)
         starts: set[int] = set()  # of the windows that any wheelset has samples in
         for node in samples.nodes.values():
-            low, high = np.searchsorted(node.block.t_ns, span)
-            numbers = node.block.t_ns[low:high] // self.length_ns
+            low, high = np.searchsorted(node.t_ns, span)
+            numbers = node.t_ns[low:high] // self.length_ns
             starts.update((numbers[np.diff(numbers, prepend=-1) != 0] * self.length_ns).tolist())
         windows, made = [], WindowCounts()
         for outcome in windows_of(samples, sorted(starts), self.length_ns, lookup):

@@ -107,14 +107,14 @@ def take(batch: FrameBatch, index: IntArray | BoolArray | slice) -> FrameBatch:
     )
 
 
-def concatenate(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
-    """Return the frames of all batches, one after the other, as one bus."""
+def concatenate(batches: Sequence[FrameBatch]) -> FrameBatch:
+    """Return the frames of all batches, one after the other, as the bus of the first."""
     if not batches:
-        return empty_batch(channel or DEFAULT_CHANNEL)
-    if len(batches) == 1 and channel in (None, batches[0].channel):
+        return empty_batch()
+    if len(batches) == 1:
         return batches[0]
     return from_owned_arrays(
-        channel=channel or batches[0].channel,
+        channel=batches[0].channel,
         t_ns=np.concatenate([batch.t_ns for batch in batches]),
         arbitration_id=np.concatenate([batch.arbitration_id for batch in batches]),
         dlc=np.concatenate([batch.dlc for batch in batches]),
@@ -129,14 +129,14 @@ def sort_by_time(batch: FrameBatch) -> FrameBatch:
     return take(batch, np.argsort(batch.t_ns, kind="stable"))
 
 
-def merge(batches: Sequence[FrameBatch], channel: str | None = None) -> FrameBatch:
+def merge(batches: Sequence[FrameBatch]) -> FrameBatch:
     """Return the *set* of frames of all batches in one order that does not depend on how they were cut.
 
     The order is by time, then identifier (as arbitration on the bus would have it: SYNC before what it causes), then
     length and payload. A frame that occurs twice with the same time, identifier and payload is the same frame, and
     is kept once.
     """
-    joined = concatenate(batches, channel)
+    joined = concatenate(batches)
     if np.all(joined.t_ns[1:] > joined.t_ns[:-1]):
         return joined
     joined = sort_by_time(joined)

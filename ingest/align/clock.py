@@ -15,7 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from estimation.errors import LogFileError
-from estimation.values.arrays import BoolArray, IntArray, freeze, frozen_array
+from estimation.values.arrays import BoolArray, IntArray
 from ingest.align.cycles import UNPLACED, SyncClock, place_frames, sync_clock_of
 from ingest.catalogue import (
     ACCELERATION,
@@ -28,7 +28,7 @@ from ingest.catalogue import (
     MessagePlan,
     vehicle_time_ns,
 )
-from ingest.codec import Counts, Decoded, FrameCounts, RawArray, decode
+from ingest.codec import Counts, Decoded, FrameCounts, RawArray, RawValues, decode
 from ingest.frames import FrameBatch, between
 from ingest.plausibility import believed, possible, without_odd_ones
 
@@ -185,22 +185,11 @@ def check_sync_rate(batch: FrameBatch, interval_ns: int) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class TickedValues:
+class TickedValues(RawValues):
     """One message on the vehicle's clock; where ``conflict`` is set, two frames claimed one instant."""
 
-    plan: MessagePlan
     tick: Annotated[IntArray, "n"]  # strictly increasing
-    raw: RawArray  # (n, m)
     conflict: Annotated[BoolArray, "n"]
-
-    def __post_init__(self) -> None:
-        freeze(self)
-        shape = (len(self.tick), len(self.plan.signals))
-        object.__setattr__(self, "raw", frozen_array(self.raw, shape, self.raw.dtype, name="raw"))
-
-    def column(self, name: str) -> IntArray:
-        """Return the raw values of one signal, (n,) int64."""
-        return self.raw[:, self.plan.names.index(name)].astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +257,7 @@ def merge_aligned(parts: Sequence[AlignedFrames]) -> Mapping[int, TickedValues]:
         values, _ = by_tick(found[0].plan, tick, raw)
         bad = np.concatenate([item.tick[item.conflict] for item in found])
         conflict = values.conflict | np.isin(values.tick, bad)
-        merged[arbitration_id] = TickedValues(values.plan, values.tick, values.raw, conflict)
+        merged[arbitration_id] = replace(values, conflict=conflict)
     return MappingProxyType(merged)
 
 
@@ -276,7 +265,7 @@ def by_tick(plan: MessagePlan, tick: IntArray, raw: RawArray) -> tuple[TickedVal
     """Order values by tick and keep one of each tick; equal ones are dropped, unequal ones conflict."""
     none = np.zeros(len(tick), dtype=np.bool_)
     if np.all(tick[1:] > tick[:-1]):
-        return TickedValues(plan, tick, raw, none), AlignCounts()
+        return TickedValues(plan, raw, tick, none), AlignCounts()
     order = np.lexsort((*raw.T, tick))
     tick, raw = tick[order], raw[order]
     repeated = tick[1:] == tick[:-1]
@@ -285,7 +274,7 @@ def by_tick(plan: MessagePlan, tick: IntArray, raw: RawArray) -> tuple[TickedVal
     conflict[1:] |= other
     conflict[:-1] |= other
     first = np.concatenate([[True], ~repeated])
-    kept = TickedValues(plan, tick[first], raw[first], np.isin(tick[first], tick[conflict]))
+    kept = TickedValues(plan, raw[first], tick[first], np.isin(tick[first], tick[conflict]))
     counts = AlignCounts(
         duplicate_frames=int(np.count_nonzero(repeated & ~other)), conflicting_frames=int(np.count_nonzero(other))
     )
@@ -328,6 +317,6 @@ def values_near(
         first, behind = np.searchsorted(values.tick, ends).tolist()
         if first < behind:
             near[arbitration_id] = TickedValues(
-                values.plan, values.tick[first:behind], values.raw[first:behind], values.conflict[first:behind]
+                values.plan, values.raw[first:behind], values.tick[first:behind], values.conflict[first:behind]
             )
     return MappingProxyType(near)

@@ -16,7 +16,6 @@ from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArr
 from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import TIME_REACH_NS, AlignCounts, TickedValues
 from ingest.catalogue import ACCELERATION, EMERGENCY, MOTION, PLACE, POSITION, STATUS, VEHICLE_NODE, Catalogue
-from ingest.codec import MessageValues
 from ingest.plausibility import odometer_excess, possible_motion, without_repeats
 
 
@@ -138,34 +137,22 @@ def between_frames(
     return found, slopes, before
 
 
-@dataclass(frozen=True, slots=True)
-class SampleBlock(FrozenArrays):
-    """Samples of one node of one vehicle on one time base; where ``valid`` is False the value is NaN."""
-
-    vehicle: str
-    node: int
-    signals: Annotated[tuple[str, ...], "m"]
-    t_ns: Annotated[IntArray, "n"]  # strictly increasing
-    values: Annotated[FloatArray, "n", "m"]
-    valid: Annotated[BoolArray, "n", "m"]
-
-    def __len__(self) -> int:
-        return len(self.t_ns)
-
-
 CLIPPED_BITS = ("lateral_clipped", "yaw_clipped", "roll_clipped", "mass_lateral_clipped")
 COUNTER_VALUES = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
 class NodeSamples(FrozenArrays):
-    """Samples of one node; ``clipped`` and ``invalid`` mark samples as their sensor reported them.
+    """Accelerations of one node; ``clipped`` and ``invalid`` mark samples as their sensor reported them.
 
-    ``saturated`` has what ``block`` has, and values at the ends of their ranges, which are not valid there.
+    ``saturated`` has what ``values`` has, and values at the ends of their ranges, which are not valid there.
     """
 
-    block: SampleBlock
-    saturated: Annotated[FloatArray, "n", None]
+    node: int
+    t_ns: Annotated[IntArray, "n"]  # strictly increasing
+    values: Annotated[FloatArray, "n", len(ACCELERATIONS)]  # NaN where not valid
+    valid: Annotated[BoolArray, "n", len(ACCELERATIONS)]
+    saturated: Annotated[FloatArray, "n", len(ACCELERATIONS)]
     clipped: Annotated[BoolArray, "n"]  # a raw value on its limit, or the clipping bit of the mass in its second
     invalid: Annotated[BoolArray, "n"]  # a raw value "not available" or outside its limits
     fault_ns: Annotated[IntArray, None]  # (f,) when the self-test was reported failed or an emergency was sent
@@ -173,39 +160,38 @@ class NodeSamples(FrozenArrays):
 
 
 def node_samples(
-    vehicle: str, node: int, catalogue: Catalogue, messages: Mapping[int, TickedValues]
+    node: int, catalogue: Catalogue, messages: Mapping[int, TickedValues]
 ) -> tuple[NodeSamples, AlignCounts] | None:
     """Return the samples of a wheelset node; None when it sent none."""
     ticked = _of_node(messages, ACCELERATION, node)
     if ticked is None:
         return None
     interval_ns = catalogue.sample_interval_ns
-    values = MessageValues(ticked.plan, np.arange(len(ticked.tick)), ticked.raw)
     status = _of_node(messages, STATUS, node)
     (of_box, of_mass), wrong, counts = _from_status(status, ticked.tick, interval_ns)
-    si, valid = values.values(), values.valid()
+    si, valid = ticked.values(), ticked.valid()
     distrusted = ticked.conflict | wrong
     if distrusted.any():
         valid &= ~distrusted[:, None]
         si[distrusted] = np.nan
     t_ns = ticked.tick * interval_ns
-    saturated = si if valid.all() else values.values(with_clipped=True)
+    saturated = si if valid.all() else ticked.values(with_clipped=True)
     saturated[distrusted] = np.nan
     for array in (si, valid, t_ns, saturated):
         array.flags.writeable = False
     invalid: BoolArray = np.zeros(len(t_ns), np.bool_)
     clipped = of_mass
     if not valid.all():
-        invalid = np.asarray(values.invalid().any(axis=1))
-        clipped = np.asarray(of_mass | values.clipped().any(axis=1))
+        invalid = np.asarray(ticked.invalid().any(axis=1))
+        clipped = np.asarray(of_mass | ticked.clipped().any(axis=1))
     emergency, none = _of_node(messages, EMERGENCY, node), np.empty(0, np.int64)
     over = 0  # error code of an emergency that is over
     raised = none if emergency is None else emergency.tick[emergency.column("error_code") != over]
     failed = none if status is None else status.tick[(status.column("self_test_failed") != 0) & ~status.conflict]
     emergency_ns, failed_ns = raised * interval_ns, failed * interval_ns
     counts += AlignCounts(emergencies=len(emergency_ns), self_test_failures=len(failed_ns))
-    block = SampleBlock(vehicle, node, ACCELERATIONS, t_ns, si, valid)
-    return NodeSamples(block, saturated, clipped, invalid, np.union1d(emergency_ns, failed_ns), of_box), counts
+    fault_ns = np.union1d(emergency_ns, failed_ns)
+    return NodeSamples(node, t_ns, si, valid, saturated, clipped, invalid, fault_ns, of_box), counts
 
 
 def _of_node(messages: Mapping[int, TickedValues], kind: str, node: int) -> TickedValues | None:
@@ -343,11 +329,10 @@ def vehicle_motion(messages: Mapping[int, TickedValues], interval_ns: int) -> Ve
 
 
 def _track(messages: Mapping[int, TickedValues], kind: str, names: tuple[str, ...]) -> Track:
-    found = (m for m in messages.values() if m.plan.kind == kind and m.plan.node == VEHICLE_NODE)
-    ticked = next(found, None)
+    ticked = _of_node(messages, kind, VEHICLE_NODE)
     if ticked is None:
         return Track(np.empty(0, np.int64), np.empty((0, len(names))))
-    values = MessageValues(ticked.plan, np.arange(len(ticked.tick)), ticked.raw).values()
+    values = ticked.values()
     values[ticked.conflict] = np.nan
     return Track(ticked.tick, values[:, [ticked.plan.names.index(name) for name in names]])
 

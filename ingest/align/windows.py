@@ -130,7 +130,7 @@ def vehicle_samples(
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in catalogue.wheelset_nodes:
-        found = node_samples(vehicle, node, catalogue, messages)
+        found = node_samples(node, catalogue, messages)
         if found is not None:
             nodes[node] = found[0]
             counts += found[1]
@@ -155,7 +155,7 @@ def windows_of(
             node = samples.nodes.get(axle)
             if node is None:
                 continue
-            span = slice(*np.searchsorted(node.block.t_ns, [start_ns, start_ns + length_ns]).tolist())
+            span = slice(*np.searchsorted(node.t_ns, [start_ns, start_ns + length_ns]).tolist())
             if span.stop - span.start < MIN_PRESENCE * count:
                 yield WindowCounts(windows_too_short=span.stop > span.start)
                 continue
@@ -171,7 +171,7 @@ def _window(
     motion: GridMotion,
     lookup: RegistryLookup,
 ) -> MountedWindow | WindowCounts:
-    t_ns, axle = node.block.t_ns[span], node.block.node
+    t_ns, axle = node.t_ns[span], node.node
     times_ns = (int(t_ns[0]), extent[0] + extent[1] // 2, int(t_ns[-1]))
     mounting, *others = {lookup.mounting_at(axle, at_ns) for at_ns in times_ns}
     if mounting is None or others:
@@ -187,7 +187,7 @@ def _window(
     if node.clipped_seconds is not None:
         struck_out = narrowed(node.clipped_seconds[span], node.saturated[span], samples.interval_ns * 1e-9)
         clipped = np.asarray(clipped | struck_out)
-    good, many = good_samples(slot, node.block.valid[span], clipped, motion.speed, guard)
+    good, many = good_samples(slot, node.valid[span], clipped, motion.speed, guard)
     section, number = _section(motion, slot, good, lookup) if many else (None, NO_SECTION)
     distance = np.full(len(motion.distance), np.nan)
     if section is not None:
@@ -196,7 +196,7 @@ def _window(
         good &= ~np.isnan(distance[slot])
     valid = np.zeros(len(motion.speed), dtype=np.bool_)
     valid[slot[good]] = True
-    accelerations = gridded(node.block.values[span], slot, good, len(valid), len(ACCELERATIONS))
+    accelerations = gridded(node.values[span], slot, good, len(valid), len(ACCELERATIONS))
     for array in (accelerations, distance, valid):
         array.flags.writeable = False
     named: dict[str, Any] = dict(zip(ACCELERATIONS, accelerations, strict=True))

@@ -282,7 +282,7 @@ def aligned_run(run: ExchangeRun, facts: RegistryFacts, position_quality: float)
     messages = {}
     for plan, values in tables.items():
         raw = np.rint(values / [signal.scale for signal in plan.signals]).astype(np.int64)
-        messages[plan.arbitration_id] = TickedValues(plan, run.tick, raw, never)
+        messages[plan.arbitration_id] = TickedValues(plan, raw, run.tick, never)
     ends = run.tick[[0, -1]] * INTERVAL_NS
     counts = AlignCounts(samples=len(run.tick) * len(run.accelerations))
     return AlignedFrames(MappingProxyType(messages), TimeFrames(ends, ends), FrameCounts(), counts)

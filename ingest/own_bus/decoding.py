@@ -11,7 +11,6 @@ import numpy as np
 from estimation.errors import LogFileError
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.windows import ACCELERATIONS
 from ingest.align.clock import (
     TIME_REACH_NS,
     AlignCounts,
@@ -23,7 +22,7 @@ from ingest.align.clock import (
     time_frames,
 )
 from ingest.align.cycles import SyncClock, sync_clock_of
-from ingest.align.samples import LONGEST_GAP_NS, NodeSamples, SampleBlock, Track, VehicleMotion
+from ingest.align.samples import LONGEST_GAP_NS, NodeSamples, Track, VehicleMotion
 from ingest.align.windows import VehicleSamples
 from ingest.catalogue import SYNC_ID, SYNC_PERIOD, TIME_ID, MessagePlan, SignalPlan
 from ingest.codec import Decoded, FrameCounts, MessageValues
@@ -83,7 +82,7 @@ def decode_own(bus: OwnBus, batch: FrameBatch) -> Decoded:
             index = index[value == message.multiplexer_value]
         if len(index):
             columns = [_raw(batch, index, *pair) for pair in zip(message.plan.signals, message.bits, strict=True)]
-            messages[key] = MessageValues(message.plan, index, np.column_stack(columns))
+            messages[key] = MessageValues(message.plan, np.column_stack(columns), index)
     extended = unknown & ((identifier & EXTENDED_FLAG) != 0)
     counts = FrameCounts(
         frames=len(batch),
@@ -126,7 +125,7 @@ def _renamed(decoded: Decoded, plan: MessagePlan, signals: tuple[SignalReference
         np.rint(values.raw[:, signal.column] * signal.plan.scale + signal.plan.offset).astype(np.int64)
         for signal in signals
     ]
-    return MessageValues(plan, values.index, np.column_stack(columns))
+    return MessageValues(plan, np.column_stack(columns), values.index)
 
 
 def _plan(name: str, identifier: int, limits: dict[str, tuple[int, int]]) -> MessagePlan:
@@ -193,7 +192,7 @@ def own_samples(vehicle: str, bus: OwnBus, messages: Messages) -> tuple[VehicleS
     nodes: dict[int, NodeSamples] = {}
     counts = AlignCounts()
     for node in bus.nodes:
-        found = _node_samples(vehicle, node, bus.sample_interval_ns, messages)
+        found = _node_samples(node, bus.sample_interval_ns, messages)
         if found is not None:
             nodes[node.axle] = found[0]
             counts += found[1]
@@ -211,9 +210,7 @@ def _count(signal: SignalReference, interval_s: float) -> float:
     return abs(signal.scale) * float(per_derivative**signal.derivatives)
 
 
-def _node_samples(
-    vehicle: str, node: OwnNode, interval_ns: int, messages: Messages
-) -> tuple[NodeSamples, AlignCounts] | None:
+def _node_samples(node: OwnNode, interval_ns: int, messages: Messages) -> tuple[NodeSamples, AlignCounts] | None:
     found = [_values(signal, messages) for signal in node.sensors]
     if all(len(item.tick) == 0 for item in found):
         return None
@@ -247,8 +244,8 @@ def _node_samples(
         failed = (ticked.raw[:, node.fault.signal.column] != node.fault.good) & ~ticked.conflict
         fault = ticked.tick[failed] * interval_ns
         counts += AlignCounts(self_test_failures=len(fault))
-    block = SampleBlock(vehicle, node.axle, ACCELERATIONS, tick * interval_ns, values, ~np.isnan(values))
-    return NodeSamples(block, saturated, clipped, invalid, fault), counts
+    t_ns, valid = tick * interval_ns, ~np.isnan(values)
+    return NodeSamples(node.axle, t_ns, values, valid, saturated, clipped, invalid, fault), counts
 
 
 def _values(signal: SignalReference, messages: Messages) -> _Values:

@@ -160,7 +160,7 @@ def vehicle_frames(
             connected[first], connected[first + 1] = connected[first + 1], connected[first]
     for axle, record in enumerate(connected):
         batches += _wheelset_node(catalogue, run, axle, record, ticks)
-    whole = sort_by_time(concatenate(batches, channel="can0"))
+    whole = sort_by_time(concatenate(batches))
     keep = _kept(scenario, whole, rng)
     return whole if keep.all() else take(whole, keep)
 
