@@ -258,6 +258,12 @@ def extent(source: ChunkRecord) -> list[Span]:
     return [(source.first_ns - CONTEXT_NS, source.last_ns + CONTEXT_NS)]
 
 
+def add_stale(unit: SqlUnitOfWork, record: ChunkRecord, cause: str) -> None:
+    """Let the windows that a recording changes be made again."""
+    for from_ns, to_ns in extent(record):
+        unit.stale_spans.add(record.vehicle, from_ns, to_ns + 1, cause)
+
+
 def _span(recording: Recording, aligned: Iterable[AlignedFrames]) -> Span | None:
     """Return the span of a recording on the vehicle's clock: by its own TIME frames, else by those beside it."""
     if recording.frames == 0:

@@ -10,7 +10,7 @@ from estimation.errors import ConflictError
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from ingest.assembly import SpanAssembly, extent
+from ingest.assembly import SpanAssembly, add_stale
 from ingest.recordings import Recording
 
 UNDECODABLE = frozenset({ChunkState.REJECTED, ChunkState.SET_ASIDE, ChunkState.DELETED})
@@ -121,8 +121,9 @@ def enter_receipt(unit: SqlUnitOfWork, record: ChunkRecord, deleted: DeletedReco
     if found.purged_ns is not None:  # its bytes are there again
         found = replace(found, purged_ns=None)
         unit.chunks.update(found)
-        for from_ns, to_ns in extent(found):  # what changed meanwhile has not reached its windows
-            unit.stale_spans.add(found.vehicle, from_ns, to_ns + 1, f"recording {found.digest[:12]}: received again")
+        add_stale(
+            unit, found, f"recording {found.digest[:12]}: received again"
+        )  # what changed meanwhile is not in them
     return found, True
 
 

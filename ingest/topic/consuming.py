@@ -22,10 +22,9 @@ from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.held import release
-from ingest.intake.backlog import BacklogWatch, Behind, Limit, decode_received
+from ingest.intake.backlog import BacklogWatch, Behind, DecodedChunks, Limit
 from ingest.live.backoff import Backoff
 from ingest.receipts import Chunk, DeletedRecordings, enter_receipt
-from ingest.receiver import Receiver
 from ingest.topic.reading import Received, TopicReader
 from ingest.topic.reference import ConsumerStatus, Outcome, Reference, Refused, as_text, from_text, read_message
 
@@ -147,13 +146,8 @@ FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Decoding:
-    """What decodes: the receipts of a storage, by a receiver, in the name of a process."""
-
-    storage: SqlStorage
-    receiver: Receiver
-    holder: str
+Decode = Callable[[Callable[[int, int], None], str | None], DecodedChunks]
+"""Decodes what waits, as :func:`ingest.intake.backlog.decode_received`, given its last two arguments."""
 
 
 class Consuming:
@@ -163,13 +157,13 @@ class Consuming:
         self,
         reader: TopicReader,
         taking: ReferenceTaking,
-        decoding: Decoding,
+        decode: Decode,
         status: ConsumerStatus,
         stopped: Callable[[], bool],
     ) -> None:
         self._reader = reader
         self._taking = taking
-        self._decoding = decoding
+        self._decode_received = decode
         self._status = status
         self._stopped = stopped
         self._looked_s = float("-inf")
@@ -271,8 +265,7 @@ class Consuming:
                 raise StoppedError(done, total)
             self._reader.stay()
 
-        one = self._decoding
-        counts = decode_received(one.storage, one.receiver, one.holder, checkpoint, vehicle)
+        counts = self._decode_received(checkpoint, vehicle)
         self._status.decoded += counts.decoded
         self._status.not_decoded += counts.others
         return counts.decoded + counts.others
