@@ -21,8 +21,8 @@ from ingest.align.windows import (
     vehicle_samples,
     windows_of,
 )
-from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
 from ingest.exchange.intake import check_alone
+from ingest.exchange.run import SUFFIX as EXCHANGE_SUFFIX
 from ingest.frames import count_dropped
 from ingest.own_bus.bus import OwnBus
 from ingest.own_bus.decoding import own_samples

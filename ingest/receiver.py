@@ -25,9 +25,9 @@ from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from ingest.assembly import Assembler
 from ingest.catalogue import Catalogue
-from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
-from ingest.exchange.bundle import write_bundle
 from ingest.exchange.intake import check_alone, checked_exchange
+from ingest.exchange.run import SUFFIX as EXCHANGE_SUFFIX
+from ingest.exchange.run import write_bundle
 from ingest.held import HeldRecordings
 from ingest.logs.formats import format_of
 from ingest.own_bus.bus import BusChoice

@@ -16,9 +16,8 @@ from fleet_db.receipts import ChunkRecord
 from fleet_db.storage import SqlUnitOfWork
 from ingest.align.clock import TIME_REACH_NS, AlignedFrames, align_to_clock, check_sync_rate, frames_near
 from ingest.catalogue import Catalogue
-from ingest.exchange.bundle import SUFFIX as EXCHANGE_SUFFIX
-from ingest.exchange.bundle import read_bundle
-from ingest.exchange.run import aligned_run, exchange_catalogue
+from ingest.exchange.run import SUFFIX as EXCHANGE_SUFFIX
+from ingest.exchange.run import aligned_run, exchange_catalogue, read_bundle
 from ingest.frames import FrameBatch, between, empty_batch, merge
 from ingest.logs.formats import read_content
 from ingest.own_bus.bus import OwnBus

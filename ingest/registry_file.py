@@ -48,8 +48,7 @@ from ingest.track_file import (
     read_track_columns,
     uniform_distance,
 )
-from ingest.vehicle_class_file import read_vehicle_class
-from ingest.vehicle_class_schema import VehicleClassEntry
+from ingest.vehicle_class_schema import VehicleClassEntry, read_vehicle_class
 
 FORMAT = "treadwatch-registry-1"
 

@@ -9,11 +9,14 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from decimal import Decimal
+from functools import cache
+from importlib import resources
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from estimation.errors import ParameterError
+from estimation.errors import InputError, NotFoundError, ParameterError
 from estimation.values.fields import JsonValue
 from estimation.vehicle.equations_of_motion import GRAVITY, VehicleParameters
 from estimation.vehicle.kalker import (
@@ -27,7 +30,7 @@ from estimation.vehicle.kalker import (
 )
 from estimation.vehicle.plausibility import check_plausible
 from estimation.vehicle.vehicle_class import Arrangement, BogieParameters, VehicleClass, default_relative_std
-from ingest.input_file import Code, InputTable, NotNegative, Text, field_error
+from ingest.input_file import Code, InputFile, InputTable, NotNegative, Text, field_error, read_toml
 from ingest.vehicle_sensor_schema import SensorsTable
 
 WHEELS_OF_AN_AXLE = 2
@@ -334,3 +337,46 @@ def _number(field: str, number: UncertainNumber, key: str) -> tuple[float, float
 def _metres(millimetres: float) -> float:
     """Return the number nearest to the decimal one in m: 745.2 mm is 0.7452 m, not 0.7452000000000001 m."""
     return float(Decimal(repr(millimetres)).scaleb(-3))
+
+
+FORMAT = "treadwatch-vehicle-class-1"
+_SHIPPED = resources.files(__package__) / "vehicle_classes"
+
+
+class VehicleClassFile(VehicleClassEntry):
+    """The whole file."""
+
+    format: Literal["treadwatch-vehicle-class-1"]
+
+
+def read_vehicle_class(path: Path, error_type: type[InputError] = InputError) -> VehicleClass:
+    """Return the class of a file."""
+    return parse_vehicle_class(read_toml(path, error_type))
+
+
+def parse_vehicle_class(file: InputFile) -> VehicleClass:
+    """Return the class of a file that was read."""
+    return file.parse(VehicleClassFile).record()
+
+
+def shipped_classes() -> tuple[str, ...]:
+    """Return the codes of the classes that the package ships, sorted."""
+    return tuple(sorted(item.name.removesuffix(".toml") for item in _SHIPPED.iterdir() if item.name.endswith(".toml")))
+
+
+def shipped_path(code: str) -> Path:
+    """Return the file of a class that the package ships."""
+    if code not in shipped_classes():
+        raise NotFoundError("shipped vehicle class", code)
+    return Path(str(_SHIPPED / f"{code}.toml"))
+
+
+@cache
+def class_of_package(code: str) -> VehicleClass | None:
+    """Return a class that the package ships; None where it ships none of this code."""
+    return shipped_class(code) if code in shipped_classes() else None
+
+
+def shipped_class(code: str) -> VehicleClass:
+    """Return a class that the package ships."""
+    return read_vehicle_class(shipped_path(code))

@@ -20,9 +20,8 @@ from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import ACCELERATIONS, Window, WindowQuality
 from estimation.vehicle.equations_of_motion import GRAVITY
 from fleet_db.storage import SqlUnitOfWork
-from ingest.exchange.bundle import SUFFIX, read_run
 from ingest.exchange.description import AxesTable, ExchangeFile, read_description
-from ingest.exchange.run import COUNT, INTERVAL_NS, ExchangeRun, RegistryFacts
+from ingest.exchange.run import COUNT, INTERVAL_NS, SUFFIX, ExchangeRun, RegistryFacts, read_run
 from ingest.input_file import InputFile, Location
 
 INTERVAL_S = INTERVAL_NS * 1e-9

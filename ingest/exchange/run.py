@@ -7,9 +7,14 @@ exchange by the code that cuts them from a log.
 
 from __future__ import annotations
 
+import json
+import shutil
+import tempfile
+import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
+from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated
 
@@ -25,8 +30,10 @@ from ingest.align.clock import AlignCounts, AlignedFrames, TickedValues, TimeFra
 from ingest.catalogue import ACCELERATION, MOTION, POSITION, SYNC, VEHICLE_NODE, Catalogue, MessagePlan, SignalPlan
 from ingest.codec import FrameCounts
 from ingest.derivative import derivative
-from ingest.exchange.description import SIGNALS, Column, ExchangeFile, unit
-from ingest.exchange.table import ExchangeTable
+from ingest.exchange.description import SIGNALS, Column, ExchangeFile, read_description, unit
+from ingest.exchange.table import PARQUET, SUFFIXES, ExchangeTable, read_table, read_table_apart
+from ingest.file_value import read_value
+from ingest.input_file import read_json
 from ingest.units import DERIVATIVES, Quantity
 
 RATE_TOLERANCE = 1e-3  # how far the rate of the table may be from the declared one
@@ -286,3 +293,54 @@ def aligned_run(run: ExchangeRun, facts: RegistryFacts, position_quality: float)
     ends = run.tick[[0, -1]] * INTERVAL_NS
     counts = AlignCounts(samples=len(run.tick) * len(run.accelerations))
     return AlignedFrames(MappingProxyType(messages), TimeFrames(ends, ends), FrameCounts(), counts)
+
+
+SUFFIX = ".exchange"
+DESCRIPTION, TABLE, FACTS = "exchange.toml", "table", "registry.json"
+TIMESTAMP = (1980, 1, 1, 0, 0, 0)
+LARGEST_BYTES = 4 << 30
+
+
+def read_run(file: ExchangeFile, table: Path, facts: RegistryFacts) -> ExchangeRun:
+    """Return the run of an exchange."""
+    names = [column.column for _, column in file.columns]
+    read = read_table_apart if table.suffix.lower() == PARQUET else read_table
+    return exchange_run(file, read(table, file.csv, names), facts)
+
+
+def write_bundle(path: Path, description: Path, table: Path, facts: RegistryFacts) -> None:
+    """Write an exchange as one file."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as bundle:
+        _add(bundle, DESCRIPTION, description)
+        _add(bundle, TABLE + table.suffix.lower(), table)
+        bundle.writestr(zipfile.ZipInfo(FACTS, TIMESTAMP), json.dumps(asdict(facts), sort_keys=True))
+
+
+def _add(bundle: zipfile.ZipFile, name: str, path: Path) -> None:
+    with path.open("rb") as source, bundle.open(zipfile.ZipInfo(name, TIMESTAMP), "w", force_zip64=True) as target:
+        shutil.copyfileobj(source, target, 1 << 20)
+
+
+def read_bundle(path: Path) -> tuple[ExchangeFile, ExchangeRun, RegistryFacts]:
+    """Return description, run and facts of a stored exchange."""
+    with tempfile.TemporaryDirectory(prefix="treadwatch-exchange-") as name:
+        folder = Path(name)
+        table = _unpack(path, folder)
+        file, _ = read_description(folder / DESCRIPTION)
+        facts = read_value(read_json(folder / FACTS, ExchangeError), RegistryFacts)
+        return file, read_run(file, table, facts), facts
+
+
+def _unpack(path: Path, folder: Path) -> Path:
+    try:
+        with zipfile.ZipFile(path) as bundle:
+            names = {item.filename: item for item in bundle.infolist()}
+            tables = [name for name in names if name in {TABLE + suffix for suffix in SUFFIXES}]
+            if len(tables) != 1 or set(names) != {DESCRIPTION, FACTS, tables[0]}:
+                raise ExchangeError("is no stored exchange", file=path)
+            if sum(item.file_size for item in names.values()) > LARGEST_BYTES:
+                raise ExchangeError("is too large", file=path)
+            bundle.extractall(folder)
+    except (OSError, zipfile.BadZipFile, EOFError) as error:
+        raise ExchangeError(f"is no stored exchange: {error}", file=path) from error
+    return folder / tables[0]

@@ -30,7 +30,7 @@ from ingest.live.backoff import Backoff
 from ingest.live.records import FRAME, decode
 from ingest.live.spool import Piece, Spool
 from ingest.live.status import LiveStatus, Reports
-from ingest.logs.blf_writer import blf_bytes
+from ingest.logs.blf_layout import blf_bytes
 from ingest.receiver import ChunkReceipt, Receiver
 
 RECORDING_SUFFIX = ".blf"

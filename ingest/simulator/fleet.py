@@ -20,7 +20,7 @@ from estimation.values.arrays import FloatArray
 from ingest.bus import send
 from ingest.catalogue import default_catalogue
 from ingest.frames import FrameBatch
-from ingest.logs.blf_writer import write_blf
+from ingest.logs.blf_layout import write_blf
 from ingest.simulator.axle_motion import DerailmentError, axle_motions, contact_of, together, true_geometry
 from ingest.simulator.bus_frames import vehicle_frames
 from ingest.simulator.campaign import (

@@ -38,7 +38,7 @@ from ingest.simulator.scenario import (
 from ingest.simulator.section import RailFiles, SectionTable
 from ingest.simulator.sensors import SensorNode, SensorsTable
 from ingest.simulator.wear import DAYS_PER_YEAR, rail_in, wheel_in
-from ingest.vehicle_class_file import read_vehicle_class, shipped_classes, shipped_path
+from ingest.vehicle_class_schema import read_vehicle_class, shipped_classes, shipped_path
 
 
 @dataclass(frozen=True, slots=True)
