@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from estimation.contact.conicity import equivalent_conicity, middle_of_travel, zero_crossing
-from estimation.geometry.rolling_line import FREE, ContactRoll, held_difference_std, moved_off, standard_curve
-from estimation.geometry.sharpening import Sharpening, edges_and_centres, jumps_displaced, nodes_of, sharpen
+from estimation.geometry.sharpening import (
+    FREE,
+    ContactRoll,
+    Sharpening,
+    edges_and_centres,
+    held_difference_std,
+    jumps_displaced,
+    moved_off,
+    nodes_of,
+    sharpen,
+    standard_curve,
+    widest,
+)
 from estimation.geometry.uncertainty import DisplacementError
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import Centre, CentreOrigin
-from estimation.values.quantities import NORMAL_95, Estimate, jackknife_std, with_interval
+from estimation.values.quantities import Estimate, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 
 FEWEST_NODES = 5
@@ -82,7 +92,8 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     run = _run_around_zero(curve)
     groups = len(curve.difference) - 1
     if run is None or groups < FEWEST_GROUPS:
-        unknown = Estimate.unknown(_too_little(groups), curve.count)
+        few_bins = Reason(ReasonCode.TOO_FEW_BINS, "too few bins around the centre have samples")
+        unknown = Estimate.unknown(too_few_blocks(groups) if groups < FEWEST_GROUPS else few_bins, curve.count)
         return CurveEstimates(
             amplitude, (unknown,) * len(amplitude), parameters.reference_amplitude, unknown, unknown, unknown
         )
@@ -112,12 +123,6 @@ def not_covered(amplitude: float) -> Reason:
 def too_few_blocks(groups: int) -> Reason:
     """Return that there are too few blocks of running time for an interval."""
     return Reason(ReasonCode.TOO_FEW_BLOCKS, f"{groups} blocks of data, {FEWEST_GROUPS} are needed")
-
-
-def _too_little(groups: int) -> Reason:
-    if groups < FEWEST_GROUPS:
-        return too_few_blocks(groups)
-    return Reason(ReasonCode.TOO_FEW_BINS, "too few bins around the centre have samples")
 
 
 def _nonlinearity(
@@ -222,19 +227,10 @@ def _systematic(
         [
             equivalent_conicity(x / (1 - error.excess), curve, amplitude) - here,
             (1.0 if sharp.left else BLUR_SHARE) * (equivalent_conicity(*blurred, amplitude) - here),
-            _widest(stretched, here),
-            _widest(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
+            widest(stretched, here),
+            widest(displaced, here) if np.isfinite(middle) else np.zeros(len(here)),
         ]
     )
-
-
-def _widest(changed: Callable[[float], FloatArray], here: FloatArray) -> FloatArray:
-    """Return the largest change per std within a 95 % interval, either way: a jump may be passed far out only.
-
-    Where a change leaves the range covered, the other way counts.
-    """
-    changes = [np.abs(changed(share) - here) / abs(share) for share in (-NORMAL_95, -1.0, 1.0, NORMAL_95)]
-    return np.asarray(np.max(np.nan_to_num(changes, posinf=np.inf), axis=0))
 
 
 def _estimate(values: FloatArray, groups: int, count: float, reason: Reason) -> Estimate:

@@ -175,8 +175,7 @@ def _replicates(table: BinTable, bins: BinParameters, parameters: GeometryParame
         by_scales = np.zeros((b, REGRESSORS - 1, 0))
     else:
         stds = parameters.uncertainty.of_bogie
-        shared = solve_with_shared_scales(sums, weight, size, len(YAW_TARGETS), stds, COUNTED_AS_ONE)
-        yaw, by_scales = shared.solution, shared.sensitivity
+        yaw, by_scales = solve_with_shared_scales(sums, weight, size, len(YAW_TARGETS), stds, COUNTED_AS_ONE)
     own = yaw.theta.reshape(len(weight), b, size, len(YAW_TARGETS))[:, :, size - REGRESSORS :]
     vehicle = bins.vehicle
     per_metre = vehicle.half_contact_distance * vehicle.longitudinal_creep_coefficient / vehicle.nominal_radius

@@ -35,14 +35,6 @@ from estimation.vehicle.regressors import REGRESSORS, YAW_TARGETS
 SMALLEST = 1e-200  # variance, so that without any sample the shared coefficients are zero
 
 
-@dataclass(frozen=True, slots=True)
-class SharedSolution:
-    """What :func:`solve_with_shared_scales` returns."""
-
-    solution: Solution  # of r b cells; the shared coefficients stand in each
-    sensitivity: FloatArray  # (b, p - q, q): own coefficients of replicate 0 per std of what is left of the shared ones
-
-
 def solve_with_shared_scales(
     packed: FloatArray,
     weight: FloatArray,
@@ -50,8 +42,11 @@ def solve_with_shared_scales(
     targets: int,
     prior_stds: Sequence[float],
     counted_as_one: Sequence[float] | None = None,
-) -> SharedSolution:
+) -> tuple[Solution, FloatArray]:
     """Return the least-squares solution of every bin with the first coefficients common to all bins of a replicate.
+
+    The solution is of r b cells; the shared coefficients stand in each. Beside it (b, p - q, q): the own coefficients
+    of replicate 0 per std of what is left of the shared ones.
 
     Args:
         packed: (r, b, packed_size) moments of r replicates of b bins.
@@ -92,7 +87,7 @@ def solve_with_shared_scales(
     size = np.sqrt(variance[0] * counted)
     unknown = size[:, None] * np.linalg.inv(left[0] + known[0]) * size
     moved = np.where(known_bins[0], -of_shared[0] @ np.linalg.cholesky(unknown), np.nan)
-    return SharedSolution(solution, np.asarray(moved))
+    return solution, np.asarray(moved)
 
 
 def _inverse(gram: FloatArray) -> tuple[FloatArray, BoolArray]:
@@ -154,10 +149,10 @@ def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0)
     shared = len(priors)
     regressors = shared + REGRESSORS - 1
     moments = sums[:, used], weight[:, used], regressors, len(YAW_TARGETS)
-    solved = solve_with_shared_scales(*moments, priors).solution
+    solved, _ = solve_with_shared_scales(*moments, priors)
     theta = solved.theta.reshape(len(weight), int(used.sum()), regressors, len(YAW_TARGETS))
     unit = 1.0 if in_bogie else 0.5 * p.half_contact_distance * p.load / p.yaw_stiffness
-    of_spring = solve_with_shared_scales(*moments, (*priors[:2], STRAIGHT)).solution.theta if in_bogie else solved.theta
+    of_spring = solve_with_shared_scales(*moments, (*priors[:2], STRAIGHT))[0].theta if in_bogie else solved.theta
     errors = unit * np.nanmedian(of_spring.reshape(theta.shape)[:, :, 0, 0], axis=1)
     per_metre = p.half_contact_distance * p.longitudinal_creep_coefficient / p.nominal_radius
     counts = weight[0, used]

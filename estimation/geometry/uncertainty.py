@@ -13,7 +13,7 @@ from typing import Self
 
 import numpy as np
 
-from estimation.geometry.rolling_line import FREE, ContactRoll, held_shares
+from estimation.geometry.sharpening import FREE, ContactRoll, held_shares
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindings
 from estimation.vehicle.vehicle_class import VehicleClass
@@ -72,7 +72,7 @@ class ParameterUncertainty:
     alignment_noise: float = 0.0  # m, std of the error of y - d by the alignment; that by sensors is in bin tables
     scale: float = 0.0  # of rL - rR as a whole: by nominal radius, half contact distance and the yaw sensor
     of_bogie: tuple[float, float, float] = (0.02, 0.02, MOUNTING_STD)  # yaw sensor against the frame's, those, angle
-    held_shares: tuple[float, ...] = FREE  # of a difference of diameters, by ``rolling_line.SLOPES``
+    held_shares: tuple[float, ...] = FREE  # of a difference of diameters, by ``sharpening.SLOPES``
     contact_roll: ContactRoll | None = None  # in y - d; None where y - d needs nothing more
 
     @classmethod

@@ -1,4 +1,11 @@
-"""Checks of a window on its own: it must move, its position go with its speed, its axes with its direction."""
+"""Checks of a window on its own: it must move, its position go with its speed, its axes with its direction.
+
+Which samples of a window can be used, and what became of the others; curves, which are left out, among them.
+
+In a curve the lateral accelerometers of wheelset and mass measure V^2 kappa - g theta, the acceleration that the cant
+leaves uncompensated. An offset of the sensor looks the same, but does not change within a minute. What cannot be
+detected: a window within a single curve, and a curve whose cant is that of the speed.
+"""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def judged(
     """Return what a library says of a wheelset.
 
     Args:
-        library: Of entries that may be learned from (``admission``); none of them shares data with the wheelset.
+        library: Of entries that may be learned from; none of them shares data with the wheelset.
     """
     same = [one for one in signatures if one.place in library.places]
     chosen = same or list(signatures)

@@ -1,5 +1,13 @@
 """The linear model of a vehicle class: its modes with names, and the speed above which it hunts.
 
+Small motion about the middle of a straight track at one speed. The columns of the matrices are the equations of
+``equations_of_motion`` at unit states, so that they stay one definition. The contact geometry is that of one conicity:
+
+    R = rL - rR = 2 gamma x,   S = rL + rR = 2 r0,   D = dL - dR = c R,   A = dL + dR,   phi = gamma x / l
+
+with x = y - d. c is 1 / (delta0 Rw) for a wheel of transverse radius Rw that touches at the angle delta0
+(A. H. Wickens, "Fundamentals of Rail Vehicle Dynamics", 2003, Chapter 2).
+
 The lateral and the yaw equation of one wheelset as a filter of what its sensors measure.
 
     e(s) = E(s) u(s),   u = (y, psi, phi, ym, yn, x)

@@ -107,11 +107,8 @@ def _modes(p: VehicleParameters, bogie: BogieParameters | None) -> Iterator[Plau
     torsion = 2 * p.yaw_stiffness + both * (bogie.wheelbase / 2) ** 2
     names = "frame_yaw_inertia", "yaw_stiffness", "lateral_stiffness", "wheelbase"
     yield _mode(f"frame yaw {on}", torsion, bogie.frame_yaw_inertia, (3.0, 90.0), *names)
-    on, stiffness, torsion = (
-        "on the secondary springs",
-        bogie.secondary_lateral_stiffness,
-        bogie.secondary_yaw_stiffness,
-    )
+    on = "on the secondary springs"
+    stiffness, torsion = bogie.secondary_lateral_stiffness, bogie.secondary_yaw_stiffness
     if stiffness:
         names = "secondary_lateral_stiffness", "body_mass"
         yield _mode(f"body lateral {on}", stiffness, bogie.body_mass, (0.2, 6.0), *names)
