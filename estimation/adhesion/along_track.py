@@ -146,8 +146,8 @@ def creep_levels(
     entry = sums.vehicle * len(sums.cells) + sums.place
     left = sums.squares[:, 1] - slope[sums.wheelset] * sums.squares[:, 4] - usual
     passed, index = np.unique(entry, return_inverse=True)
-    square = _summed(sums.squares[:, 2], index, len(passed)) + TINY
-    exceeds, expected = _summed(left, index, len(passed)) / square, _summed(usual, index, len(passed)) / square
+    square = np.bincount(index, sums.squares[:, 2], len(passed)) + TINY
+    exceeds, expected = np.bincount(index, left, len(passed)) / square, np.bincount(index, usual, len(passed)) / square
     vehicle = passed // len(sums.cells)
     by_rails = before.level_std * float(np.median(expected)) / before.usual
     usual_rails = ~slippery[passed % len(sums.cells)]
@@ -166,7 +166,3 @@ def _shrunk(exceeds: FloatArray, by_rails: float, likely: float) -> float:
     spread = ROBUST * float(np.median(np.abs(exceeds - middle)))
     sampled = MEDIAN_ERROR * spread / np.sqrt(len(exceeds))
     return float(middle * likely**2 / (likely**2 + by_rails**2 + sampled**2))
-
-
-def _summed(values: FloatArray, index: IntArray, count: int) -> FloatArray:
-    return np.asarray(np.bincount(index, weights=values, minlength=count), np.float64)

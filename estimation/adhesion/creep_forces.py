@@ -287,7 +287,6 @@ def _named(
     roll_rate: FloatArray,
     p: VehicleParameters,
 ) -> FloatArray:
-    """Return contact force, moment of creep, yaw rate and roll (4, m) of an axle."""
     force = made.states + 2 * axle
     gyroscopic = p.pitch_inertia * segment.speed / p.nominal_radius * roll_rate
     return np.stack([states[:, force], states[:, force + 1] + gyroscopic, states[:, AXLE * axle + 3], roll])

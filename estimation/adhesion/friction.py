@@ -52,10 +52,8 @@ def _left(sums: PassSums, creep: FloatArray, slope: FloatArray) -> float:
     """Return the squares of e that are left where each place has the friction that fits it best, but for a constant."""
     b, a = creep[sums.vehicle], slope[sums.wheelset]
     _, eq, qq, _, qx, _ = sums.squares.T
-    ge, gg, gq, gx = (sums.saturated[:, row] for row in range(4))
     linear = b * (b * qq - 2.0 * eq + 2.0 * a * qx)
-    saturated = gg - 2.0 * ge + 2.0 * b[:, None] * gq + 2.0 * a[:, None] * gx
-    return float(linear.sum() + sums.by_place(saturated).min(axis=1).sum())
+    return float(linear.sum() + sums.by_place(_own_misfits(sums, creep, slope)).min(axis=1).sum())
 
 
 LEARNT = 0.7  # of the std beforehand: with more, the passes say nothing of a place
@@ -257,7 +255,6 @@ class _Inverse:
 
 
 def _cell(cell: int, n: int, left: float, found: _Inverse, parameters: FrictionParameters) -> CellFriction:
-    """Return the friction of a place of n passes."""
     if n < parameters.fewest_passes:
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
         return CellFriction(cell, Estimate.unknown(few, float(n)), 0.0, 0.0, n)

@@ -42,13 +42,10 @@ class ContactAngles(FrozenArrays):
     angle_sum: Annotated[FloatArray, "n"]  # dL + dR, rad
     misfit: float  # m, rms of rL - rR against the estimate
 
-    def difference_at(self, difference: FloatArray) -> FloatArray:
-        """Return dL - dR (n,), rad, at rL - rR (n,), m; beyond the table its last values."""
-        return np.asarray(np.interp(difference, self.difference, self.angle_difference))
-
-    def sum_at(self, difference: FloatArray) -> FloatArray:
-        """Return dL + dR (n,), rad, at rL - rR (n,), m; beyond the table its last values."""
-        return np.asarray(np.interp(difference, self.difference, self.angle_sum))
+    def at(self, difference: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return dL - dR and dL + dR (n,), rad, at rL - rR (n,), m; beyond the table their last values."""
+        found = (np.interp(difference, self.difference, angles) for angles in (self.angle_difference, self.angle_sum))
+        return next(found), next(found)
 
 
 def contact_angles(

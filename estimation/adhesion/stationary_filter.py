@@ -116,7 +116,6 @@ def _suspension(p: VehicleParameters, n: int, axle: int, place: float | None) ->
 
 
 def _carried(bogie: BogieParameters, rates: FloatArray, force: FloatArray, moment: FloatArray, above: int) -> None:
-    """Write the rates of frame and body into ``rates``."""
     body, stiffness, damping = above + 4, bogie.secondary_lateral_stiffness, bogie.secondary_lateral_damping
     secondary = np.zeros(len(rates))
     secondary[[body, above]] = stiffness, -stiffness
@@ -178,11 +177,8 @@ def _filter(
     rates, noise, scale = _with_inputs(gear, vehicle.load)
     n = len(rates)
     rates, noise = rates * scale / scale[:, None], noise / np.outer(scale, scale)
-    # Van Loan 1978: transition and covariance over a sample from one exponential
-    block = scipy.linalg.expm(dt * np.block([[-rates, noise], [np.zeros((n, n)), rates.T]]))
-    transition = np.ascontiguousarray(block[n:, n:].T)
-    process = transition @ block[:n, n:]
-    process = 0.5 * (process + process.T) + ROUNDING * np.eye(n)
+    transition, process = over_a_sample(rates, noise, dt)
+    process += ROUNDING * np.eye(n)
     rows = _measured(gear, n, speed) * scale
     wheelbase = None if bogie is None else bogie.wheelbase
     variance = _variances(gear, sensors, wheelbase, dt, 2.0 * math.pi * speed / CORNER_WAVELENGTH)
@@ -200,6 +196,19 @@ def _filter(
         axles=gear.axles,
         states=len(gear.rates),
     )
+
+
+def over_a_sample(rates: FloatArray, noise: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
+    """Return transition and covariance (n, n) over a time, s, from one exponential (Van Loan 1978).
+
+    Args:
+        noise: (n, n) intensity of the white noise that drives the states.
+    """
+    n = len(rates)
+    block = scipy.linalg.expm(dt * np.block([[-rates, noise], [np.zeros((n, n)), rates.T]]))
+    transition = np.ascontiguousarray(block[n:, n:].T)
+    process = transition @ block[:n, n:]
+    return transition, 0.5 * (process + process.T)
 
 
 def _with_inputs(gear: GearEquations, load: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -223,7 +232,6 @@ def _with_inputs(gear: GearEquations, load: float) -> tuple[FloatArray, FloatArr
 
 
 def _measured(gear: GearEquations, n: int, speed: float) -> FloatArray:
-    """Return the rows (m, n) of what is measured: accelerations, places, and where wheelsets roll."""
     own, forces = len(gear.rates), 2 * gear.axles
     accelerations = np.zeros((len(gear.measured), n))
     accelerations[:, :own], accelerations[:, own : own + forces] = gear.measured, gear.measured_inputs

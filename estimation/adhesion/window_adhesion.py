@@ -15,7 +15,6 @@ from functools import cache
 from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
 
 from estimation.adhesion.creep_forces import ContactForces
 from estimation.adhesion.gravity import ContactAngles, contact_angles
@@ -144,7 +143,7 @@ def creep_signals(
         valid[start + trim : stop - trim] = True
     contact, moment, R, roll = passed
     none = np.full(len(V), np.nan)
-    D, A = (none, none) if angles is None else (angles.difference_at(R), angles.sum_at(R))
+    D, A = (none, none) if angles is None else angles.at(R)
     lateral = contact + p.load * (0.5 * D + roll)
     spin = 0.5 * p.lateral_spin_creep_coefficient / p.nominal_radius * A
     return CreepSignals(lateral, contact, moment, R, spin, valid & motion.valid & forces.known)
@@ -173,17 +172,13 @@ def friction_sums(
     moment = signals.moment[good]
     e, x = difference[good], motion.displacement[good]
     q = -p.nominal_radius / (p.half_contact_distance * f11) * moment
-    products = (e * e, e * q, q * q, e * x, q * x, x * x)
-    squares = np.stack([_summed(values, index, len(cells)) for values in products], axis=1)
+    sums = [np.bincount(index, values, len(cells)) for values in (e * e, e * q, q * q, e * x, q * x, x * x)]
+    squares = np.asarray(np.stack(sums, axis=1), np.float64)
     saturated = np.zeros((len(cells), 4, len(INVERSE)))
     forces = np.stack([0.5 * moment / p.half_contact_distance, 0.5 * signals.lateral[good], signals.spin[good]])
     add_saturated(excess_table(), np.stack([e, q, x]), forces, index, 0.5 * p.load / INVERSE, saturated)
     kept = counts * step * sample_interval_s >= FEWEST_S
     return FrictionSums(cells[kept], counts[kept].astype(float), squares[kept], saturated[kept])
-
-
-def _summed(values: FloatArray, index: npt.NDArray[np.intp], count: int) -> FloatArray:
-    return np.asarray(np.bincount(index, weights=values, minlength=count), np.float64)
 
 
 def _on_curve(displacement: FloatArray, centres: FloatArray, values: FloatArray) -> FloatArray:

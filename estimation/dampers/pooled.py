@@ -85,7 +85,6 @@ def _diverged(one: WindowDamper) -> bool:
 def _share(
     shown: Sequence[WindowDamper], diverged: int, newest: WindowDamper, parameters: DamperParameters
 ) -> Estimate:
-    """Return the share that windows tell, or why it is not published."""
     count, mismatch = float(len(shown)), Status.MODEL_MISMATCH
     if diverged > parameters.most_diverged * (len(shown) + diverged):
         text = f"the filters of the suspension have diverged in {diverged} of {len(shown) + diverged} windows"

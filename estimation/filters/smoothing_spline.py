@@ -263,14 +263,12 @@ def _spline(distance: FloatArray, known: BoolArray, cutoff_wavelength: float) ->
 
 
 def _products(weighted: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the products (k, m) of functions (k, n) with rows (m, n)."""
     products = np.empty((len(weighted), len(rows)))
     multiply(weighted, rows, products)
     return products
 
 
 def _solved_definite(gram: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solution (k, m) of a positive definite system (k, k)."""
     factor = np.linalg.cholesky(gram)
     return np.asarray(np.linalg.solve(factor.T, np.linalg.solve(factor, right)))
 

@@ -23,7 +23,6 @@ from estimation.values.quantities import jackknife_std, leave_one_out, normal_eq
 from estimation.vehicle.regressors import LATERAL_TARGETS, REGRESSORS, YAW_TARGETS, angle_difference_derivatives
 
 FEWEST_GROUPS = 4
-
 FEWEST_BINS = 5
 
 # Samples that say as much as one would of the scales of sensors and of their angle: errors of y - d last, and look
@@ -122,7 +121,6 @@ def _expected_noise(table: BinTable, bins: BinParameters, uncertainty: Parameter
 def _screened(
     table: BinTable, replicates: _Replicates, bins: BinParameters, parameters: GeometryParameters
 ) -> _BinScreening:
-    """Return which bins have too few samples or a contact jump, and the error of y - d."""
     samples = table.weight.sum(axis=0)
     too_few = (samples < parameters.least_samples) | (replicates.groups_in_bin < FEWEST_GROUPS)
     jump = ~too_few & _jumps(replicates, too_few, parameters)
@@ -145,7 +143,6 @@ def _screened(
 def _curve(
     table: BinTable, replicates: _Replicates, screening: _BinScreening, bins: BinParameters, unc: ParameterUncertainty
 ) -> CurveReplicates:
-    """Return R across each bin with its replicates and sensitivities."""
     shape = np.moveaxis(replicates.yaw[:, :, 1:, :], 2, -1)  # (1 + g, b, 8, 3), by target
     of_parameters = shape[0, :, 1:, :] * unc.yaw()[:, None]
     return CurveReplicates(

@@ -105,7 +105,6 @@ def rolling_radius(parts: Sequence[RollingSums]) -> RollingRadius | None:
 
 
 def _solved(products: FloatArray, noise: FloatArray) -> RollingRadius | None:
-    """Return the radius from sums (parts, BANDS, TERMS, TERMS)."""
     total, of_noise = products.sum(axis=0), noise.sum(axis=0)
     taken_off = noise.copy()
     # curve and gravity are one where contact is straight: its noise is what keeps them apart there

@@ -19,24 +19,14 @@ from estimation.values.track import AlignmentSource, TrackAlignment, TrackFindin
 from estimation.vehicle.vehicle_class import VehicleClass
 
 USUAL_CUTOFF = 40.0  # m, of the high-pass of the motion
-
 UNKNOWN_FACTOR = 0.4  # relative std of a factor from which on nothing is known of the quotient
-
 JUMP_SHARE_UNCORRECTED = 0.5  # of the gauge's own std: contact jumps move by half the gauge deviation
-
 JUMP_SHARE_CORRECTED = 0.22  # the same where what the gauge does to the wheelset is taken off: it is known so well
-
 JUMP_SHARE_GAUGE_ESTIMATED = 0.32  # the same where the gauge had to be found too
-
 JUMP_MEAN_SHARE = 0.25  # of a gauge that is not on file: by how much contact jumps are off on average
-
 SCALE_PER_GAUGE_SQUARE = 0.015e6  # 1/m2, of y - d per variance of the gauge: far out a wheelset runs in wide gauge
-
 SCALE_PER_MEAN_GAUGE = 0.15e3  # 1/m, of y - d per gauge that is wide as a whole: worn wheels at 3 mm, by contact tables
-
-
 LEAST_SCALE_STD = 0.002  # relative, of any sensor: its digits and its drift
-
 MOUNTING_STD = math.radians(2.0)  # of the angle of a yaw sensor about the lateral axis
 
 # Relative, of the displacement of EN 15302: rail heads are no arcs of one radius; the roll of the contact is hidden.

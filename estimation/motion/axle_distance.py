@@ -144,7 +144,6 @@ def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatAr
 
 @lru_cache(maxsize=16)
 def _band_pass(finer: int) -> FloatArray:
-    """Return the filter of a grid that is so many times finer than ``STEP``."""
     from scipy.signal import butter  # noqa: PLC0415 - the same
 
     shortest, longest = BAND

@@ -111,13 +111,21 @@ def straight_part(window: Window, layout: TrackLayout | None, parameters: Signal
         layout: Curves of the section; None where none is on file: then a window that shows a curve is refused.
     """
     if layout is None:
-        running = window.valid & fast_enough(window, parameters)
-        curve = detect_uncompensated_acceleration(window, running, parameters.max_cant_deficiency_change)
-        return check_upright(window, running) or curve or window
+        return check_lateral(window, window.valid & fast_enough(window, parameters), layout, parameters) or window
     left = window.valid & straight(window.distance, layout, parameters)
     if not left.any() and window.valid.any():
         return Reason(ReasonCode.IN_CURVES, "all of the window is in curves")
-    return check_upright(window, left) or replace(window, valid=left)
+    return check_lateral(window, left, layout, parameters) or replace(window, valid=left)
+
+
+def check_lateral(
+    window: Window, usable: BoolArray, layout: TrackLayout | None, parameters: SignalParameters
+) -> Reason | None:
+    """Return that a lateral accelerometer is turned, or, where no layout is stored, that the window shows a curve."""
+    turned = check_upright(window, usable)
+    if turned is not None or layout is not None:
+        return turned
+    return detect_uncompensated_acceleration(window, usable, parameters.max_cant_deficiency_change)
 
 
 def fast_enough(window: Window, parameters: SignalParameters) -> BoolArray:
@@ -240,33 +248,20 @@ def position_jumps(integrated: IntegratedWindow) -> tuple[Jump, ...]:
 
     Over every second the distance must change by what the speed makes of it, within 0.5 m and 5 %.
     """
-    window = integrated.window
-    found: list[Jump] = []
+    window, found = integrated.window, list[Jump]()
     for segment in integrated.segments:
-        at = bridged(window.distance[segment.part], segment.known)
-        start = segment.part.start
-        found += [
-            Jump(start + before, start + after, metres)
-            for before, after, metres in _jumps(at, segment.run, window.sample_interval_s)
-        ]
+        at, run = bridged(window.distance[segment.part], segment.known), segment.run
+        error = at - (1.0 if float(np.median(np.diff(at))) >= 0.0 else -1.0) * run
+        look = min(round(LOOK_S / window.sample_interval_s), len(at) - 1)
+        deviates = np.abs(error[look:] - error[:-look]) > JUMP + JUMP_SHARE * (run[look:] - run[:-look])
+        for first, behind in runs(deviates):
+            # each such second holds the jump, so it is in what they share; where they share nothing all is in doubt
+            low, high = int(behind) - 1, int(first) + look
+            if low > high:
+                low, high = int(first), int(behind) - 1 + look
+            apart, start = error[low : high + 1] - error[low], segment.part.start
+            found.append(Jump(start + low, start + high, float(apart[int(np.argmax(np.abs(apart)))])))
     return tuple(found)
-
-
-def _jumps(at: FloatArray, run: FloatArray, dt: float) -> list[tuple[int, int, float]]:
-    """Return (sample before, sample after, m) of every jump of a segment."""
-    direction = 1.0 if float(np.median(np.diff(at))) >= 0.0 else -1.0
-    error = at - direction * run
-    look = min(round(LOOK_S / dt), len(at) - 1)
-    deviates = np.abs(error[look:] - error[:-look]) > JUMP + JUMP_SHARE * (run[look:] - run[:-look])
-    found = []
-    for first, behind in runs(deviates):
-        # each such second holds the jump, so the jump is in what they share; where they share nothing all is in doubt
-        low, high = int(behind) - 1, int(first) + look
-        if low > high:
-            low, high = int(first), int(behind) - 1 + look
-        apart = error[low : high + 1] - error[low]
-        found.append((low, high, float(apart[int(np.argmax(np.abs(apart)))])))
-    return found
 
 
 def without_jumps(window: Window, jumps: Sequence[Jump]) -> Window:

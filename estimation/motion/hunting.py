@@ -168,7 +168,6 @@ def line_may_hunt(power: FloatArray, frequency: FloatArray, scale: float) -> boo
 
 @cache
 def _window(size: int) -> tuple[FloatArray, float]:
-    """Return the window of a block, and the sum of its squares."""
     window = np.hanning(size)
     window.flags.writeable = False
     return window, float((window**2).sum())

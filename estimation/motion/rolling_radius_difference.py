@@ -238,7 +238,6 @@ def _sampled(values: FloatArray, at: FloatArray, run: FloatArray, shortest: floa
 def _long_waves(
     R: FloatArray, ψ: FloatArray, V: FloatArray, vehicle: VehicleParameters
 ) -> tuple[FloatArray, FloatArray]:
-    """Return R and its stiffness term (m,), m, of the lateral motion of a single wheelset."""
     gravity = _gravity(R, ψ, V, vehicle)
     slow = ψ
     for _ in range(2):

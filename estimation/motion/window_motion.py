@@ -16,9 +16,8 @@ from estimation.filters.smoothing_spline import modelled_gaps, remove_wander
 from estimation.motion.checks import (
     Usable,
     check_integrated,
+    check_lateral,
     check_running,
-    check_upright,
-    detect_uncompensated_acceleration,
     direction,
     gate,
     moving_samples,
@@ -89,11 +88,7 @@ def _unusable(
 ) -> Reason | None:
     if not usable.samples.any():
         return Reason(ReasonCode.NO_USABLE_SAMPLE, f"no sample can be used: {usable.causes}")
-    curve = None
-    if layout is None:
-        most = parameters.max_cant_deficiency_change
-        curve = detect_uncompensated_acceleration(window, usable.samples, most)
-    return check_upright(window, usable.samples) or curve
+    return check_lateral(window, usable.samples, layout, parameters)
 
 
 def _filtered(

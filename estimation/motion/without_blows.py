@@ -186,7 +186,6 @@ def blow_times(
 def _blocks(
     lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float, lost: BoolArray | None = None
 ) -> Iterator[_Block]:
-    """Yield the blocks in which the vehicle runs."""
     both = np.stack([lateral, roll])
     fast = sharp(both, interval_s)
     std = vibration(fast, interval_s)
@@ -207,7 +206,6 @@ def _blocks(
 
 
 def _events(fast: FloatArray, std: FloatArray, interval_s: float, lost: BoolArray | None) -> _Events:
-    """Return the blows of a block."""
     level = np.maximum(LEAST_EVENT, EVENT_STDS * std)
     excess = np.max(np.abs(fast) / level, axis=0)
     if lost is not None and lost.any():

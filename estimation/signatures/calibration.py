@@ -283,7 +283,6 @@ def _spread(rows: Rows, asked: BoolArray, most: int) -> Iterator[tuple[int, IntA
 
 
 def _tasks(rows: Rows, left_out: BoolArray, basis: Basis) -> Iterator[tuple[BoolArray, BoolArray]]:
-    """Yield which rows teach and which are asked for."""
     if basis is Basis.SAME_PLACES:
         yield ~left_out, left_out
         return
@@ -328,6 +327,5 @@ def _weights(found: Sequence[_Judged], shares: FloatArray) -> FloatArray:
 
 
 def _by_wheelset(found: Sequence[_Judged], values: Sequence[float]) -> FloatArray:
-    """Return the means of values by wheelset."""
     wheelset = np.unique([one.wheelset for one in found], return_inverse=True)[1]
     return np.asarray(np.bincount(wheelset, values) / np.bincount(wheelset))

@@ -194,7 +194,6 @@ def _within(regressors: FloatArray, values: FloatArray, place: IntArray) -> Floa
 
 
 def _means(values: FloatArray, group: IntArray) -> FloatArray:
-    """Return the means (g, k) of rows (n, k) by group."""
     count = np.bincount(group)
     sums = np.stack([np.bincount(group, column) for column in values.T], axis=1)
     return np.asarray(sums / count[:, None])
@@ -301,5 +300,4 @@ def likelihood(model: MixedModel, rows: Rows, known: IntArray | None, conicity: 
 
 
 def _distances(covariance: FloatArray, difference: FloatArray) -> FloatArray:
-    """Return the squared Mahalanobis distances (k,) of differences (f, k)."""
     return np.asarray(np.sum(np.linalg.solve(np.linalg.cholesky(covariance), difference) ** 2, axis=0))

@@ -54,7 +54,6 @@ def band_spectra(signals: FloatArray, parameters: SignatureParameters) -> tuple[
 
 
 def _products(block: FloatArray) -> FloatArray:
-    """Return the periodograms (3, 3, k) of one block (3, n)."""
     n = block.shape[1]
     t = np.arange(n) - 0.5 * (n - 1)
     level = block - block.mean(axis=1, keepdims=True)
@@ -142,7 +141,6 @@ def _without_place(window: Window) -> Window:
 
 
 def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | None) -> IntegratedWindow | Reason:
-    """Return the straight part of a window integrated, or what of it contradicts the rest."""
     straight = check_running(window, signals) or straight_part(window, layout, signals)
     if isinstance(straight, Reason):
         return straight
@@ -153,7 +151,6 @@ def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | No
 
 
 def _stretch(segment: IntegratedSegment, window: Window, parameters: WindowParameters, way: int) -> _Stretch:
-    """Return y, R and roll of a segment on the grid of the section, in the order of the section."""
     known = np.flatnonzero(segment.known)
     at = np.interp(np.arange(len(segment.known)), known, window.distance[segment.part][known])
     run = np.maximum.accumulate(way * at) + _INCREASE * np.arange(len(at))

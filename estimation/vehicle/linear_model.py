@@ -189,7 +189,6 @@ def bogie_model(
 
 
 def _secondary(bogie: BogieParameters, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return force and moment of the secondary suspension on the frame."""
     force = bogie.secondary_lateral_stiffness * (q[6] - q[4]) + bogie.secondary_lateral_damping * (v[6] - v[4])
     moment = -bogie.secondary_yaw_stiffness * q[5] - bogie.secondary_yaw_damping * v[5]
     return force, moment
