@@ -11,8 +11,7 @@ from estimation.track.update import NOT_USED
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.runs import TRIED_AGAIN, JobRun, Quarantined, QuarantineState, SubjectKind
-from estimation.values.window_reasons import WindowsOfReason, WithoutEstimate, remedies
-from estimation.values.windows import WindowKey, WindowRecord, WindowState
+from estimation.values.windows import WindowKey, WindowRecord, WindowsOfReason, WindowState, WithoutEstimate, remedies
 from estimation.worklist.waiting import (
     ALIGNMENT,
     ESTIMATION,
@@ -25,7 +24,7 @@ from estimation.worklist.waiting import (
 )
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.window_reasons import COUNTED, CountedWindows, newest_by_reason, pending_by_place
+from fleet_db.stores.window_counts import COUNTED, CountedWindows, newest_by_reason, pending_by_place
 
 OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
 """Codes whose sentence names a section and what it lacks."""

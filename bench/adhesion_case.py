@@ -24,9 +24,9 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.motion.parameters import Gates, SignalParameters, WindowParameters
 from estimation.motion.window_motion import window_motion
 from estimation.tables.bin_table import bin_parameters, fill_cells, merge_all
-from estimation.values.adhesion import WindowAdhesion
 from estimation.values.arrays import FloatArray
 from estimation.values.geometry import FilledCells, WheelsetGeometry
+from estimation.values.opinions import WindowAdhesion
 from estimation.values.reasons import Reason
 from estimation.values.track import TrackSectionRecord
 from estimation.values.windows import Motion, Window

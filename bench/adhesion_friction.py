@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bench.adhesion_stored import StoredPasses
-from estimation.adhesion.friction import section_adhesion
-from estimation.adhesion.parameters import FrictionParameters
-from estimation.values.adhesion import SectionAdhesion
+from estimation.adhesion.friction import FrictionParameters, section_adhesion
 from estimation.values.arrays import FloatArray, runs
+from estimation.values.opinions import SectionAdhesion
 
 LOW = 0.15
 WITHIN = 200.0  # m from the start of a stretch within which it is to be found

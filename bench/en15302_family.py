@@ -12,9 +12,9 @@ from itertools import islice
 import numpy as np
 
 from bench.report import BenchRow
+from bench.worn_family import PAIRS, USUAL_CONICITY, wheelsets
 from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
-from estimation.contact.worn_family import PAIRS, USUAL_CONICITY, wheelsets
 from estimation.errors import ContactError
 from estimation.geometry.conicity import CurveParameters, CurveReplicates, curve_estimates
 from estimation.geometry.sharpening import ContactRoll

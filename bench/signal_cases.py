@@ -20,10 +20,9 @@ from estimation.values.track import TrackAlignment, TrackLayout
 from estimation.values.windows import Window, WindowQuality
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from ingest.align.windows import CLIPPING_GUARD_S
-from ingest.simulator.curves import Curve
 from ingest.simulator.motion import STEP, ContactGeometryTable, WheelsetMotion, simulate_wheelset
 from ingest.simulator.sensors import Channel, SensorNode, draw_offsets, measure
-from ingest.simulator.track import TrackRecipe, TrackTruth, make_track
+from ingest.simulator.track import Curve, TrackRecipe, TrackTruth, make_track
 
 MINUTES = 10
 WINDOW_S = 60.0

@@ -13,8 +13,7 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.geometry.uncertainty import USUAL_CUTOFF, ParameterUncertainty, alignment_std
 from estimation.motion.track_lookup import alignment_at
 from estimation.tables.bin_table import bin_parameters, cells_of_window, merge_all
-from estimation.track.passes import PositionParameters, journeys
-from estimation.track.screening.screen import PassStatus
+from estimation.track.passes import PassStatus, PositionParameters, journeys
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import NOT_USED, AlignmentUpdate, UpdateOutcome, update_alignment
 from estimation.values.arrays import FloatArray

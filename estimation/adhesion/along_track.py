@@ -27,8 +27,8 @@ from scipy.interpolate import CubicSpline
 
 from estimation.adhesion.parameters import FrictionParameters
 from estimation.adhesion.pass_sums import PassSums
-from estimation.values.adhesion import INVERSE
 from estimation.values.arrays import BoolArray, FloatArray, IntArray, frozen_array
+from estimation.values.opinions import INVERSE
 
 POINTS = 160
 GRID = frozen_array(np.geomspace(1.0, INVERSE[-1], POINTS), (POINTS,), name="GRID")

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-import scipy.signal
 
 from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, stationary_filter
 from estimation.compiled import compiled
@@ -180,9 +179,11 @@ def without_vibration(
     Args:
         accelerations: (k, n) without means, 0 where not known; m/s2 and rad/s2.
     """
+    from scipy import signal  # noqa: PLC0415 - slow to import, and few need it
+
     rate = 1.0 / sample_interval_s
-    weights = scipy.signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)
-    smooth = scipy.signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
+    weights = signal.firwin(2 * round(HALF_LENGTH_S * rate) + 1, BAND_HZ, fs=rate)
+    smooth = signal.fftconvolve(accelerations, weights[None], mode="same", axes=1)
     rest = (accelerations - smooth)[lateral][:, known]
     if float(np.sqrt(np.mean(rest**2, axis=1)).max()) <= VIBRATING:
         return accelerations, False

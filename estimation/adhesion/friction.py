@@ -24,11 +24,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtr, stdtrit
 
-from estimation.adhesion.along_track import along_track, common_std, creep_levels
+from estimation.adhesion.along_track import (
+    along_track,
+    common_std,
+    creep_levels,
+)
 from estimation.adhesion.parameters import FrictionParameters
 from estimation.adhesion.pass_sums import Agreed, PassSums, contradicting, pass_sums
-from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.arrays import FloatArray
+from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, LeftOut, SectionAdhesion, WindowAdhesion
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 

@@ -18,8 +18,7 @@ import numpy as np
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import is_design, rail_profile, wheel_profile
-from estimation.contact.wear import TreadWear, worn
-from estimation.contact.worn_family import WHEELS
+from estimation.contact.wear import HOLLOWS, TreadWear, worn
 from estimation.errors import ContactError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
@@ -85,7 +84,7 @@ def _family(
     wheel: str, rail: str, inclination: float, gauge: float, radius: float
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return R, D and dL + dR (9, n) of a wheel worn more and more; None where it never touches the rail."""
-    centre, half_width = next((hollow for name, *hollow in WHEELS if name == wheel), USUAL_HOLLOW)
+    centre, half_width = HOLLOWS.get(wheel, USUAL_HOLLOW)
     found = []
     try:
         on = rail_profile(rail)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.values.adhesion import CELL_LENGTH, WindowAdhesion
+from estimation.values.opinions import CELL_LENGTH, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction
 from estimation.values.windows import Window

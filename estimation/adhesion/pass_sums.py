@@ -14,8 +14,8 @@ from typing import Annotated
 import numpy as np
 
 from estimation.adhesion.parameters import FileErrors
-from estimation.values.adhesion import INVERSE, LeftOut, WindowAdhesion
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
+from estimation.values.opinions import INVERSE, LeftOut, WindowAdhesion
 from estimation.values.reasons import Reason, ReasonCode
 
 

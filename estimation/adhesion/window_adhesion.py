@@ -22,9 +22,9 @@ from estimation.adhesion.parameters import force_errors
 from estimation.compiled import compiled
 from estimation.filters.smoothing_spline import remove_wander
 from estimation.motion.parameters import WindowParameters
-from estimation.values.adhesion import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array, runs
 from estimation.values.geometry import WheelsetGeometry
+from estimation.values.opinions import CELL_LENGTH, INVERSE, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackSectionRecord

@@ -26,7 +26,7 @@ from estimation.dampers.suspension_equations import (
     uncertain_parameters,
 )
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
-from estimation.values.dampers import SHARES
+from estimation.values.opinions import SHARES
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, SensorLayout, VehicleClass
 
 

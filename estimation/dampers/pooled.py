@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from estimation.values.arrays import FloatArray
-from estimation.values.dampers import SHARES, GearDamper, WindowDamper
+from estimation.values.opinions import SHARES, GearDamper, WindowDamper
 from estimation.values.quantities import NORMAL_95, Estimate, Status, jackknife_std, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 

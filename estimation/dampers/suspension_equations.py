@@ -23,7 +23,6 @@ from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
-from scipy.signal import firwin, kaiserord, oaconvolve
 
 from estimation.values.arrays import FloatArray, FrozenArrays, frozen_array
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -117,6 +116,8 @@ def stride_of(sample_interval_s: float) -> int:
 @lru_cache(maxsize=4)
 def low_pass(sample_interval_s: float) -> FloatArray:
     """Return the taps (k,) of the low-pass, odd in number and symmetric."""
+    from scipy.signal import firwin, kaiserord  # noqa: PLC0415 - slow to import, and few need it
+
     count, beta = kaiserord(STOPPED_DB, 2.0 * sample_interval_s * (STOPPED_HZ - PASSED_HZ))
     corner = 0.5 * (PASSED_HZ + STOPPED_HZ)
     taps = firwin(count | 1, corner, window=("kaiser", beta), fs=1.0 / sample_interval_s)
@@ -125,6 +126,8 @@ def low_pass(sample_interval_s: float) -> FloatArray:
 
 def thinned(values: FloatArray, sample_interval_s: float) -> FloatArray:
     """Return the low-passed samples (s,) at which the filter sees measured values alone."""
+    from scipy.signal import oaconvolve  # noqa: PLC0415 - slow to import, and few need it
+
     passed = oaconvolve(values, low_pass(sample_interval_s), mode="valid")
     return np.asarray(passed[:: stride_of(sample_interval_s)])
 

@@ -24,7 +24,7 @@ from estimation.dampers.suspension_equations import (
 )
 from estimation.motion.integration import bridged
 from estimation.values.arrays import BoolArray, FloatArray
-from estimation.values.dampers import DamperSums, WindowDamper
+from estimation.values.opinions import DamperSums, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass

@@ -27,12 +27,20 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.pooled_friction import HOUR_NS, friction_parameters, pool_ends, pooled_ns
 from estimation.jobs.steps.window_creep import CreepInputs, CreepOfWindow, creep_inputs, creep_of_window
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import CloseReason
-from estimation.values.dampers import GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear
 from estimation.values.geometry import GEOMETRY
+from estimation.values.opinions import (
+    CREEP,
+    FRICTION,
+    GEAR_DAMPERS,
+    GearDamper,
+    SectionAdhesion,
+    WindowAdhesion,
+    WindowDamper,
+    part_of_gear,
+)
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.windows import WindowKey, WindowMark, WindowState, key_of_text, text_of_key
 
 Stretches = Sequence[tuple[float, float]]

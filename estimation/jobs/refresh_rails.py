@@ -37,9 +37,8 @@ from estimation.values.rails import (
     WheelKey,
     WheelsFinding,
 )
-from estimation.values.results import Result
+from estimation.values.results import EVERYTHING, Facet, Result
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import EVERYTHING, Facet
 from estimation.values.trend import TREND
 
 _log = logging.getLogger(__name__)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtr
 
 from estimation.signatures.calibration import NORMAL, Calibration, conicity_grid, outside
 from estimation.signatures.library import Library
@@ -127,7 +127,7 @@ def _outside(found: Likelihood, library: Library, parameters: SignatureParameter
 def states(conicity: float, std: float, ends: Sequence[float]) -> tuple[StateProbability, ...]:
     """Return the probabilities of the states of wear."""
     bounds = [0.0, *ends, float("inf")]
-    below = stats.norm.cdf([-np.inf, *ends, np.inf], conicity, std)
+    below = ndtr((np.array([-np.inf, *ends, np.inf]) - conicity) / std)
     return tuple(
         StateProbability(low, high, float(share))
         for low, high, share in zip(bounds[:-1], bounds[1:], np.diff(below), strict=True)

@@ -26,7 +26,7 @@ from functools import partial
 from typing import Annotated
 
 import numpy as np
-from scipy import stats
+from scipy import special
 from scipy.optimize import brentq
 from scipy.special import ndtr
 
@@ -119,7 +119,7 @@ def _posterior(seen: Differences) -> FloatArray:
 
 
 COVERAGE = 0.95
-NORMAL = float(stats.norm.ppf(0.5 + 0.5 * COVERAGE))
+NORMAL = float(special.ndtri(0.5 + 0.5 * COVERAGE))
 MOST_ANSWERS = 240  # that a factor is made from: more would cost more, and say little more
 GRID = 0.002  # of conicity
 FACTOR_STD = 0.3  # of the logarithm of the factor on standard deviations, before any answer is seen
@@ -139,7 +139,7 @@ class Reach:
     @property
     def largest(self) -> float:
         """Distance from which on a signature is novel: the quantile of one more wheelset."""
-        quantile = stats.t.ppf(NOVEL, self.wheelsets - 1) * np.sqrt(1.0 + 1.0 / self.wheelsets)
+        quantile = special.stdtrit(self.wheelsets - 1, NOVEL) * np.sqrt(1.0 + 1.0 / self.wheelsets)
         return float(np.exp(self.mean + quantile * self.std))
 
 

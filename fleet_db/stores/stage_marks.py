@@ -27,12 +27,12 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import EVERYTHING, Due, Look, Mark, StageInputs
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import table_of
 from fleet_db.subjects import VERSIONS, Subjects
-from fleet_db.tables import StageMarkRow
+from fleet_db.tables.operation import StageMarkRow
 
 MARKS = table_of(StageMarkRow)
 SUM = func.sum(VERSIONS.c.version)

@@ -9,13 +9,12 @@ from typing import TypeVar
 from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, select
 
 from estimation.errors import DamagedError
-from estimation.failures import code_of_error, first_line
-from estimation.values.alerts import Condition, Severity
+from estimation.values.alerts import Condition, MileageNow, OpenAlert, Severity
 from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.values.runs import code_of_error, first_line
 from estimation.values.windows import WindowState
-from estimation.values.worklist import MileageNow, OpenAlert
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
 from fleet_db.registry_events import RecordKind
@@ -24,8 +23,10 @@ from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
-from fleet_db.stores.window_reasons import refused_by_code
-from fleet_db.tables import AlertRow, WheelsetRow, WindowRow
+from fleet_db.stores.window_counts import refused_by_code
+from fleet_db.tables.alerts import AlertRow
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.windows import WindowRow
 
 Stored = TypeVar("Stored")
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)

@@ -16,9 +16,8 @@ from estimation.jobs.steps.window_inputs import BatchInputs, inputs_of_batch
 from estimation.jobs.steps.window_tracks import TrackLookup, tracks_of_batch
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import WindowAdhesion
-from estimation.values.dampers import WindowDamper
 from estimation.values.geometry import GeometryRecord
+from estimation.values.opinions import WindowAdhesion, WindowDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import Correction, TrackAlignment, TrackLayout, TrackSectionRecord
 from estimation.values.windows import Window, WindowKey, WindowRecord

@@ -27,8 +27,8 @@ from estimation.jobs.section_replay import section_replayed
 from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_inputs import inputs_of_batch
-from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import AlertEventKind, AlertScope
+from estimation.values.opinions import SectionAdhesion
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import JobTrigger

@@ -7,15 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimation.adhesion.along_track import (
-    GRID,
-    WRONG_BY,
-    WRONG_SHARE,
-    along_track,
-)
+from estimation.adhesion.along_track import GRID, WRONG_BY, WRONG_SHARE, along_track
 from estimation.adhesion.parameters import FrictionParameters
-from estimation.values.adhesion import INVERSE
 from estimation.values.arrays import FloatArray
+from estimation.values.opinions import INVERSE
 
 PLACE_STD = 0.45
 KNOWN = FrictionParameters(usual=3.3, usual_std=3.0, change_std=0.2, fresh=0.05)

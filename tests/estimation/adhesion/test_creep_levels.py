@@ -11,8 +11,8 @@ from test_friction import a_pass
 from estimation.adhesion.along_track import MEDIAN_ERROR, ROBUST, creep_levels
 from estimation.adhesion.parameters import FrictionParameters
 from estimation.adhesion.pass_sums import pass_sums
-from estimation.values.adhesion import WindowAdhesion
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.opinions import WindowAdhesion
 
 USUAL = 0.3
 BEFORE = FrictionParameters(usual=1.0 / USUAL, level_std=0.1, creep_error_std=0.1)

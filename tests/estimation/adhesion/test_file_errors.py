@@ -9,7 +9,7 @@ import pytest
 from test_friction import KNOWN, NO_ERRORS, TRUE, a_pass, section_friction
 
 from estimation.adhesion.parameters import LATERAL_AS_CREEP, YAW_AS_CREEP, FileErrors, force_errors, lateral_scale_std
-from estimation.values.adhesion import CellFriction
+from estimation.values.opinions import CellFriction
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (
     LOAD_STD,

@@ -9,9 +9,16 @@ import numpy as np
 import pytest
 from oracles.creep_excess import creep_excess
 
-from estimation.adhesion.friction import LEARNT, certain_stretches, low_stretches, pooled_friction, section_adhesion
-from estimation.adhesion.parameters import FileErrors, FrictionParameters
-from estimation.values.adhesion import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
+from estimation.adhesion.friction import (
+    LEARNT,
+    FrictionParameters,
+    certain_stretches,
+    low_stretches,
+    pooled_friction,
+    section_adhesion,
+)
+from estimation.adhesion.parameters import FileErrors
+from estimation.values.opinions import CELL_LENGTH, INVERSE, CellFriction, FrictionSums, WindowAdhesion
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode
 

@@ -22,7 +22,7 @@ from estimation.adhesion.pass_sums import (
     pass_sums,
     scales,
 )
-from estimation.values.adhesion import WindowAdhesion
+from estimation.values.opinions import WindowAdhesion
 from estimation.values.reasons import ReasonCode
 
 WEIGHED = replace(KNOWN, file=FileErrors(0.1, 0.05, 0.02, 0.03, 0.03))  # a load that is known

@@ -14,7 +14,7 @@ from estimation.dampers.damper_filters import LATE_STD_S, add_products, damper_f
 from estimation.dampers.pooled import posterior
 from estimation.dampers.window_damper import EVERY, looked_at, not_judged
 from estimation.motion.parameters import SignalParameters
-from estimation.values.dampers import SHARES
+from estimation.values.opinions import SHARES
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Window
 from estimation.vehicle.vehicle_class import SensorChannel, VehicleClass

@@ -23,7 +23,7 @@ from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.motion.window_motion import window_motion
 from estimation.signatures.window_signatures import axle_position
-from estimation.track.examination import examine
+from estimation.track.passes import examine
 from estimation.values.signatures import AxlePosition
 from estimation.values.windows import Motion, Window
 

@@ -19,9 +19,8 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackLayout
 from estimation.values.windows import Motion, Window
 from estimation.vehicle.equations_of_motion import VehicleParameters
-from ingest.simulator.curves import Curve
 from ingest.simulator.motion import simulate_wheelset
-from ingest.simulator.track import TrackRecipe, make_track
+from ingest.simulator.track import Curve, TrackRecipe, make_track
 
 PARAMETERS = SignalParameters()
 LIMITS = SignalParameters(sharpest_curvature=1e-4, highest_cant=0.02, curve_margin=30.0)
