@@ -1,7 +1,7 @@
 """What the rails do to the wheelsets of a running gear, from its accelerations by Newton's equations.
 
 The filter knows no creep law, no track and no contact geometry: a force is what the motion needs. Of each wheelset it
-gives the lateral force at the contacts (creep and gravitational stiffness together; ``gravity`` parts them) and the
+gives the lateral force at the contacts (creep and gravitational stiffness together; ``window_adhesion`` parts them) and the
 moment of the creep forces about the vertical,
 
     M_creep = I psi'' + k_psi (psi - psi_f) + f_psi (psi' - psi_f') + (Iwy V/r0) phi'
@@ -20,7 +20,7 @@ import numpy as np
 
 from estimation.adhesion.stationary_filter import AXLE, StationaryFilter, stationary_filter
 from estimation.compiled import compiled
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import remove_wander
 from estimation.motion.checks import moving_samples
 from estimation.motion.integration import ROLL_CUTOFF, IntegratedSegment, integrate
 from estimation.motion.parameters import SignalParameters

@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimation.compiled import compiled
-from estimation.filters.local_cubic import high_pass, local_cubic_kernel
+from estimation.filters import high_pass, local_cubic_kernel
 from estimation.motion.integration import IntegratedSegment
 from estimation.values.arrays import FloatArray
 from estimation.vehicle.equations_of_motion import RAIL_HEAD_RADIUS, VehicleParameters

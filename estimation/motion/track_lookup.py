@@ -2,7 +2,7 @@
 
 An alignment that has lost its long wavelengths is deconvolved before it is looked up.
 
-What a fleet finds is F d, the alignment d behind the filter F of ``estimation.filters.local_cubic``. The motion needs
+What a fleet finds is F d, the alignment d behind the filter F of ``estimation.filters``. The motion needs
 G (y - d) with a filter G of its own, and G (y - F d) would leave G (1 - F) d: a quarter of d at the cut-off.
 So F is undone as far as G can bear it: G falls faster than F towards long wavelengths, and what is multiplied by up to
 1/(2 e) here comes out of G smaller than it went in.
@@ -18,8 +18,7 @@ from scipy import fft
 from scipy.interpolate import CubicSpline
 
 from estimation.compiled import compiled
-from estimation.filters.local_cubic import local_cubic_kernel
-from estimation.filters.smoothing_spline import remove_wander
+from estimation.filters import local_cubic_kernel, remove_wander
 from estimation.motion.checks import fast_enough
 from estimation.motion.integration import IntegratedWindow, integrate
 from estimation.motion.parameters import SignalParameters

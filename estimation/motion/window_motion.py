@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from estimation.filters.smoothing_spline import modelled_gaps, remove_wander
+from estimation.filters import modelled_gaps, remove_wander
 from estimation.motion.checks import (
     Usable,
     check_integrated,

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimation.filters.local_cubic import local_cubic_kernel
+from estimation.filters import local_cubic_kernel
 from estimation.motion.checks import check_integrated, check_running, direction, gate, moving_samples, straight_part
 from estimation.motion.integration import IntegratedSegment, IntegratedWindow, integrate
 from estimation.motion.parameters import SignalParameters, WindowParameters

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from estimation.adhesion.gravity import DISPLACEMENT, MOST_MISFIT, ContactAngles, contact_angles
+from estimation.adhesion.window_adhesion import DISPLACEMENT, MOST_MISFIT, ContactAngles, contact_angles
 from estimation.contact.geometry import WheelsetOnTrack, contact_table
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import rail_profile, wheel_profile
