@@ -229,7 +229,8 @@ def subtract_smoothing_spline(
     gram[np.diag_indices_from(gram)] *= 1 + REGULARISATION
     gram -= _products(of_removed, explained)
     coefficients = spline.solved(wander)
-    shares = _solved_definite(gram, _products(weighted, rows) - _products(of_removed, coefficients))
+    factor, right = np.linalg.cholesky(gram), _products(weighted, rows) - _products(of_removed, coefficients)
+    shares = np.asarray(np.linalg.solve(factor.T, np.linalg.solve(factor, right)))
     coefficients -= shares.T @ explained
     subtract(rows, spline.interval, spline.pieces, coefficients, removed, shares)
     return rows
@@ -276,11 +277,6 @@ def _products(weighted: FloatArray, rows: FloatArray) -> FloatArray:
     products = np.empty((len(weighted), len(rows)))
     multiply(weighted, rows, products)
     return products
-
-
-def _solved_definite(gram: FloatArray, right: FloatArray) -> FloatArray:
-    factor = np.linalg.cholesky(gram)
-    return np.asarray(np.linalg.solve(factor.T, np.linalg.solve(factor, right)))
 
 
 def remove_wander(

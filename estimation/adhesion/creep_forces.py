@@ -1,8 +1,8 @@
 """What the rails do to the wheelsets of a running gear, from its accelerations by Newton's equations.
 
 The filter knows no creep law, no track and no contact geometry: a force is what the motion needs. Of each wheelset it
-gives the lateral force at the contacts (creep and gravitational stiffness together; ``window_adhesion`` parts them) and the
-moment of the creep forces about the vertical,
+gives the lateral force at the contacts (creep and gravitational stiffness together) and the moment of the creep forces
+about the vertical,
 
     M_creep = I psi'' + k_psi (psi - psi_f) + f_psi (psi' - psi_f') + (Iwy V/r0) phi'
 
@@ -74,13 +74,11 @@ def gear_segments(
     found = [integrate(window, usable, signals).segments for window in windows]
     if not found[0]:
         return Reason(ReasonCode.INTERRUPTED, f"no uninterrupted run of {signals.shortest_segment_s:g} s")
-    segments = tuple(_segment(windows, parts) for parts in zip(*found, strict=True))
-    return GearSegments(segments, usable, windows[0].sample_interval_s, axles)
-
-
-def _segment(windows: Sequence[Window], parts: tuple[IntegratedSegment, ...]) -> GearSegment:
-    rolls = tuple(remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts)
-    return GearSegment(parts, rolls, _accelerations(windows, parts, rolls))
+    segments = []
+    for parts in zip(*found, strict=True):
+        rolls = tuple(remove_wander(one.displacements[[ROLL]], one.run, one.known, ROLL_CUTOFF)[0] for one in parts)
+        segments.append(GearSegment(parts, rolls, _accelerations(windows, parts, rolls)))
+    return GearSegments(tuple(segments), usable, windows[0].sample_interval_s, axles)
 
 
 def _accelerations(

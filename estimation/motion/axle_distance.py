@@ -118,13 +118,10 @@ def axle_distance(window: Window, partner: Window, ahead: float) -> AxleDistance
     power = float(np.sqrt((own @ own) * (other @ other)))
     if not power > 0.0:
         return None
-    return _highest(_correlation(own, other) / power, ahead, SIGNIFICANT * _std_by_chance(STEP * len(own)))
-
-
-def _std_by_chance(length: float) -> float:
-    """Return the std of the correlation of two signals of the band, this long (m), that have nothing in common."""
     shortest, longest = BAND
-    return 1.0 / math.sqrt(2.0 * length * (1.0 / shortest - 1.0 / longest))
+    # std of the correlation of two signals of the band, as long, that have nothing in common
+    by_chance = 1.0 / math.sqrt(2.0 * (STEP * len(own)) * (1.0 / shortest - 1.0 / longest))
+    return _highest(_correlation(own, other) / power, ahead, SIGNIFICANT * by_chance)
 
 
 def _short_waves(run: FloatArray, roll: FloatArray, known: BoolArray) -> FloatArray:

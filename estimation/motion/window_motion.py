@@ -59,7 +59,9 @@ def motion(
     if gauge_shift is not None:
         d += gauge_shift  # it runs as it would at nominal gauge on a track that is aligned so
     usable = usable_samples(window, np.isfinite(d), layout, parameters)
-    refusal = _unusable(window, usable, layout, parameters)
+    if not usable.samples.any():
+        return Reason(ReasonCode.NO_USABLE_SAMPLE, f"no sample can be used: {usable.causes}")
+    refusal = check_lateral(window, usable.samples, layout, parameters)
     if refusal is not None:
         return refusal
     dt = window.sample_interval_s
@@ -81,14 +83,6 @@ def motion(
         sample_interval_s=dt,
         displacement_noise=0.0,  # ``window_motion`` knows the sensors
     )
-
-
-def _unusable(
-    window: Window, usable: Usable, layout: TrackLayout | None, parameters: SignalParameters
-) -> Reason | None:
-    if not usable.samples.any():
-        return Reason(ReasonCode.NO_USABLE_SAMPLE, f"no sample can be used: {usable.causes}")
-    return check_lateral(window, usable.samples, layout, parameters)
 
 
 def _filtered(

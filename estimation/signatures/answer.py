@@ -78,7 +78,10 @@ def _answer(
     grid = conicity_grid(np.array(library.conicity), parameters.margin)
     found = likelihood(library.model, _rows(signatures), known, grid)
     novelty = calibration.novelty(found)
-    refusal = _novel(novelty) or _outside(found, library, parameters)
+    refusal = _outside(found, library, parameters)
+    if novelty > 1.0:
+        text = f"the signature is {novelty:.1f} times as far from the library as any that it answers"
+        refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
     if refusal is None and known is None:
         refusal = _other_track(level_of(library.model, _rows(signatures), found.mean), library, len(signatures))
     if refusal is not None:
@@ -97,13 +100,6 @@ def _answer(
         library_sections=len(library.sections),
         novelty=novelty,
     )
-
-
-def _novel(novelty: float) -> Reason | None:
-    if novelty <= 1.0:
-        return None
-    text = f"the signature is {novelty:.1f} times as far from the library as any that it answers"
-    return Reason(ReasonCode.NOT_IN_LIBRARY, text)
 
 
 def _other_track(level: float, library: Library, places: int) -> Reason | None:

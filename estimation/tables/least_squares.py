@@ -103,13 +103,6 @@ def group(block: int, groups: int) -> int:
 
 
 @compiled(nogil=True)
-def write_groups(block: IntArray, groups: int, found: IntArray) -> None:
-    """Write the group (n,) of each block (n,)."""
-    for i in range(len(block)):
-        found[i] = group(block[i], groups)
-
-
-@compiled(nogil=True)
 def assign(
     displacement: FloatArray, valid: BoolArray, block: IntArray, groups: int,
     first_edge: float, width: float, bins: int, cell: IntArray, u: FloatArray,

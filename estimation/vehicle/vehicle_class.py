@@ -246,13 +246,11 @@ def usable_cutoff(vehicle_class: VehicleClass, longest: float) -> float:
     longer waves hold noise alone. Shorter ones than ``SHORTEST_CUTOFF`` would not hold the displacement of a wheelset.
     """
     cutoff = longest
-    while cutoff - CUTOFF_STEP >= SHORTEST_CUTOFF and _usual_noise(vehicle_class, cutoff) > MOST_DIFFERENCE_NOISE:
+    while cutoff - CUTOFF_STEP >= SHORTEST_CUTOFF:
+        if math.sqrt(difference_noise(vehicle_class, cutoff) / USUAL_SPEED**3) <= MOST_DIFFERENCE_NOISE:
+            break
         cutoff -= CUTOFF_STEP
     return cutoff
-
-
-def _usual_noise(vehicle_class: VehicleClass, cutoff_wavelength: float) -> float:
-    return math.sqrt(difference_noise(vehicle_class, cutoff_wavelength) / USUAL_SPEED**3)
 
 
 MOST_DIFFERENCE_NOISE = 0.3e-3  # m, std of rL - rR at the usual speed
