@@ -218,20 +218,17 @@ class DisplacementError:
         *,
         integrated: bool,
         scale: float = 0.0,
-        jump_position_std: float = 0.0,
-        jump_mean_std: float = 0.0,
+        **jumps: float,
     ) -> DisplacementError:
         """Return the error for displacements distributed as ``samples`` (b,) over bins at ``centre`` (b,), m.
 
-        ``scale`` is the relative std of a common scale error of y - d besides that of the integration,
-        ``jump_position_std`` and ``jump_mean_std``, m, those of where contact jumps are.
+        ``scale`` is the relative std of a common scale error of y - d besides that of the integration; ``jumps`` are
+        the fields of where contact jumps are.
         """
         variance = float(np.average(centre**2, weights=samples)) if samples.any() else 0.0
         excess = min(std**2 / variance, MOST_EXCESS) if variance > 0 else 0.0
         known = (0.0, 0.0) if not integrated else (SCALE_UNCERTAINTY, ORIGIN)
-        return DisplacementError(
-            std, excess, float(np.hypot(known[0], scale)), known[1], jump_position_std, jump_mean_std
-        )
+        return DisplacementError(std, excess, float(np.hypot(known[0], scale)), known[1], **jumps)
 
     def rounded(self, x: FloatArray, values: FloatArray) -> FloatArray:
         """Return the curve averaged over a normal error of x (three-point Gauss-Hermite); straight beyond its ends."""

@@ -197,16 +197,6 @@ def add_spectra(
                     of_noise[part[k], band, a, b] += weight * expected
 
 
-@compiled(nogil=True)
-def mirror(sums: FloatArray) -> None:
-    """Write below the diagonals of (parts, bands, 7, 7) what stands above them."""
-    for p in range(sums.shape[0]):
-        for band in range(sums.shape[1]):
-            for a in range(TERMS):
-                for b in range(a):
-                    sums[p, band, a, b] = sums[p, band, b, a]
-
-
 WAVELENGTHS = (2.5, 10.0)  # m: shorter ones are axle box vibration, longer ones noise
 BANDS = 6  # of equal ratio, longest wavelengths first
 PIECE_S = 8.0  # half of one overlaps the next
@@ -240,8 +230,9 @@ def rolling_sums(window: Window, vehicle_class: VehicleClass, signals: SignalPar
     for (first, rows), at in zip(samples, starts, strict=True):
         part = np.searchsorted(numbers, (first + at) // each)
         _add(rows, at, part, window, vehicle_class, size, products, noise)
-    mirror(products)
-    mirror(noise)
+    above, below = np.triu_indices(TERMS, 1)
+    for sums in (products, noise):
+        sums[..., below, above] = sums[..., above, below]
     return tuple(RollingSums(*both) for both in zip(products, noise, strict=True))
 
 

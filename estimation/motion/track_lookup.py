@@ -45,9 +45,10 @@ class SampledCurve:
 def at_places(curve: SampledCurve, places: FloatArray) -> FloatArray:
     """Return the values (n,) at places (n,); NaN off the curve, and beside a point of it that is not known."""
     found = np.full(len(places), np.nan)
-    low, high = extent(places, float(curve.s[0]), float(curve.s[-1]))
-    if low > high:
+    inside = places[(places >= curve.s[0]) & (places <= curve.s[-1])]
+    if not len(inside):
         return found
+    low, high = inside.min(), inside.max()
     last_point = len(curve.s) - 1
     first = min(max(int(np.searchsorted(curve.s, low)) - 1, 0), last_point - 1) // POINTS
     last = max(min(int(np.searchsorted(curve.s, high)), last_point) - 1, 0) // POINTS
@@ -76,16 +77,6 @@ def _piece(curve: SampledCurve, number: int) -> FloatArray:
         beside = np.flatnonzero((np.diff(known) == 1) & (known[:-1] >= begin) & (known[:-1] < end))
         coefficients[known[beside] - begin] = spline.c[:, beside].T
     return frozen_array(coefficients, (None, 4), name="coefficients")
-
-
-@compiled(nogil=True)
-def extent(places: FloatArray, first: float, last: float) -> tuple[float, float]:
-    """Return the lowest and the highest of the places in ``[first, last]``; the first is larger where there is none."""
-    low, high = np.inf, -np.inf
-    for place in places:
-        if first <= place <= last:
-            low, high = min(low, place), max(high, place)
-    return low, high
 
 
 @compiled(nogil=True)
