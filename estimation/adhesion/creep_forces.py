@@ -172,11 +172,7 @@ HALF_LENGTH_S = 0.12  # of the low-pass, on each side
 def without_vibration(
     accelerations: FloatArray, known: BoolArray, sample_interval_s: float, lateral: slice
 ) -> tuple[FloatArray, bool]:
-    """Return accelerations of a running gear, low-passed where its axle boxes vibrate, and whether they do.
-
-    Args:
-        accelerations: (k, n) without means, 0 where not known; m/s2 and rad/s2.
-    """
+    """Return accelerations of a running gear, low-passed where its axle boxes vibrate, and whether they do."""
     from scipy import signal  # noqa: PLC0415 - slow to import, and few need it
 
     rate = 1.0 / sample_interval_s

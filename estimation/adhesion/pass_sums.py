@@ -288,11 +288,7 @@ PLACES_BEFORE = 20.0  # that are worth as much as the expectation that all of it
 
 
 def common_std(sums: PassSums, inverse: FloatArray, creep: FloatArray, slope: FloatArray, usual: float) -> FloatArray:
-    """Return the std of 1/mu (c,) that what all passes of a place have in common leaves.
-
-    Args:
-        usual: 1/mu about which creep is taken to be in proportion to it.
-    """
+    """Return the std of 1/mu (c,) that what all passes of a place have in common leaves."""
     b, a = creep[sums.vehicle], slope[sums.wheelset]
     _, gg, gq, _ = sums.at(np.full(len(sums.cells), usual))
     samples, left = sums.by_place(sums.samples), sums.by_place(_left(sums, inverse, b, a))

@@ -60,11 +60,7 @@ class GearEquations(FrozenArrays):
 
 
 def gear_equations(parameters: VehicleParameters, bogie: BogieParameters | None) -> GearEquations:
-    """Return the equations of one running gear of a class.
-
-    Args:
-        bogie: What two wheelsets share; None where a mass is above each.
-    """
+    """Return the equations of one running gear of a class."""
     places = (0.0,) if bogie is None else (0.5 * bogie.wheelbase, -0.5 * bogie.wheelbase)
     axles = len(places)
     above = AXLE * axles  # first state of the mass, or of frame (y, y', psi, psi') and body (y, y')
@@ -199,11 +195,7 @@ def _filter(
 
 
 def over_a_sample(rates: FloatArray, noise: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
-    """Return transition and covariance (n, n) over a time, s, from one exponential (Van Loan 1978).
-
-    Args:
-        noise: (n, n) intensity of the white noise that drives the states.
-    """
+    """Return transition and covariance (n, n) over ``dt``, driven by noise of an intensity (n, n) (Van Loan 1978)."""
     n = len(rates)
     block = scipy.linalg.expm(dt * np.block([[-rates, noise], [np.zeros((n, n)), rates.T]]))
     transition = np.ascontiguousarray(block[n:, n:].T)

@@ -319,11 +319,7 @@ class Posterior:
 
 
 def posterior(sums: FloatArray, curved: int) -> Posterior | None:
-    """Return what sums say; None where the noise of the sensors would make up all of it.
-
-    Args:
-        sums: (q - 1, m, m) products of the signals of q particles over the windows.
-    """
+    """Return what sums say; None where the noise of the sensors would make up all of it."""
     t = (np.arange(BETWEEN) + 0.5) / BETWEEN
     low, apart = np.array(SHARES[:-1]), np.diff(SHARES)
     share = (low[:, None] + apart[:, None] * t).ravel()

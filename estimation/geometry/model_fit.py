@@ -25,7 +25,7 @@ import numpy as np
 
 from estimation.geometry.uncertainty import MOUNTING_STD
 from estimation.tables.bin_table import BinParameters
-from estimation.tables.least_squares import SMALLEST_EIGENVALUE, Solution, unpack
+from estimation.tables.least_squares import Solution, inverses, unpack
 from estimation.values.arrays import BoolArray, FloatArray
 from estimation.values.geometry import BinTable, Contradiction
 from estimation.values.quantities import jackknife_std, leave_one_out
@@ -58,7 +58,9 @@ def solve_with_shared_scales(
     r, b = weight.shape
     p, t, q = regressors, targets, len(prior_stds)
     gram, cross, square = (part.reshape(r, b, *part.shape[1:]) for part in unpack(packed.reshape(r * b, -1), p, t))
-    inverse, solvable = _inverse(gram[:, :, q:, q:])
+    inverse = inverses(gram[:, :, q:, q:].reshape(r * b, p - q, p - q)).reshape(r, b, p - q, p - q)
+    solvable = np.isfinite(inverse[:, :, 0, 0])
+    inverse = np.where(solvable[:, :, None, None], inverse, 0.0)
     alone = inverse @ cross[:, :, q:, :]
     of_shared = inverse @ gram[:, :, q:, :q]
     coupling = gram[:, :, :q, q:]
@@ -88,18 +90,6 @@ def solve_with_shared_scales(
     unknown = size[:, None] * np.linalg.inv(left[0] + known[0]) * size
     moved = np.where(known_bins[0], -of_shared[0] @ np.linalg.cholesky(unknown), np.nan)
     return solution, np.asarray(moved)
-
-
-def _inverse(gram: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the inverses (..., q, q) of symmetric matrices, and which of them have one (...)."""
-    scale = np.sqrt(np.einsum("...ii->...i", gram))
-    safe = np.where(scale > 0.0, scale, np.inf)
-    scaled = gram / (safe[..., :, None] * safe[..., None, :])
-    values, vectors = np.linalg.eigh(scaled)
-    solvable = values[..., 0] > SMALLEST_EIGENVALUE
-    divided = np.where(solvable[..., None], 1.0 / np.where(solvable[..., None], values, 1.0), 0.0)
-    inverse = np.einsum("...ij,...j,...kj->...ik", vectors, divided, vectors)
-    return inverse / (safe[..., :, None] * safe[..., None, :]), np.asarray(solvable)
 
 
 SENSOR_SCALE = 0.02  # std of the spring error by the scales of the sensors
@@ -133,11 +123,7 @@ class ModelFit:
 
 
 def model_fit(table: BinTable, bins: BinParameters, expected_noise: float = 0.0) -> ModelFit | None:
-    """Return how well a table follows the yaw equation; None where there are too few samples.
-
-    Args:
-        expected_noise: Std of the error of y - d by its sensors and the alignment, m.
-    """
+    """Return how well a table follows the yaw equation, y - d off by the expected noise, m; None with few samples."""
     p = bins.vehicle
     present = table.weight.sum(axis=1) > 0
     weight, sums = leave_one_out(table.weight, present), leave_one_out(table.yaw, present)

@@ -143,11 +143,7 @@ def edges_and_centres(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def nodes_of(shape: FloatArray) -> FloatArray:
-    """Return quadratics of bins (b, 3, ...) over u at the nodes (2 b + 1, ...); at an edge the mean of both bins.
-
-    Args:
-        shape: Value, slope and curvature over u = (x - centre)/width.
-    """
+    """Return quadratics of bins (b, 3, ...) over u at the nodes (2 b + 1, ...); at an edge the mean of both bins."""
     value, slope, curvature = shape[:, 0], shape[:, 1], shape[:, 2]
     at_low, at_high = value - slope / 2 + curvature / 4, value + slope / 2 + curvature / 4
     at_edge = np.concatenate([at_low[:1], 0.5 * (at_low[1:] + at_high[:-1])])

@@ -85,11 +85,7 @@ class ParameterUncertainty:
         )
 
     def on(self, tracks: Iterable[TrackAlignment], wheelset: str | None = None) -> ParameterUncertainty:
-        """Return what is left unknown of a geometry that rests on these alignments.
-
-        Args:
-            wheelset: Its serial; where left out, the findings of an alignment count for any.
-        """
+        """Return what these alignments leave unknown of a geometry; without a wheelset their findings count for any."""
         used = list(tracks)
         findings = [_findings_for(track, wheelset) for track in used]
         ratio_stds = [item.stiffness_ratio_std for item in findings if item is not None]

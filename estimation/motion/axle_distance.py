@@ -243,9 +243,6 @@ def with_frame_yaw(window: Window, partner: Window, ahead: float) -> Window:
     """Return ``window`` with the yaw acceleration of the frame, valid where both nodes are.
 
     Gravity is in both sensors alike, for a frame rolls as one piece, and drops out.
-
-    Args:
-        ahead: By how much the node of ``window`` is ahead of the other, m: the wheelbase, negative at the rear axle.
     """
     if partner.start_ns != window.start_ns or len(partner.valid) != len(window.valid):
         raise ValueError(f"windows from {window.start_ns} and {partner.start_ns} are not of one time")

@@ -50,9 +50,6 @@ def check_upright(window: Window, usable: BoolArray) -> Reason | None:
 
     It then measures a part of gravity at rest: of 8 degrees 1.4 m/s2. Vertical motion is in its signal too, and cannot
     be taken out. Only sensors that measure constant accelerations show it.
-
-    Args:
-        usable: (n,) samples on straight track.
     """
     if not (window.measures_gravity and usable.any()):
         return None
@@ -105,11 +102,7 @@ def cant_deficiency_acceleration_range(window: Window, usable: BoolArray) -> flo
 
 
 def straight_part(window: Window, layout: TrackLayout | None, parameters: SignalParameters) -> Window | Reason:
-    """Return the window with the samples in curves not valid, or why nothing is left.
-
-    Args:
-        layout: Curves of the section; None where none is on file: then a window that shows a curve is refused.
-    """
+    """Return the window with samples in curves not valid, or why none is left; without a layout, if it shows one."""
     if layout is None:
         return check_lateral(window, window.valid & fast_enough(window, parameters), layout, parameters) or window
     left = window.valid & straight(window.distance, layout, parameters)

@@ -70,7 +70,6 @@ def sample_smoothed(
     Between samples signals are straight, beyond their ends as at these.
 
     Args:
-        at: (n,) m, increasing.
         first, step: Number of the fine grid point of the first result, and spacing of that grid, m.
     """
     m, n = signals.shape

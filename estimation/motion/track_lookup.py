@@ -107,11 +107,7 @@ TRACKS = 16  # sections whose deconvolved alignment is kept: every window of a s
 
 
 def alignment_at(distance: FloatArray, track: TrackAlignment, cutoff_wavelength: float) -> FloatArray:
-    """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where it is not known.
-
-    Args:
-        cutoff_wavelength: m, of the high-pass that the motion goes through.
-    """
+    """Return d (n,), m, by a cubic spline through the stored alignment; NaN off the section and where not known."""
     as_it_is = track.cutoff_wavelength >= FULL_BAND_FACTOR * cutoff_wavelength
     return at_places(_curve(track, as_it_is=as_it_is), distance)
 
@@ -179,12 +175,9 @@ def gauge_shift(
     parameters: SignalParameters,
     earlier: IntegratedWindow | None = None,
 ) -> FloatArray | None:
-    """Return by how much the gauge moves the wheelset (n,), m, NaN where that is not known.
+    """Return by how much the gauge moves the wheelset (n,), m, in its own axes, NaN where that is not known.
 
     None where nothing is known of it: on constant gauge, or of a wheelset of which the section has no findings.
-
-    Args:
-        window: In the axes of the wheelset, at true positions.
     """
     table = None if track.findings is None else track.findings.gauge_shifts.get(window.wheelset)
     if track.findings is None or table is None:

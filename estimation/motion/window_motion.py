@@ -178,7 +178,6 @@ def window_motion(
 
     Args:
         track: Alignment of its track section; None where none is on file, all NaN where that is of the gauge alone.
-        correction: From the measured positions to the true ones; None where the measured ones are used.
 
     Returns:
         (n,) samples of band-limited motion in the axes of the wheelset, or the refusal.

@@ -67,7 +67,6 @@ def struck(lateral: FloatArray, roll: FloatArray, interval_s: float, lost: BoolA
     """Return which samples (n,) a blow has spoilt, from its begin until it has died down.
 
     Args:
-        lateral, roll: (n,) m/s2 and rad/s2; NaN where not known.
         lost: (n,) samples that clipped in blows, near which it rings too; None for none.
     """
     both = np.stack([lateral, roll])
@@ -145,11 +144,7 @@ def blows_unless_hunting(
 
 
 def find_turn_blows(lateral: FloatArray, roll: FloatArray, speed: FloatArray, interval_s: float) -> TurnBlows:
-    """Return for how much of some running time a wheel strikes once a turn, how hard, and which.
-
-    Args:
-        lateral, roll: (n,) m/s2 and rad/s2, as the sensors gave them, clipped samples too; NaN where nothing is known.
-    """
+    """Return for how much of some running time a wheel strikes once a turn, how hard, and which."""
     blocks = list(_blocks(lateral, roll, speed, interval_s))
     found = [(block.comb, block.events) for block in blocks if block.comb is not None]
     turn = float(np.median([comb.turn for comb, _ in found])) if found else 0.0

@@ -139,7 +139,6 @@ def rails_apart(
     Args:
         cells: Each wheelset, interval, section and period once; what belongs to one cell is merged before, as bin
             tables.
-        amplitude: (k,) m, of all cells.
 
     Raises:
         ParameterError: A cell is there twice, or has other amplitudes.

@@ -52,11 +52,7 @@ class Line:
     freedom: int  # how many are left
 
     def fits(self, groups: float) -> bool:
-        """Whether the values are on a line, as far as their errors say.
-
-        Args:
-            groups: Degrees of freedom behind the scale of the errors.
-        """
+        """Whether the values are on a line, as far as their errors say."""
         if self.freedom < 1:
             return True
         return self.squares <= self.freedom * float(fdtri(self.freedom, max(groups, 1.0), DOUBT))

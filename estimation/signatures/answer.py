@@ -31,11 +31,7 @@ SHOWN = 10  # entries that an answer names
 def judged(
     wheelset: str, signatures: Sequence[Signature], library: Library, parameters: SignatureParameters
 ) -> SignatureAnswer:
-    """Return what a library says of a wheelset.
-
-    Args:
-        library: Of entries that may be learned from; none of them shares data with the wheelset.
-    """
+    """Return what a library says of a wheelset."""
     same = [one for one in signatures if one.place in library.places]
     chosen = same or list(signatures)
     basis = Basis.SAME_PLACES if same else Basis.OTHER_PLACES

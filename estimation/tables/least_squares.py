@@ -47,14 +47,21 @@ class Solution(FrozenArrays):
 
 
 def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int) -> Solution:
-    """Solve the normal equations of every cell after scaling each regressor to unit length.
-
-    Args:
-        packed: (c, packed_size) moments.
-    """
+    """Solve the normal equations of cells, packed (c, packed_size), after scaling each regressor to unit length."""
     p, t = regressors, targets
     c = len(packed)
     gram, cross, square = unpack(packed, p, t)
+    inverse = inverses(gram)
+    theta = np.einsum("cij,cjt->cit", inverse, cross)
+    first = theta[:, :, 0]
+    explained = np.einsum("ci,ci->c", first, cross[:, :, 0])
+    freedom = np.maximum(weight - p, 1.0)
+    residual_variance = np.maximum(square - explained, 0.0) / freedom
+    return Solution(theta.reshape(c, p, t), residual_variance, inverse)
+
+
+def inverses(gram: FloatArray) -> FloatArray:
+    """Return the inverses (c, p, p) of normal matrices, scaled to unit diagonals first; NaN where singular."""
     scale = np.sqrt(np.einsum("cii->ci", gram))
     safe = np.where(scale > 0, scale, np.inf)
     scaled = gram / (safe[:, :, None] * safe[:, None, :])
@@ -65,13 +72,7 @@ def solve(packed: FloatArray, weight: FloatArray, regressors: int, targets: int)
     inverse_values = np.full_like(values, np.nan)
     inverse_values[ok] = 1.0 / values[ok]
     scaled_inverse[filled] = np.einsum("cij,cj,ckj->cik", vectors, inverse_values, vectors)
-    inverse = scaled_inverse / (safe[:, :, None] * safe[:, None, :])
-    theta = np.einsum("cij,cjt->cit", inverse, cross)
-    first = theta[:, :, 0]
-    explained = np.einsum("ci,ci->c", first, cross[:, :, 0])
-    freedom = np.maximum(weight - p, 1.0)
-    residual_variance = np.maximum(square - explained, 0.0) / freedom
-    return Solution(theta.reshape(c, p, t), residual_variance, inverse)
+    return np.asarray(scaled_inverse / (safe[:, :, None] * safe[:, None, :]))
 
 
 def unpack(packed: FloatArray, regressors: int, targets: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -92,11 +92,7 @@ def klingel_wavelength(parameters: VehicleParameters, contact: LinearContact) ->
 def wheelset_accelerations(
     parameters: VehicleParameters, speed: float, contact: LinearContact, state: WheelsetState, alignment: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return y'' and psi'' (n,) of a wheelset; its yaw spring is tied to a body that does not yaw.
-
-    Args:
-        alignment: (2, n) d in m and d' in m/s.
-    """
+    """Return y'' and psi'' (n,) on d and d' (2, n); the yaw spring is tied to a body that does not yaw."""
     x = np.asarray(state.lateral_displacement) - alignment[0]
     rate = np.asarray(state.lateral_velocity) - alignment[1]
     radius = contact.conicity * x
@@ -322,11 +318,7 @@ def equations(p: VehicleParameters, wheelbase: float | None, speed: float, at: C
 
 
 def filtered(coefficients: FloatArray, s: ComplexArray) -> ComplexArray:
-    """Return E(s) (f, 2, signals).
-
-    Args:
-        s: (f,) i omega, 1/s.
-    """
+    """Return E(s) (f, 2, signals) at s (f,), i omega."""
     powers = np.stack([np.ones_like(s), s, s * s])
     return np.asarray(np.einsum("ejk,kf->fej", coefficients, powers), dtype=np.complex128)
 
