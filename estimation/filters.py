@@ -1,7 +1,5 @@
 """High-passes in distance: smoothing spline for windows, local cubic for passes.
 
-The slow wander of integrated signals, by a fixed-interval smoother in distance.
-
 An integrated acceleration is what the wheelset did plus a wander. The wander is modelled as an integrated random walk
 of third order *in distance*: its third derivative by distance is white. The most probable wander w given the whole
 segment of u is then the smoothing spline
@@ -15,15 +13,12 @@ at 2 L. At the ends of a segment, where a filter would have to guess, the spline
 ``remove_wander`` is the high-pass of a segment: it also takes out what offsets and gaps of an acceleration integrate
 to. ``docs/decisions/wander-smoother.md`` gives the reasons.
 
-Compiled sums of the smoothing spline: normal equations on uniform knots, their solution, and what it leaves.
-
 The normal matrix is a band, one row and the next three columns for each B-spline, with a border of a few functions that
 are taken out whole. Every sum goes in an order of its own, so that it is the same on every processor.
 
-The high-pass of passes along a section: a signal minus its local cubic fit.
-
-The local fit over distance has weights of compact support that reproduce every cubic, so the filter is the same for
-every pass, does not depend on what is further away than its reach, and removes the slow wander of integrated sensors.
+The high-pass of passes along a section is a signal minus its local cubic fit. The local fit over distance has weights
+of compact support that reproduce every cubic, so the filter is the same for every pass, does not depend on what is
+further away than its reach, and removes the slow wander of integrated sensors.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ curve of a wheelset is off by; b_v, common to all places of a vehicle, is by how
 of its class: known beforehand with the std of creep coefficient and yaw spring, and of what the filter makes of the
 moment, and measured against usual rails (``creep_levels``). What no b explains is saturation, whose share of the creep
 grows with the force. Of a place 1/mu is known beforehand as ``usual`` with a wide std. With a and b known, what the
-passes say of each place, and what all of them have wrong (``place_errors``), is put together along the track
+passes say of each place, and what all of them have wrong (``common_std``), is put together along the track
 (``along_track``).
 
 Whether a section is slippery for the most part, or all its vehicles creep by more than their class.

@@ -215,7 +215,7 @@ def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -
     ]
     shown = _newest_alike([one for one in chosen if one.sums is not None])
     since = [one for one in chosen if not shown or one.start_ns >= shown[0].start_ns]
-    diverged = sum(_diverged(one) for one in since)
+    diverged = sum(one.reason is not None and one.reason.code is ReasonCode.DIVERGED for one in since)
     share = _share(shown, diverged, newest, parameters)
     std = None if share.low is None or share.high is None else 0.5 * (share.high - share.low) / NORMAL_95
     weak = None
@@ -237,10 +237,6 @@ def gear_damper(windows: Sequence[WindowDamper], parameters: DamperParameters) -
         from_km=first.odometer_km,
         to_km=last.odometer_km,
     )
-
-
-def _diverged(one: WindowDamper) -> bool:
-    return one.reason is not None and one.reason.code is ReasonCode.DIVERGED
 
 
 def _share(

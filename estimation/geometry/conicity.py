@@ -101,7 +101,9 @@ def curve_estimates(curve: CurveReplicates, parameters: CurveParameters) -> Curv
     conicity = tuple(_conicity(values[:, k], groups, curve.count, a) for k, a in enumerate(amplitude))
     at_reference, reported_amplitude = at_reference_amplitude(amplitude, conicity, parameters)
     nonlinearity = _nonlinearity(amplitude, values, groups, curve.count, parameters)
-    crossing = _zero_crossing(rows, curve, groups)
+    crossing = Estimate.unknown(NO_OFFSET, curve.count)
+    if not curve.band_limited:
+        crossing = _estimate(np.array([zero_crossing(*row) for row in rows]), groups, curve.count, NO_ZERO)
     centre = None if at_reference.value is None else _centre(rows[0], curve, reported_amplitude, at_reference.value)
     return CurveEstimates(amplitude, conicity, reported_amplitude, at_reference, nonlinearity, crossing, centre)
 
@@ -171,19 +173,17 @@ def _rows(curve: CurveReplicates, run: BoolArray, amplitude: FloatArray) -> tupl
     plain = (1 - curve.error.excess) * edges_and_centres(low, high)
     blurred = curve.row(plain, replace(curve.error, std=sharp.left).rounded(plain, nodes[0]))
     others = _systematic(curve.error, sharp, rows[0], blurred, amplitude)
-    lost, held = _lost_to_filters(*rows[0], amplitude), _held_off(rows[0], amplitude, conicity[0], curve.held_shares)
-    unseen = np.stack([lost, held]) if curve.band_limited else np.zeros((2, len(amplitude)))
+    unseen = np.zeros((2, len(amplitude)))
+    if curve.band_limited:
+        known = conicity[0][np.isfinite(conicity[0])]
+        std = held_difference_std(curve.held_shares, float(known[-1])) if len(known) else 0.0
+        unseen[0] = _lost_to_filters(*rows[0], amplitude)
+        if std > 0.0:  # of a difference of diameters that nobody knows of
+            unseen[1] = moved_off(*rows[0], amplitude, std)
     of_standard, difference = rows[0]
     stretched = ((1 + curve.error.scale) * of_standard, difference)
     conicities = np.concatenate([conicity, conicity[0] + others, conicity[0] + unseen])
     return [*rows, (of_standard / (1 - curve.error.excess), difference), stretched], conicities
-
-
-def _held_off(row: _Row, amplitude: FloatArray, here: FloatArray, shares: tuple[float, ...]) -> FloatArray:
-    """Return what a difference of diameters that nobody knows of changes of the conicity (a,)."""
-    covered = here[np.isfinite(here)]
-    std = held_difference_std(shares, float(covered[-1])) if len(covered) else 0.0
-    return moved_off(*row, amplitude, std) if std > 0.0 else np.zeros(len(amplitude))
 
 
 def _lost_to_filters(x: FloatArray, curve: FloatArray, amplitude: FloatArray) -> FloatArray:
@@ -266,10 +266,3 @@ def at_reference_amplitude(
     given = (one.reason for one in conicity if one.reason is not None)
     reason = next((one for one in given if one.code is ReasonCode.CONICITY_OPEN), NO_AMPLITUDE)
     return Estimate.unknown(reason, conicity[0].count), parameters.reference_amplitude
-
-
-def _zero_crossing(rows: list[_Row], curve: CurveReplicates, groups: int) -> Estimate:
-    if curve.band_limited:
-        return Estimate.unknown(NO_OFFSET, curve.count)
-    values = np.array([zero_crossing(x, difference) for x, difference in rows])
-    return _estimate(values, groups, curve.count, NO_ZERO)

@@ -79,7 +79,10 @@ def _answer(
         text = f"the signature is {novelty:.1f} times as far from the library as any that it answers"
         refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
     if refusal is None and known is None:
-        refusal = _other_track(level_of(library.model, _rows(signatures), found.mean), library, len(signatures))
+        level, (low, high) = level_of(library.model, _rows(signatures), found.mean), library.levels(len(signatures))
+        if not low <= level <= high:  # conicity depends on the amplitude
+            text = f"the track is {'rougher' if level > high else 'smoother'} than any that the library has"
+            refusal = Reason(ReasonCode.NOT_IN_LIBRARY, text)
     if refusal is not None:
         return _unknown(wheelset, refusal, library, novelty)
     std = calibration.std(found.std, library.on_file.shared_std(found.mean))
@@ -96,15 +99,6 @@ def _answer(
         library_sections=len(library.sections),
         novelty=novelty,
     )
-
-
-def _other_track(level: float, library: Library, places: int) -> Reason | None:
-    """Return that the track is rougher or smoother than any of the library: conicity depends on the amplitude."""
-    low, high = library.levels(places)
-    if low <= level <= high:
-        return None
-    text = f"the track is {'rougher' if level > high else 'smoother'} than any that the library has"
-    return Reason(ReasonCode.NOT_IN_LIBRARY, text)
 
 
 def _outside(found: Likelihood, library: Library, parameters: SignatureParameters) -> Reason | None:

@@ -93,7 +93,8 @@ def window_signatures(
     if placed is not None:
         if placed.code not in {ReasonCode.SECTION_UNKNOWN, ReasonCode.POSITION_UNKNOWN}:
             return placed
-        window = _without_place(window)
+        run = np.cumsum(np.nan_to_num(window.speed)) * window.sample_interval_s
+        window = replace(window, track_section=None, distance=run)  # at distances from its own begin
     checked = _checked(window, parameters.signals, None if placed else layout)
     if isinstance(checked, Reason):
         return checked
@@ -132,12 +133,6 @@ def axle_position(window: Window, parameters: WindowParameters) -> AxlePosition:
     if partner is None:
         return AxlePosition.SINGLE
     return AxlePosition.LEADING if (window.axle < partner) != window.backwards else AxlePosition.TRAILING
-
-
-def _without_place(window: Window) -> Window:
-    """Return the window at distances from its own begin."""
-    run = np.cumsum(np.nan_to_num(window.speed)) * window.sample_interval_s
-    return replace(window, track_section=None, distance=run)
 
 
 def _checked(window: Window, signals: SignalParameters, layout: TrackLayout | None) -> IntegratedWindow | Reason:
