@@ -127,8 +127,8 @@ def _places(sums: PassSums, found: _Solution, parameters: FrictionParameters) ->
     smoothed = sums.by_place(sums.smoothed) > 0.0
     places = []
     for c, cell in enumerate(sums.cells):
-        inverse = _Inverse(*(float(one[c]) for one in (mean, std, by_creep, by_scale)))
-        place = _cell(int(cell), int(counts[c]), left[c], inverse, parameters)
+        stds = float(std[c]), float(by_creep[c]), float(by_scale[c])
+        place = _cell(int(cell), int(counts[c]), left[c], float(mean[c]), stds, parameters)
         place = replace(place, vehicles=int(vehicles[c]))
         places.append(_two_sided(place) if smoothed[c] else place)
     return tuple(places)
@@ -250,33 +250,23 @@ def _everywhere(slope: FloatArray, inverse: FloatArray, parameters: FrictionPara
     return np.maximum(slope, np.median(usual)) if len(usual) else slope
 
 
-@dataclass(frozen=True, slots=True)
-class _Inverse:
-    """1/mu of a place and its stds."""
-
-    mean: float
-    sampled: float  # by what the passes say
-    by_creep: float  # by the b that all vehicles share
-    by_scale: float  # by the scales of sensors
-
-    def systematic(self, parameters: FrictionParameters) -> float:
-        """Return the std of what more passes do not show, with sensors as on file: it decides where friction is low."""
-        relative = math.hypot(parameters.law_std, parameters.file.factor_std)
-        return math.hypot(relative * self.mean, self.by_creep)
-
-
-def _cell(cell: int, n: int, left: float, found: _Inverse, parameters: FrictionParameters) -> CellFriction:
+def _cell(
+    cell: int, n: int, left: float, inverse: float, stds: tuple[float, float, float], parameters: FrictionParameters
+) -> CellFriction:
+    """Return the friction of a place of n passes by its 1/mu, with stds by the passes, by common b, by sensors."""
     if n < parameters.fewest_passes:
         few = Reason(ReasonCode.TOO_FEW_PASSES, f"{n} of {parameters.fewest_passes} passes that are needed")
         return CellFriction(cell, Estimate.unknown(few, float(n)), 0.0, 0.0, n)
     if left > LEARNT * parameters.usual_std:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"creep is so small in {n} passes that it shows no friction")
         return CellFriction(cell, Estimate.unknown(small, float(n)), 0.0, 0.0, n)
-    inverse, decided = found.mean, found.systematic(parameters)
-    systematic = math.hypot(decided, found.by_scale)
-    half = math.hypot(float(stdtrit(n - 1, 0.975)) * found.sampled, NORMAL_95 * systematic)
-    std = math.hypot(found.sampled, systematic)
-    probability = float(stdtr(n - 1, (inverse - 1.0 / parameters.low) / math.hypot(found.sampled, decided)))
+    sampled, by_creep, by_scale = stds
+    # what more passes do not show, with sensors as on file, decides where friction is low
+    decided = math.hypot(math.hypot(parameters.law_std, parameters.file.factor_std) * inverse, by_creep)
+    systematic = math.hypot(decided, by_scale)
+    half = math.hypot(float(stdtrit(n - 1, 0.975)) * sampled, NORMAL_95 * systematic)
+    std = math.hypot(sampled, systematic)
+    probability = float(stdtr(n - 1, (inverse - 1.0 / parameters.low) / math.hypot(sampled, decided)))
     low, high = 1.0 / (inverse + half), 1.0 / max(inverse - half, 1e-9)
     if high > parameters.least_upper:
         small = Reason(ReasonCode.CREEP_TOO_SMALL, f"the friction is at least {low:.2f}; creep shows no upper bound")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -67,18 +68,11 @@ def estimate_geometry(table: BinTable, bins: BinParameters, parameters: Geometry
     replicates = _replicates(table, bins, parameters)
     screening = _screened(table, replicates, bins, parameters)
     unc = parameters.uncertainty
-    S = _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, parameters.prior_radius)
-    D = _angle_difference(replicates, screening, bins, parameters)
-    A = _angle_sum(replicates, screening, bins, parameters)
-    R = _radius_difference(replicates, screening, unc, parameters.prior_radius)
     curve = curve_estimates(_curve(table, replicates, screening, bins, unc), parameters.curve)
     geometry = WheelsetGeometry(
         bin_edges=table.edges,
         samples=table.weight.sum(axis=0),
-        rolling_radius_sum=S,
-        rolling_radius_difference=R,
-        contact_angle_sum=A,
-        contact_angle_difference=D,
+        **_combinations(replicates, screening, bins, parameters),
         amplitude=curve.amplitude,
         conicity=curve.conicity,
         reported_amplitude=curve.reported_amplitude,
@@ -236,37 +230,28 @@ class _BinScreening:
 _STATUSES = (BinStatus.ESTIMATED, BinStatus.TOO_FEW, BinStatus.CONTACT_JUMP, BinStatus.UNOBSERVABLE)
 
 
-def _radius_difference(
-    replicates: _Replicates, screening: _BinScreening, unc: ParameterUncertainty, prior: float
-) -> BinValues:
-    """R over the bins; besides the parameters' stds enter those of the scales."""
-    value = replicates.yaw[:, :, 1]
-    by_scales = np.broadcast_to(replicates.by_scales[:, 0], (*value.shape[:2], replicates.by_scales.shape[-1]))
-    theta = np.concatenate([value, value[:, :, :1], by_scales], axis=-1)
-    relative = np.concatenate([unc.yaw(), [unc.scale], np.ones(by_scales.shape[-1])])
-    return _combination(theta, relative, screening, prior)
-
-
-def _angle_difference(
+def _combinations(
     replicates: _Replicates, screening: _BinScreening, bins: BinParameters, parameters: GeometryParameters
-) -> BinValues:
-    """D over the bins: what the data determine, divided by f23/r0 - W/2, of which f23 and W are uncertain."""
-    relative = parameters.uncertainty.lateral()
+) -> dict[str, Any]:
+    """Return S, R, A and D over the bins, by their names in a geometry."""
+    unc, radius, angle = parameters.uncertainty, parameters.prior_radius, parameters.prior_angle
+    R, A, D = replicates.yaw[:, :, 1], replicates.yaw[:, :, 0], replicates.lateral[:, :, 2].copy()
+    # besides the parameters' stds enter those of the scales into R
+    by_scales = np.broadcast_to(replicates.by_scales[:, 0], (*R.shape[:2], replicates.by_scales.shape[-1]))
+    R = np.concatenate([R, R[:, :, :1], by_scales], axis=-1)
+    of_R = np.concatenate([unc.yaw(), [unc.scale], np.ones(by_scales.shape[-1])])
+    if bins.wheelbase is not None:  # A cannot be seen beside the yaw spring
+        A = np.full_like(A, np.nan)
+    # the data determine D times f23/r0 - W/2, of which f23 and W are uncertain
     derivatives = angle_difference_derivatives(bins.vehicle)
-    widening = quotient_widening(float(np.linalg.norm(derivatives * relative)))
-    theta = replicates.lateral[:, :, 2].copy()
-    theta[0, :, 1:] -= theta[0, :, :1] * derivatives
-    return _combination(theta, relative, screening, parameters.prior_angle, widening)
-
-
-def _angle_sum(
-    replicates: _Replicates, screening: _BinScreening, bins: BinParameters, parameters: GeometryParameters
-) -> BinValues:
-    """Return A over the bins; in a bogie it cannot be seen beside the yaw spring."""
-    theta, prior = replicates.yaw[:, :, 0, :], parameters.prior_angle
-    if bins.wheelbase is not None:
-        theta = np.full_like(theta, np.nan)
-    return _combination(theta, parameters.uncertainty.yaw(), screening, prior)
+    D[0, :, 1:] -= D[0, :, :1] * derivatives
+    widening = quotient_widening(float(np.linalg.norm(derivatives * unc.lateral())))
+    return {
+        "rolling_radius_sum": _combination(replicates.lateral[:, :, 0], unc.lateral(), screening, radius),
+        "rolling_radius_difference": _combination(R, of_R, screening, radius),
+        "contact_angle_sum": _combination(A, unc.yaw(), screening, angle),
+        "contact_angle_difference": _combination(D, unc.lateral(), screening, angle, widening),
+    }
 
 
 def _combination(
