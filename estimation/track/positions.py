@@ -223,10 +223,7 @@ def refine(
     for journey, one in placed.items():
         correction = one.correction
         normal, right = 1e-12 * np.eye(2), np.zeros(2)
-        for item in one.passes:
-            curve = solution.curve_of(item.life)
-            if item.empty or curve is None:
-                continue
+        for item, curve in solution.used(one.passes):
             at, own = item.used_points, pass_residual(item, curve, panel)[item.inside]
             residual = (own - np.nan_to_num(solution.alignment[at])) * certain[at]
             design = np.stack([slope[at], slope[at] * (at * panel.grid.step - correction.middle)]) * certain[at]

@@ -154,10 +154,7 @@ def long_wave_alignment(
     """Return the alignment, up to a cut-off wavelength, m, from ``passes`` with the curves of ``solution``."""
     weights = local_cubic_kernel(cutoff_wavelength, panel.grid.step)
     total, square, count, curves = np.zeros((4, panel.grid.points))
-    for item in passes:
-        curve = solution.curve_of(item.life)
-        if item.empty or curve is None:
-            continue
+    for item, curve in solution.used(passes):
         rest = unfiltered_residual(item, curve, panel)
         pass_residual, y = high_pass(np.stack([rest, item.displacement]), weights)
         inside = valid_support(item.certain, weights) & panel.grid.contains(item.points)
@@ -196,10 +193,10 @@ def merged_alignment(
     results = findings(iterated, gauge_estimated=not known.gauge_known)
     gauge = known.gauge if results.gauge is None else results.gauge
     gauge_std = _gauge_std(iterated, known, results)
-    profiles = _profile_uncertainty(iterated)
+    profile_std, profile_scale_std = _profile_uncertainty(iterated)
     slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, OPEN_SLOPE)
     of_gauge = p.systematic_per_gauge[results.gauge is not None] * float(np.std(gauge))
-    systematic = p.systematic**2 + of_gauge**2 + profiles.std**2 + (slope_std * found.curves) ** 2
+    systematic = p.systematic**2 + of_gauge**2 + profile_std**2 + (slope_std * found.curves) ** 2
     std = _std(found, shared, iterated.solution.common_std, systematic)
     of_prior = 0.0 if prior is None else prior.scale_std * float(np.median(weight / shared))
     return TrackAlignment(
@@ -214,7 +211,7 @@ def merged_alignment(
         status=Status.ESTIMATED,
         source=AlignmentSource.FLEET,
         cutoff_wavelength=p.cutoff_wavelength,
-        scale_std=float(np.linalg.norm([_scale_std(results, p), profiles.scale_std, slope_std, of_prior])),
+        scale_std=float(np.linalg.norm([_scale_std(results, p), profile_scale_std, slope_std, of_prior])),
         gauge_known=known.gauge_known and results.gauge is None,
         findings=results.findings,
     )
@@ -246,24 +243,20 @@ def _scale_std(results: SectionResults, p: SectionParameters) -> float:
     return p.scale_error if results.gauge is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
 
 
-@dataclass(frozen=True, slots=True)
-class _ProfileUncertainty:
-    """What measured profiles leave open where only they determine the curves; else zero."""
+def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
+    """Return the std, m, and the relative one of y - d, that measured profiles leave where only they fix the curves.
 
-    std: float  # m
-    scale_std: float  # relative, of y - d: of the profiles, and of R by a stiffness that is as assumed
-
-
-def _profile_uncertainty(iterated: IterationResult) -> _ProfileUncertainty:
+    The latter is of the profiles, and of R by a stiffness that is as assumed.
+    """
     if not iterated.solution.report.curves_fixed:
-        return _ProfileUncertainty(0.0, 0.0)
+        return 0.0, 0.0
     squares = np.array([(one.std, one.std / one.spread) for one in iterated.measured_curves]) ** 2
     std, scale = np.sqrt(squares.mean(axis=0))
     used = [item for item in iterated.passes if not item.empty]
     stiffness = sum(float(part @ part) for part in (item.stiffness_term[item.inside] for item in used))
     whole = sum(float(part @ part) for part in (item.difference[item.inside] for item in used))
     of_stiffness = PRIOR_STD * np.sqrt(stiffness / whole) if whole > 0.0 else 0.0
-    return _ProfileUncertainty(float(std), float(np.hypot(scale, of_stiffness)))
+    return float(std), float(np.hypot(scale, of_stiffness))
 
 
 def _nothing_known(grid: SectionGrid) -> PriorAlignment:

@@ -160,10 +160,7 @@ def _passes(placed: Placed, solution: PanelSolution, panel: Panel, kernels: Sequ
     total, (count, journeys, squares, crossed, counted) = np.zeros((2, *shape)), np.zeros((5, *shape))
     for one in placed.values():
         summed, passed = np.zeros((2, *shape)), np.zeros(shape)
-        for item in one.passes:
-            curve = solution.curve_of(item.life)
-            if item.empty or curve is None:
-                continue
+        for item, curve in solution.used(one.passes):
             signals = np.stack([unfiltered_residual(item, curve, panel), item.displacement])
             weight, on = panel.weight_of(item.life), panel.grid.contains(item.points)
             for number, (band, kernel) in enumerate(zip(_bands_of(signals, kernels), kernels, strict=True)):

@@ -60,7 +60,9 @@ def slope_correction(state: PanelState, solution: PanelSolution) -> SlopeCorrect
 def corrected(state: PanelState, solution: PanelSolution, factor: float) -> PanelSolution:
     """Return a solution with its curves multiplied by ``factor``, and the alignment that follows from them."""
     passes = np.where(state.passes > 0.0, state.passes, 1.0)
-    added = (factor - 1.0) * curves_of_sum(state, _without_stiffness(solution.curves[0])) / passes
+    without_stiffness = solution.curves[0].copy()
+    without_stiffness[:, -1] = 0.0
+    added = (factor - 1.0) * curves_of_sum(state, without_stiffness) / passes
     return replace(
         solution,
         curves=np.concatenate([factor * solution.curves[:, :, :-1], solution.curves[:, :, -1:]], axis=2),
@@ -80,10 +82,6 @@ def common_slope(solution: PanelSolution, other: PanelSolution) -> float:
         along += float((weight * mine) @ curve[:count])
         own += float((weight * mine) @ mine)
     return along / own if along > 0.0 else 1.0
-
-
-def _without_stiffness(curves: FloatArray) -> FloatArray:
-    return np.concatenate([curves[:, :-1], np.zeros_like(curves[:, -1:])], axis=1)
 
 
 REACH = 20.0  # m, of the filter to both sides
@@ -239,7 +237,9 @@ def refine_ratios(
     """
     if solution.report.curves_fixed:
         return {item.source.vehicle: Ratio() for item in passes if item.source.stiffness_term is not None}
-    slopes = _slopes(solution, panel)
+    rise = np.diff(solution.curves[0, :, : panel.parameters.basis_count], axis=1) / np.diff(panel.parameters.knots)
+    seen = np.minimum(solution.weight[:, 1:], solution.weight[:, :-1])
+    slopes = (rise * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1e-12)  # dh/dR (w,) over what was seen
     numerators: dict[str, np.ndarray] = {}
     squares: dict[str, float] = {}
     for vehicle, life in sorted(
@@ -301,10 +301,3 @@ def _stiffness_shares(passes: Sequence[GriddedPass]) -> dict[str, float]:
         squares = np.array([E @ E, R @ R])
         sums[item.source.vehicle] = sums.get(item.source.vehicle, 0.0) + squares
     return {vehicle: float(np.clip(own / max(whole, 1e-300), 0.0, 1.0)) for vehicle, (own, whole) in sums.items()}
-
-
-def _slopes(solution: PanelSolution, panel: Panel) -> np.ndarray:
-    """Return dh/dR (w,) of every wheelset, averaged over what it has seen."""
-    rise = np.diff(solution.curves[0, :, : panel.parameters.basis_count], axis=1) / np.diff(panel.parameters.knots)
-    seen = np.minimum(solution.weight[:, 1:], solution.weight[:, :-1])
-    return np.asarray((rise * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1e-12))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
-from estimation.track.gridded_pass import SectionGrid
+from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.panel.basis import Panel
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.normal_equations import PanelState, groups_of
@@ -61,6 +61,13 @@ class PanelSolution:
     def curve_of(self, life: ProfileLife) -> FloatArray | None:
         """Return the coefficients (c,) of a wheelset from all data; None where it has no curve."""
         return self.curves[0, self.lives.index(life)] if life in self.lives else None
+
+    def used(self, passes: Iterable[GriddedPass]) -> Iterator[tuple[GriddedPass, FloatArray]]:
+        """Yield the passes that are not empty and whose wheelset has a curve, with its coefficients (c,)."""
+        for item in passes:
+            curve = self.curve_of(item.life)
+            if curve is not None and not item.empty:
+                yield item, curve
 
 
 def result(state: PanelState, *, std: bool = True) -> PanelSolution:
