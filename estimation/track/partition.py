@@ -74,7 +74,10 @@ def first_epoch(
         count += len(journey.entries)
         lives |= journey.lives
         end_ns = max(end_ns, journey.last_ns)
-    found = sorted((entry for journey in chosen for entry in journey.entries), key=_place)
+    found = sorted(
+        (entry for journey in chosen for entry in journey.entries),
+        key=lambda entry: (entry[0].start_ns, entry[0].wheelset),
+    )
     return Group(found, horizon_ns)
 
 
@@ -92,10 +95,6 @@ def _journeys(entries: Sequence[Entry], pause_ns: int, most: int) -> list[_Journ
         journey.entries.append((record, life))
         journey.lives.add(life)
     return found
-
-
-def _place(entry: Entry) -> tuple[int, str]:
-    return entry[0].start_ns, entry[0].wheelset
 
 
 def newest_within(entries: Sequence[Entry], most_windows: int, most_wheelsets: int) -> tuple[list[Entry], list[Entry]]:

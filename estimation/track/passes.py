@@ -276,16 +276,14 @@ def _quality(parts: Sequence[WindowQuality]) -> WindowQuality:
         speed_max_m_s=max(part.speed_max_m_s for part in parts),
         position_quality=min(part.position_quality for part in parts),
         sensor_fault=any(part.sensor_fault for part in parts),
-        hunting=_hunting([part.hunting for part in parts]),
-        blows=_blows([part.blows for part in parts]),
+        hunting=_worst([part.hunting for part in parts]),
+        blows=_worst([part.blows for part in parts]),
     )
 
 
-def _hunting(parts: Sequence[Hunting]) -> Hunting:
-    most = max(parts, key=lambda part: part.share)
-    return replace(most, share=float(np.mean([part.share for part in parts])))
+Lasting = TypeVar("Lasting", Hunting, TurnBlows)
 
 
-def _blows(parts: Sequence[TurnBlows]) -> TurnBlows:
-    most = max(parts, key=lambda part: part.share)
-    return replace(most, share=float(np.mean([part.share for part in parts])))
+def _worst(parts: Sequence[Lasting]) -> Lasting:
+    """Return the part of the largest share, with the mean of the shares."""
+    return replace(max(parts, key=lambda part: part.share), share=float(np.mean([part.share for part in parts])))

@@ -12,7 +12,6 @@ from enum import StrEnum
 import numpy as np
 
 from estimation.track.gauge.wheel_functions import LEAST_GAUGE
-from estimation.track.iteration import IterationResult
 from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.solution import prior_on_grid
 from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
@@ -225,7 +224,8 @@ def _with_survey(
     reason = None if survey_checked else verdict.reason
     gauge = epoch.judge_gauge(weighed.estimate, survey)
     if gauge is not None and _confirmed(verdict):
-        return _without_gauge(epoch, survey, combined([gauge, _of_alignment(reason)]))
+        of_alignment = None if reason is None else prefixed("its alignment: ", reason)
+        return _without_gauge(epoch, survey, combined([gauge, of_alignment]))
     return _extended(epoch, weighed, survey, settings, reason, verdict, decided=survey_checked or _confirmed(verdict))
 
 
@@ -249,19 +249,15 @@ def _extended(
         found = carry_over_findings(posterior.alignment, posterior.before)  # on one grid
         found = replace(found, scale_std=float(np.hypot(found.scale_std, doubted)))
         in_motion = replace(found, alignment=posterior.in_motion)
+        std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (posterior.before, found))
+        first = not posterior.before.passes.any()
         if (
-            _sharper(posterior.before, found, settings)
+            (first and std > settings.same_least and std_now < SHARPER * std)
             or requires_reestimation(posterior.before, in_motion, settings)
             or posterior.before.scale_std < settings.same_std * doubted
         ):
             return replace(kept, outcome=UpdateOutcome.SURVEY_EXTENDED, alignment=found)
     return _with_gauge_shifts(kept, survey, epoch.vehicles, settings)
-
-
-def _sharper(file: TrackAlignment, found: TrackAlignment, settings: AlignmentSettings) -> bool:
-    """Whether what the first passes make of a file is more certain than it by what matters."""
-    std, std_now = (float(np.nanmedian(one.alignment_std)) for one in (file, found))
-    return not file.passes.any() and std > settings.same_least and std_now < SHARPER * std
 
 
 def _placed_on_survey(estimate: SectionEstimate) -> SectionEstimate:
@@ -307,10 +303,6 @@ def _confirmed(verdict: SurveyVerdict) -> bool:
     return code_of(verdict.reason) is ReasonCode.SURVEY_CONFIRMED
 
 
-def _of_alignment(verdict: Reason | None) -> Reason | None:
-    return None if verdict is None else prefixed("its alignment: ", verdict)
-
-
 def _refused(
     epoch: _Epoch, weighed: Weighed, survey: TrackAlignment, verdict: SurveyVerdict, settings: AlignmentSettings
 ) -> AlignmentUpdate:
@@ -327,23 +319,20 @@ def _refused(
     if verdict.harmless and verdict.reason is not None:
         kept = prefixed("kept, with all positions on it, for the fleet finds none: ", verdict.reason)
         return _extended(epoch, weighed, survey, settings, kept, verdict)
-    return epoch.update(UpdateOutcome.SURVEY_REFUSED, without, _unknown(survey), survey=refusal)
+    nothing = np.full(len(survey.s), np.nan)
+    unknown = replace(
+        survey, alignment=nothing, alignment_std=nothing, source=AlignmentSource.FLEET, status=Status.UNESTIMATED
+    )
+    return epoch.update(UpdateOutcome.SURVEY_REFUSED, without, unknown, survey=refusal)
 
 
 def _mistake(epoch: _Epoch, survey: TrackAlignment, without: SectionEstimate) -> Reason | None:
     """Return which mistake a wrong survey holds, by what the fleet finds without it; None where that shows none."""
     if without.iterated is None:
         return None
-    fleet = _as_found(epoch, without.iterated)
-    check = check_survey(survey, fleet, place_std=place_of(without.corrections)[1])
-    return None if check.usable else check.reason
-
-
-def _as_found(epoch: _Epoch, iterated: IterationResult) -> TrackAlignment:
-    """Return the alignment of a panel, good enough to be compared with even where it is too uncertain to be used."""
-    solution, grid = iterated.solution, iterated.panel.grid
+    solution, grid = without.iterated.solution, without.iterated.panel.grid
     zero = np.zeros(grid.points)
-    return TrackAlignment(
+    fleet = TrackAlignment(  # good enough to be compared with even where it is too uncertain to be used
         section=epoch.section,
         version=0,
         s=grid.s,
@@ -356,14 +345,8 @@ def _as_found(epoch: _Epoch, iterated: IterationResult) -> TrackAlignment:
         source=AlignmentSource.FLEET,
         cutoff_wavelength=epoch.parameters.panel.cutoff_wavelength,
     )
-
-
-def _unknown(survey: TrackAlignment) -> TrackAlignment:
-    """Return the alignment of a section of which nothing is known but the survey's gauge."""
-    nothing = np.full(len(survey.s), np.nan)
-    return replace(
-        survey, alignment=nothing, alignment_std=nothing, source=AlignmentSource.FLEET, status=Status.UNESTIMATED
-    )
+    check = check_survey(survey, fleet, place_std=place_of(without.corrections)[1])
+    return None if check.usable else check.reason
 
 
 def _with_gauge_shifts(
@@ -372,13 +355,9 @@ def _with_gauge_shifts(
     """Return the survey with what its gauge does to wheelsets, as a version of its own where that is new."""
     found = kept.estimate.alignment
     varies = survey.gauge_known and float(np.std(survey.gauge_deviation)) >= LEAST_GAUGE
-    if (
-        not varies
-        or found is None
-        or not kept.estimate.report.converged
-        or found.findings is None
-        or not found.findings.gauge_shifts
-    ):
+    if not varies or not kept.estimate.report.converged:
+        return kept
+    if found is None or found.findings is None or not found.findings.gauge_shifts:
         return kept
     extended = carry_over_findings(replace(survey, findings=found.findings), survey)
     new = (

@@ -110,16 +110,11 @@ def carry_over_findings(found: TrackAlignment, before: TrackAlignment | None) ->
     if before is None or before.findings is None or found.findings is None:
         return found
     old, new = before.findings, found.findings
-    shifts = dict(new.gauge_shifts)
-    if shifts and _alike(before.gauge_deviation, found.gauge_deviation):
+    shifts, was, now = dict(new.gauge_shifts), before.gauge_deviation, found.gauge_deviation
+    powers = float(was @ was) * float(now @ now)
+    if shifts and powers > 0.0 and float(was @ now) > SAME_GAUGE * np.sqrt(powers):  # one gauge, sign and all
         shifts = {**old.gauge_shifts, **shifts}
     missed = old.stiffness_ratio.keys() - new.stiffness_ratio.keys()
     std = max(new.stiffness_ratio_std, old.stiffness_ratio_std) if missed else new.stiffness_ratio_std
     ratios = {**old.stiffness_ratio, **new.stiffness_ratio}
     return replace(found, findings=TrackFindings(ratios, std, shifts))
-
-
-def _alike(first: FloatArray, second: FloatArray) -> bool:
-    """Whether two gauges are one, sign and all."""
-    powers = float(first @ first) * float(second @ second)
-    return powers > 0.0 and float(first @ second) > SAME_GAUGE * np.sqrt(powers)

@@ -245,7 +245,9 @@ def screen(
     known_contradicted = 2 * len(against_known.refused) > len(against_known.refused) + len(against_known.agreed)
     if not known_contradicted:
         refused |= against_known.refused
-    journey_of = _journeys(passes, p)
+    grouped = journeys(passes, p.positions).values()
+    numbers = {id(item): number for number, members in enumerate(grouped) for item in members}
+    journey_of = np.array([numbers[id(item)] for item in passes], dtype=np.int64)
     comparable = {i: one for i, one in filtered.items() if i not in refused}
     comparisons = compare_pairs(comparable, journey_of, p)
     agreed = frozenset() if known_contradicted else frozenset(against_known.agreed)
@@ -295,10 +297,3 @@ def _against_known(
         {i: one for i, one in assessed.items() if verdicts[i] is None},
         {i: reason for i, reason in verdicts.items() if reason is not None},
     )
-
-
-def _journeys(passes: Sequence[Pass], p: ScreeningParameters) -> IntArray:
-    numbers: dict[int, int] = {}
-    for number, members in enumerate(journeys(passes, p.positions).values()):
-        numbers |= {id(item): number for item in members}
-    return np.array([numbers[id(item)] for item in passes], dtype=np.int64)
