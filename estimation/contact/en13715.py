@@ -81,7 +81,7 @@ def _flange(higher: float, thinner: float) -> list[Segment]:
     across = (tip_y - foot[0]) * normal[0] + (tip_z - foot[1]) * normal[1]
     back = ahead - math.sqrt((radius - _TIP_RADIUS) ** 2 - across**2)
     forth = 2.0 * ahead - back
-    t = min((back, forth), key=lambda value: abs(_below(foot, along, value) - (8.8349 + 1.86 * higher)))
+    t = min((back, forth), key=lambda value: abs(foot[1] + value * along[1] - (8.8349 + 1.86 * higher)))
     centre = (foot[0] + t * along[0], foot[1] + t * along[1])
     start_face = (centre[0] - radius * normal[0], centre[1] - radius * normal[1])
     share = _TIP_RADIUS / (radius - _TIP_RADIUS)
@@ -95,10 +95,6 @@ def _flange(higher: float, thinner: float) -> list[Segment]:
         Line(start_face[0], face_y, face_y, _FACE_END[1], -_FACE),
     ]
     return segments
-
-
-def _below(foot: tuple[float, float], along: tuple[float, float], t: float) -> float:
-    return foot[1] + t * along[1]
 
 
 def _s1002_tread(thinner: float) -> list[Segment]:

@@ -51,10 +51,7 @@ class TreadWear:
     def __post_init__(self) -> None:
         _within("depth", self.depth, DEEPEST_HOLLOW)
         _within("flange_wear", self.flange_wear, MOST_FLANGE_WEAR)
-        if not (math.isfinite(self.half_width) and self.half_width > 0.0):
-            raise ParameterError(f"{self.half_width!r} is not a positive length", field="half_width")
-        if not math.isfinite(self.centre):
-            raise ParameterError(f"{self.centre!r} is not a position", field="centre")
+        _check_band(self)
 
 
 class WearFamily(StrEnum):
@@ -83,7 +80,9 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
     """
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear is applied to wheels", field="kind")
-    moved, rate = _flange_shift(wheel.y, wear.flange_wear)
+    (root, root_rate), (tip, tip_rate) = _blend(wheel.y, *_ROOT), _blend(wheel.y, *_TIP)
+    moved = wear.flange_wear * (1.0 - root) * tip  # from how far field-wards the surface at y came
+    rate = wear.flange_wear * ((1.0 - root) * tip_rate - root_rate * tip)
     source = np.clip(wheel.y + moved, wheel.y[0], wheel.y[-1])
     loss, loss_slope = _hollow(source, wear)
     z = wheel.height(source) - loss
@@ -91,18 +90,11 @@ def worn(wheel: Profile, wear: TreadWear) -> Profile:
     return Profile("wheel", f"{wheel.name} worn", wheel.y, z, slope)
 
 
-def _hollow(y: FloatArray, wear: TreadWear) -> tuple[FloatArray, FloatArray]:
+def _hollow(y: FloatArray, wear: TreadWear | RailWear) -> tuple[FloatArray, FloatArray]:
     """Return lost height and its slope (n,)."""
     u = np.clip((y - wear.centre) / wear.half_width, -1.0, 1.0)
     rest = 1.0 - u * u
     return wear.depth * rest**3, -6.0 * wear.depth / wear.half_width * u * rest**2
-
-
-def _flange_shift(y: FloatArray, flange_wear: float) -> tuple[FloatArray, FloatArray]:
-    """Return from how far field-wards the surface at y came, and the derivative of that by y (n,)."""
-    root, root_rate = _blend(y, *_ROOT)
-    tip, tip_rate = _blend(y, *_TIP)
-    return flange_wear * (1.0 - root) * tip, flange_wear * ((1.0 - root) * tip_rate - root_rate * tip)
 
 
 def _blend(y: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArray]:
@@ -114,6 +106,13 @@ def _blend(y: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArr
 def _within(field: str, value: float, largest: float) -> None:
     if not 0.0 <= value <= largest:
         raise ParameterError(f"{value!r} m is outside 0 to {largest} m", field=field)
+
+
+def _check_band(wear: TreadWear | RailWear) -> None:
+    if not (math.isfinite(wear.half_width) and wear.half_width > 0.0):
+        raise ParameterError(f"{wear.half_width!r} is not a positive length", field="half_width")
+    if not math.isfinite(wear.centre):
+        raise ParameterError(f"{wear.centre!r} is not a position", field="centre")
 
 
 _FACE_BELOW_TREAD = 10e-3  # m, where the flange thickness is measured
@@ -181,7 +180,9 @@ def wear_measures(wheel: Profile) -> WearMeasures:
     tread = float(wheel.height(np.zeros(1))[0])
     thick = _face(y[tip:], z[tip:], tread + _FACE_BELOW_TREAD)
     high = _face(y[tip:], z[tip:], float(z[tip]) - _FACE_ABOVE_TIP)
-    return WearMeasures(float(z[tip]) - tread, thick + TREAD_DATUM, thick - high, _deepest_hollow(y, z))
+    part = z[(y >= _TREAD_FROM) & (y <= y[-1] - _RIM_MARGIN)]
+    hollow = float((np.maximum.accumulate(part[::-1])[::-1] - part).max())  # below the highest point farther out
+    return WearMeasures(float(z[tip]) - tread, thick + TREAD_DATUM, thick - high, hollow)
 
 
 def _face(y: FloatArray, z: FloatArray, level: float) -> float:
@@ -191,13 +192,6 @@ def _face(y: FloatArray, z: FloatArray, level: float) -> float:
         raise ProfileError(f"the flange face does not cross a depth of {level * 1e3:.2f} mm", field="z")
     i = int(above[0])
     return float(y[i] - (y[i] - y[i - 1]) * (level - z[i]) / (z[i - 1] - z[i]))
-
-
-def _deepest_hollow(y: FloatArray, z: FloatArray) -> float:
-    """Return the largest amount by which a point further out is deeper than the tread."""
-    part = z[(y >= _TREAD_FROM) & (y <= y[-1] - _RIM_MARGIN)]
-    deepest_outside = np.maximum.accumulate(part[::-1])[::-1]
-    return float((deepest_outside - part).max())
 
 
 DEEPEST_BAND = 4e-3  # largest depth that the form is meant for, m
@@ -216,12 +210,8 @@ class RailWear:
     half_width: float = 0.030  # from the middle to where the band ends
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.depth <= DEEPEST_BAND:
-            raise ParameterError(f"{self.depth!r} m is outside 0 to {DEEPEST_BAND} m", field="depth")
-        if not (math.isfinite(self.half_width) and self.half_width > 0.0):
-            raise ParameterError(f"{self.half_width!r} is not a positive length", field="half_width")
-        if not math.isfinite(self.centre):
-            raise ParameterError(f"{self.centre!r} is not a position", field="centre")
+        _within("depth", self.depth, DEEPEST_BAND)
+        _check_band(self)
 
 
 def worn_rail(rail: Profile, wear: RailWear) -> Profile:
@@ -234,9 +224,7 @@ def worn_rail(rail: Profile, wear: RailWear) -> Profile:
         raise ProfileError(f"{rail.name!r} is a wheel; a band is worn into rails", field="kind")
     if wear.depth == 0.0:
         return rail
-    u = np.clip((rail.y - wear.centre) / wear.half_width, -1.0, 1.0)
-    rest = 1.0 - u * u
-    loss, slope = wear.depth * rest**3, -6.0 * wear.depth / wear.half_width * u * rest**2
+    loss, slope = _hollow(rail.y, wear)
     return Profile("rail", f"{rail.name} worn", rail.y, rail.z + loss, rail.slope + slope)
 
 
