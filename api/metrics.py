@@ -16,7 +16,7 @@ from estimation.values.alerts import AlertScope
 from estimation.values.runs import TRIED_AGAIN, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkState
-from fleet_db.stores.backlog import Backlog, backlog_of
+from fleet_db.stores.window_counts import Backlog, backlog_of
 
 SILENT_AFTER_NS = 86_400 * 1_000_000_000
 """A vehicle without data for longer is counted as silent."""

@@ -20,7 +20,7 @@ from api.feed.filters import FeedFilter
 from api.problems import GoOn, ProblemError
 from estimation.values.alerts import AlertEvent
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.stores.installation import FeedBranch
 
 _FORM = re.compile(r"(?P<sequence>\d{1,19})\.(?P<identity>[0-9a-f]{32})\.(?P<check>[0-9a-f]{8})", re.ASCII)
 _NO_EVENT = "0" * 8

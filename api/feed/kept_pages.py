@@ -11,7 +11,7 @@ from api.feed.filters import FeedFilter
 from api.feed.pages import Place, newest_place
 from api.schemas import alerts
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.stores.installation import FeedBranch
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from api.feed import cursors
 from api.feed.filters import FeedFilter
 from estimation.values.alerts import AlertEvent
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.stores.installation import FeedBranch
 
 PageT = TypeVar("PageT")
 LATEST = "latest"

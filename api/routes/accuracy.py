@@ -27,7 +27,7 @@ from estimation.jobs.steps.compared_measurements import ComparisonReader
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.measured_profiles import newest_measurements
+from fleet_db.stores.wheelset_events import newest_measurements
 
 router = APIRouter(prefix="/v1", tags=["accuracy"])
 _TABLE: dict[int | str, dict[str, Any]] = {200: {"content": {CSV: {"schema": {"type": "string"}}}}}

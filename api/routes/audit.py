@@ -13,7 +13,7 @@ from api.problems import described
 from api.schemas import access
 from api.schemas.common import Page
 from api.times import Moment
-from fleet_db.stores.audit import AuditFilter
+from fleet_db.stores.access import AuditFilter
 
 router = APIRouter(prefix="/v1/audit", tags=["access"], dependencies=[Depends(requires(Scope.ADMIN, all_fleets=True))])
 OfOwner = Annotated[str | None, Query(max_length=100, description="Only of this owner of a key or token.")]

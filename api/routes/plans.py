@@ -14,8 +14,8 @@ from api.schemas import worklist
 from api.services import ServicesDep
 from api.times import to_rfc3339
 from estimation.plans.reprofiling import DiameterLimits, turning_plan
+from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter
-from fleet_db.worklist_documents import from_document
 
 router = APIRouter(prefix="/v1/plans", tags=["plans"])
 DAY_NS = 86_400_000_000_000

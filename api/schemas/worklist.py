@@ -17,8 +17,8 @@ from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanL
 from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistOrder
-from fleet_db.worklist_documents import from_document
 
 WorklistSort = StrEnum(  # type: ignore[misc] # mypy wants the members written out; they are those of the order, twice
     "WorklistSort",

@@ -13,7 +13,7 @@ from api.feed.filters import FeedFilter
 from api.schemas import alerts
 from api.times import to_rfc3339
 from estimation.values.alerts import AlertEvent
-from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.stores.installation import FeedBranch
 
 TEST_TYPE = "treadwatch.webhook.test"
 

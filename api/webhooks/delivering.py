@@ -20,7 +20,7 @@ from estimation.errors import NotFoundError, TreadwatchError
 from estimation.storage import Clock
 from estimation.values.alerts import AlertEvent
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.stores.installation import FeedBranch
 from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
 
 

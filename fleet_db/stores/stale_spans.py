@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, delete, insert, select, update
 
 from fleet_db.rows import table_of
-from fleet_db.tables import StaleSpanRow
+from fleet_db.tables.recordings import StaleSpanRow
 
 SPANS = table_of(StaleSpanRow)
 

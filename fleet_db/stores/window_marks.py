@@ -26,7 +26,7 @@ from estimation.values.windows import DueStage, PassedOver, WindowKey, WindowMar
 from fleet_db.due import estimated, list_due, list_waiting
 from fleet_db.rows import reason_columns, replace_all, table_of
 from fleet_db.subjects import Subjects
-from fleet_db.tables import WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 BATCH = 500  # keys in a statement
