@@ -1,4 +1,4 @@
-"""Following the feed: events in order, each handed over before its cursor is kept."""
+"""The reference client of the feed of alerts over HTTP: events in order, each handed over before its cursor is kept."""
 
 from __future__ import annotations
 
@@ -51,11 +51,7 @@ class Block:
 
 
 def blocks(lines: Iterable[str]) -> Iterator[Block]:
-    """Yield the blocks of a stream (WHATWG HTML, 9.2.6); one that ends in the middle is dropped.
-
-    Args:
-        lines: Without their ends.
-    """
+    """Yield the blocks of a stream (WHATWG HTML, 9.2.6); one that ends in the middle is dropped."""
     identity: str | None = None
     data: list[str] = []
     for line in lines:
@@ -71,16 +67,7 @@ def blocks(lines: Iterable[str]) -> Iterator[Block]:
 
 
 def checked(response: httpx.Response) -> Any:  # noqa: ANN401 - JSON
-    """Return the body of a success.
-
-    Args:
-        response: Read to its end.
-
-    Raises:
-        OtherHistoryError: 409: the cursor is of another history.
-        RefusedError: The request is wrong, or not allowed.
-        UnreachableError: The service has too much to do, or failed.
-    """
+    """Return the body of a success."""
     if response.is_success:
         return _json(response)
     problem = _json(response)
@@ -137,13 +124,7 @@ class Taker(Protocol):
 
 @dataclass(slots=True)
 class Follower:
-    """A client of the feed.
-
-    Args:
-        http: With the address of the service and the key.
-        cursor: Where to begin; None for the beginning.
-        sleep: For seconds.
-    """
+    """A client of the feed."""
 
     http: httpx.Client
     query: Sequence[tuple[str, str]]
@@ -154,20 +135,12 @@ class Follower:
     _silent_streams: int = 0
 
     def once(self) -> None:
-        """Hand over what there is.
-
-        Raises:
-            RefusedError, UnreachableError: As of the service.
-        """
+        """Hand over what there is."""
         while self._guarded(lambda: self._page(wait_s=0)):
             pass
 
     def follow(self) -> None:
-        """Hand over what there is and what happens, until it is interrupted.
-
-        Raises:
-            RefusedError: The service refuses the key, the filter or the cursor.
-        """
+        """Hand over what there is and what happens, until it is interrupted."""
         while True:
             try:
                 self._guarded(self._stream if self._silent_streams < STREAM_FAILURES else self._long_poll)

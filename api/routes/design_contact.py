@@ -5,16 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from fastapi import APIRouter, Response
 from pydantic import Field
 
+from api.answers import answer_payload, table_payload
+from api.asking import AskedDep
+from api.contract import TABLE, Accepted
+from api.parameters import Serial
+from api.problems import described
 from api.schemas.common import Links, Representation, finite, finite_list, uncertain
 from api.schemas.derived import Derived
 from api.schemas.geometry import MM, ConicityAtAmplitude
 from api.schemas.registry import segment
-from estimation.accuracy.wheel_contact import RailShare, WheelContact
+from api.services import Services
+from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair
+from estimation.contact.profiles import wheel_profile
+from estimation.errors import ProfileError
+from estimation.jobs.settings import EstimationSettings
+from estimation.jobs.steps.compared_measurements import ComparisonReader
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
+from fleet_db.storage import SqlUnitOfWork
 
 SHOWN = 8e-3  # m of lateral displacement
 DECIMALS = 6  # of millimetres: a nanometre
@@ -121,3 +133,30 @@ def _curve(found: WheelContact) -> ContactCurve:
         rolling_radius_difference_mm=column(found.radius_difference),
         rolling_radius_difference_std_mm=column(found.radius_difference_std),
     )
+
+
+router = APIRouter(prefix="/v1", tags=["accuracy"])
+
+
+@router.get("/wheelsets/{serial}/contact", response_model=DesignContact, responses={**described(404), **TABLE})
+def get_design_contact(asked: AskedDep, accepted: Accepted, serial: Serial) -> Response:
+    """Return rolling radii and conicity of the wheelset's design profile; as `text/csv`, the curve alone."""
+    with asked.read() as unit:
+        wheelset = unit.registry.wheelset(serial)
+        rails = comparison_reader(asked.services, unit).rails(serial, unit.geometries.current(serial))
+        found = _design(asked.services, wheelset, rails)
+    body = design_contact(wheelset, found)
+    return answer_payload(asked.request, table_payload(body, accepted, table(body.contact)), accepted)
+
+
+def _design(services: Services, wheelset: WheelsetRecord, rails: Sequence[RailShare]) -> WheelContact | Reason:
+    try:
+        design = wheel_profile(wheelset.wheel_profile)
+    except ProfileError as error:
+        return Reason(ReasonCode.CONTACT_IMPOSSIBLE, str(error))
+    return services.contacts.contact(WheelPair(design, design, wheelset.nominal_radius_m), rails)
+
+
+def comparison_reader(services: Services, unit: SqlUnitOfWork) -> ComparisonReader:
+    """Return what compares measurements with the estimates of their dates."""
+    return ComparisonReader(unit, services.contacts.contact, EstimationSettings().interval_km)
