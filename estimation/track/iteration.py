@@ -124,17 +124,18 @@ class IterationResult:
     @property
     def measured_curves(self) -> list[MeasuredCurve]:
         """Measured curves of the wheelsets that have passed."""
-        known = self.panel.measured
-        return [known[name] for name in self.solution.lives if name in known]
+        return [self.panel.measured[life] for life in self.solution.lives if life in self.panel.measured]
+
+    def at_rest(self, parameters: IterationParameters) -> bool:
+        """Return whether neither positions nor stiffness ratios move any more."""
+        return self.moved < parameters.position_tolerance and self.changed < parameters.ratio_tolerance
 
     def convergence(self, parameters: IterationParameters) -> tuple[Convergence, ...]:
         """Return how positions, stiffness ratios and gauge ended."""
         moved, changed = self.moved < parameters.position_tolerance, self.changed < parameters.ratio_tolerance
-        return (
-            Convergence(Iterated.POSITIONS, moved, self.rounds, self.moved),
-            Convergence(Iterated.STIFFNESS_RATIOS, changed, self.rounds, self.changed),
-            *self.gauge_convergence,
-        )
+        positions = Convergence(Iterated.POSITIONS, moved, self.rounds, self.moved)
+        ratios = Convergence(Iterated.STIFFNESS_RATIOS, changed, self.rounds, self.changed)
+        return positions, ratios, *self.gauge_convergence
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,8 +179,7 @@ def iterate(
     found = _rounds(setting, first.panel.with_gauge(prior.gauge, {}), corrections, ratios)
     for number in range(1, parameters.most_wheel_rounds + 1):
         found = _solved(setting, _repositioned(setting, found), _with_wheels(found))
-        at_rest = found.moved < parameters.position_tolerance and found.changed < parameters.ratio_tolerance
-        if number >= parameters.wheel_rounds and at_rest:
+        if number >= parameters.wheel_rounds and found.at_rest(parameters):
             break
     return replace(_finished(setting, found), first_noise=first.noise)
 
@@ -198,18 +198,14 @@ def first_rounds(
         return _rounds(setting, panel, corrections, {}, std=std)
     found = _rounds(setting, panel, corrections, {}, std=False)
     varies = prior.gauge_known and bool(prior.gauge.any())
-    fixed, tolerance = replace(setting, placed_on_survey=True), setting.parameters.survey_tolerance
+    fixed, grouped = replace(setting, placed_on_survey=True), setting.grouped
+    tolerance = setting.parameters.survey_tolerance
     for _ in range(setting.parameters.survey_rounds):
         on_survey = positions_on_survey(found.placed, prior, panel.grid)
-        if on_survey is None:
+        noisy = varies and not found.placed_on_survey
+        if on_survey is None or (noisy and _mean_move(grouped, found.corrections, on_survey) < tolerance):
             break
-        if (
-            varies
-            and not found.placed_on_survey
-            and _mean_move(setting.grouped, found.corrections, on_survey) < tolerance
-        ):
-            break
-        moved = _largest_move(setting.grouped, found.corrections, on_survey)
+        moved = _largest_move(grouped, found.corrections, on_survey)
         found = replace(_rounds(fixed, panel, on_survey, found.ratios, std=False), placed_on_survey=True)
         if moved < setting.parameters.survey_moved:
             break
@@ -259,26 +255,14 @@ def _rounds(
     std: bool = True,
 ) -> IterationResult:
     """Refine positions and stiffness ratios until neither moves; ``std`` of what that ends at where it is asked for."""
-    p, noise = setting.parameters, setting.parameters.pass_std
-    moved, changed, done = np.inf, np.inf, 0
-    placed: Placed | None = None
-    while True:
-        done += 1
-        placed = place(setting.grouped, corrections, ratio_values(ratios), panel.grid, placed)
-        passes = all_passes(placed)
-        state = update(init(panel), passes)
-        last = (moved < p.position_tolerance and changed < p.ratio_tolerance) or done >= p.rounds
-        solution = result(_state_with_prior(state, setting, noise), std=last and std)
-        noise = max(residual_of_passes(state, solution), 0.1 * p.pass_std)
-        explained = _explained(setting, state, solution, noise)
-        if last:
-            known = with_ratio_std(ratios, passes, solution, panel, explained) if std else ratios
-            return IterationResult(panel, state, solution, placed, known, done, float(moved), float(changed), noise)
-        better = refine_ratios(ratios, passes, solution, panel, explained)
-        changed = _ratio_change(ratios, better)
-        ratios = better
-        before, corrections = corrections, _refined_corrections(setting, placed, ratios, state, solution)
-        moved = _largest_move(setting.grouped, before, corrections)
+    p, empty = setting.parameters, init(panel)
+    placed = place(setting.grouped, corrections, ratio_values(ratios), panel.grid)
+    nothing = result(empty, std=False)
+    found = IterationResult(panel, empty, nothing, placed, ratios, 0, float("inf"), float("inf"), p.pass_std)
+    while not (found.at_rest(p) or found.rounds >= p.rounds - 1):
+        found = _repositioned(setting, _solved(setting, found, panel))
+    found = _solved(setting, found, panel, std=std)
+    return _with_ratio_std(setting, found) if std else found
 
 
 def _explained(setting: Setting, state: PanelState, solution: PanelSolution, noise: float) -> float:
@@ -365,20 +349,25 @@ def _repositioned(setting: Setting, found: IterationResult) -> IterationResult:
     ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, explained)
     state = replace(found.state, panel=found.panel)
     corrections = _refined_corrections(setting, found.placed, ratios, state, found.solution)
+    changes = (abs(one.value - found.ratios.get(vehicle, Ratio()).value) for vehicle, one in ratios.items())
     return replace(
         found,
         placed=place(setting.grouped, corrections, ratio_values(ratios), found.panel.grid, found.placed),
         ratios=ratios,
         moved=_largest_move(setting.grouped, found.corrections, corrections),
-        changed=_ratio_change(found.ratios, ratios),
+        changed=max(changes, default=0.0),
     )
 
 
 def _finished(setting: Setting, found: IterationResult) -> IterationResult:
     whole = _solved(setting, found, found.panel, std=True)
-    explained = _explained(setting, whole.state, whole.solution, whole.noise)
-    ratios = with_ratio_std(whole.ratios, whole.passes, whole.solution, whole.panel, explained)
-    return replace(whole, ratios=ratios, rounds=found.rounds)
+    return replace(_with_ratio_std(setting, whole), rounds=found.rounds)
+
+
+def _with_ratio_std(setting: Setting, found: IterationResult) -> IterationResult:
+    explained = _explained(setting, found.state, found.solution, found.noise)
+    ratios = with_ratio_std(found.ratios, found.passes, found.solution, found.panel, explained)
+    return replace(found, ratios=ratios)
 
 
 def _register_by_gauge(
@@ -391,11 +380,6 @@ def _register_by_gauge(
     both = [register(sign * trial.panel.gauge, gauge, trial.panel.grid, positions) for sign in (1.0, -1.0)]
     correction = max(both, key=lambda found: found[1])[0]
     return {journey: compose(one, correction) for journey, one in trial.corrections.items()}, trial.ratios
-
-
-def _ratio_change(before: Mapping[str, Ratio], after: Mapping[str, Ratio]) -> float:
-    """Return by how much a stiffness ratio has changed at most; a vehicle that is new was as assumed."""
-    return max((abs(one.value - before.get(vehicle, Ratio()).value) for vehicle, one in after.items()), default=0.0)
 
 
 def _mean_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Mapping[Journey, Correction]) -> float:
