@@ -10,13 +10,13 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, freeze
 from estimation.values.fields import IN_MM, JsonValue, Served
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
 from estimation.values.results import ResultKind
 from estimation.values.runs import SubjectKind
-from estimation.values.windows import WindowKey
+from estimation.values.windows import OfWindow
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,24 +53,19 @@ class FilledCells:
     """A bin table as it is stored: only its cells with samples, which are a tenth of all in a window of a minute."""
 
     parameter_key: str
-    edges: FloatArray  # (b + 1,) m
+    edges: Annotated[FloatArray, None]  # (b + 1,) m
     groups: int
-    cells: IntArray  # (k,) group * b + bin of each cell, increasing
-    weight: FloatArray  # (k,)
-    lateral: FloatArray  # (k, q)
-    yaw: FloatArray  # (k, r)
+    cells: Annotated[IntArray, "k"]  # group * b + bin of each cell, increasing
+    weight: Annotated[FloatArray, "k"]
+    lateral: Annotated[FloatArray, "k", None]
+    yaw: Annotated[FloatArray, "k", None]
     samples: int
     windows: int
 
     def __post_init__(self) -> None:
-        k = len(self.cells)
-        object.__setattr__(self, "edges", frozen_array(self.edges, (None,), name="edges"))
-        object.__setattr__(self, "cells", frozen_array(self.cells, (k,), np.int64, name="cells"))
-        object.__setattr__(self, "weight", frozen_array(self.weight, (k,), name="weight"))
-        object.__setattr__(self, "lateral", frozen_array(self.lateral, (k, None), name="lateral"))
-        object.__setattr__(self, "yaw", frozen_array(self.yaw, (k, None), name="yaw"))
+        freeze(self)
         count = self.groups * (len(self.edges) - 1)
-        if k and (self.cells[0] < 0 or self.cells[-1] >= count):
+        if len(self.cells) and (self.cells[0] < 0 or self.cells[-1] >= count):
             raise ValueError(f"cells {self.cells[0]} to {self.cells[-1]} of {count}")
 
     def table(self) -> BinTable:
@@ -83,19 +78,12 @@ class FilledCells:
             whole.flags.writeable = False
             return whole.reshape(groups, bins, *rows.shape[1:])
 
-        return BinTable(
-            parameter_key=self.parameter_key,
-            edges=self.edges,
-            weight=spread(self.weight),
-            lateral=spread(self.lateral),
-            yaw=spread(self.yaw),
-            samples=self.samples,
-            windows=self.windows,
-        )
+        weight, lateral, yaw = (spread(rows) for rows in (self.weight, self.lateral, self.yaw))
+        return BinTable(self.parameter_key, self.edges, weight, lateral, yaw, self.samples, self.windows)
 
 
 @dataclass(frozen=True, slots=True)
-class WindowTable:
+class WindowTable(OfWindow):
     """The bin table of a window, and what it was made from."""
 
     wheelset: str
@@ -103,11 +91,6 @@ class WindowTable:
     window_digest: str  # of the content of the window
     table: BinTable | FilledCells
     track_version: int | None = None  # of the alignment
-
-    @property
-    def key(self) -> WindowKey:
-        """Wheelset and start."""
-        return self.wheelset, self.start_ns
 
 
 @dataclass(frozen=True, slots=True)

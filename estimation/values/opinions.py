@@ -13,7 +13,7 @@ from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason
 from estimation.values.results import History, ResultKind
 from estimation.values.runs import SubjectKind
-from estimation.values.windows import WindowKey
+from estimation.values.windows import OfWindow
 
 CREEP: Final = "creep"
 """The stage of creep forces, and the facet that a section and a vehicle with new ones have raised."""
@@ -40,7 +40,7 @@ class FrictionSums(FrozenArrays):
 
 
 @dataclass(frozen=True, slots=True)
-class WindowAdhesion:
+class WindowAdhesion(OfWindow):
     """Creep forces of one wheelset over one window, and what they say of the friction along its way."""
 
     wheelset: Annotated[str, Served(example="WS-0001")]
@@ -63,11 +63,6 @@ class WindowAdhesion:
     sums: FrictionSums | None = None
     reason: Reason | None = None
     smoothed: bool = False
-
-    @property
-    def key(self) -> WindowKey:
-        """Wheelset and start."""
-        return self.wheelset, self.start_ns
 
 
 @dataclass(frozen=True, slots=True)

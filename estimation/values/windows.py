@@ -156,6 +156,19 @@ class WindowPosition:
 WindowKey = tuple[str, int]  # wheelset and start of a window, in vehicle time
 
 
+class OfWindow:
+    """What is of one window of a wheelset."""
+
+    __slots__ = ()
+    wheelset: str
+    start_ns: int
+
+    @property
+    def key(self) -> WindowKey:
+        """Wheelset and start."""
+        return self.wheelset, self.start_ns
+
+
 def text_of_key(wheelset: str, start_ns: int) -> str:
     """Return the key of a window as text."""
     return f"{wheelset}@{start_ns}"
@@ -168,7 +181,7 @@ def key_of_text(text: str) -> WindowKey:
 
 
 @dataclass(frozen=True, slots=True)
-class WindowRecord:
+class WindowRecord(OfWindow):
     """A stored window without its samples. Key: (wheelset, start_ns)."""
 
     wheelset: str
@@ -186,25 +199,15 @@ class WindowRecord:
     implausible: Reason | None = None  # why its mileage is not believed
     samples_purged: bool = False
 
-    @property
-    def key(self) -> WindowKey:
-        """Wheelset and start."""
-        return self.wheelset, self.start_ns
-
 
 @dataclass(frozen=True, slots=True)
-class WindowMark:
+class WindowMark(OfWindow):
     """A window and the state that it is to have."""
 
     wheelset: str
     start_ns: int
     state: WindowState
     reason: Reason | None = None  # of a refusal
-
-    @property
-    def key(self) -> WindowKey:
-        """Wheelset and start."""
-        return self.wheelset, self.start_ns
 
 
 ReadingSpan = tuple[str, int, int]
