@@ -163,9 +163,8 @@ def iterate(
     corrections = correlate_positions(grouped, panel.grid, positions, reference)
     first = first_rounds(setting, panel, corrections)
     setting = replace(setting, placed_on_survey=first.placed_on_survey)
-    if prior is not None and prior.gauge_known and not prior.gauge.any():
-        return first
-    if not (first.state.count >= FEWEST_PASSES).any():
+    constant = prior is not None and prior.gauge_known and not prior.gauge.any()
+    if constant or not (first.state.count >= FEWEST_PASSES).any():
         return first
     if (
         prior is None or not prior.gauge_known
@@ -225,7 +224,7 @@ def _moved_as_a_whole(fixed: Setting, found: IterationResult, survey: PriorAlign
     square = float(state.square.sum() - 2.0 * d @ state.displacement + d**2 @ state.passes)
     error = float(np.median(survey.std[np.isfinite(survey.std)])) ** 2
     flattened = error / (error + max(square, 0.0) / max(float(state.passes.sum()), 1.0))
-    left = 1.0 - _explained(fixed, found.state, found.solution, found.noise)
+    left = 1.0 - _explained(fixed, found)
     share = flattened / (flattened + fixed.parameters.curves_flatten * left)
     if step is None or abs(share * step) < fixed.parameters.survey_moved:
         return found
@@ -265,8 +264,8 @@ def _rounds(
     return _with_ratio_std(setting, found) if std else found
 
 
-def _explained(setting: Setting, state: PanelState, solution: PanelSolution, noise: float) -> float:
-    return slope_correction(_state_with_prior(state, setting, noise), solution).explained
+def _explained(setting: Setting, found: IterationResult) -> float:
+    return slope_correction(_state_with_prior(found.state, setting, found.noise), found.solution).explained
 
 
 def _state_with_prior(state: PanelState, setting: Setting, noise: float) -> PanelState:
@@ -300,9 +299,9 @@ def _with_searched_gauge(setting: Setting, first: IterationResult, searches: int
     for number in range(p.gauge_trial):
         found = _repositioned(setting, found) if number else found
         prior = replace(p.gauge, noise=max(min(p.gauge.noise, found.noise), 0.3 * p.gauge.noise))
-        step = gauge_step(found.passes, found.solution, found.panel, prior)
-        solve = Convergence(Iterated.GAUGE_STEP, step.converged, step.steps, float("nan"))
-        found = _solved(setting, found, found.panel.with_gauge(step.gauge))
+        gauge, converged, steps = gauge_step(found.passes, found.solution, found.panel, prior)
+        solve = Convergence(Iterated.GAUGE_STEP, converged, steps, float("nan"))
+        found = _solved(setting, found, found.panel.with_gauge(gauge))
         found = replace(found, gauge_convergence=(*found.gauge_convergence, solve))
     if found.noise > (1.0 - p.gauge_explains) * first.noise:
         return first
@@ -345,17 +344,15 @@ def _solved(setting: Setting, found: IterationResult, panel: Panel, *, std: bool
 
 def _repositioned(setting: Setting, found: IterationResult) -> IterationResult:
     """Return ``found`` with better positions and stiffness ratios, and the passes moved by them."""
-    explained = _explained(setting, found.state, found.solution, found.noise)
-    ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, explained)
+    ratios = refine_ratios(found.ratios, found.passes, found.solution, found.panel, _explained(setting, found))
     state = replace(found.state, panel=found.panel)
     corrections = _refined_corrections(setting, found.placed, ratios, state, found.solution)
-    changes = (abs(one.value - found.ratios.get(vehicle, Ratio()).value) for vehicle, one in ratios.items())
     return replace(
         found,
         placed=place(setting.grouped, corrections, ratio_values(ratios), found.panel.grid, found.placed),
         ratios=ratios,
         moved=_largest_move(setting.grouped, found.corrections, corrections),
-        changed=max(changes, default=0.0),
+        changed=_ratio_change(found.ratios, ratios),
     )
 
 
@@ -365,8 +362,7 @@ def _finished(setting: Setting, found: IterationResult) -> IterationResult:
 
 
 def _with_ratio_std(setting: Setting, found: IterationResult) -> IterationResult:
-    explained = _explained(setting, found.state, found.solution, found.noise)
-    ratios = with_ratio_std(found.ratios, found.passes, found.solution, found.panel, explained)
+    ratios = with_ratio_std(found.ratios, found.passes, found.solution, found.panel, _explained(setting, found))
     return replace(found, ratios=ratios)
 
 
@@ -380,6 +376,11 @@ def _register_by_gauge(
     both = [register(sign * trial.panel.gauge, gauge, trial.panel.grid, positions) for sign in (1.0, -1.0)]
     correction = max(both, key=lambda found: found[1])[0]
     return {journey: compose(one, correction) for journey, one in trial.corrections.items()}, trial.ratios
+
+
+def _ratio_change(before: Mapping[str, Ratio], after: Mapping[str, Ratio]) -> float:
+    """Return by how much a stiffness ratio has changed at most; a vehicle that is new was as assumed."""
+    return max((abs(one.value - before.get(vehicle, Ratio()).value) for vehicle, one in after.items()), default=0.0)
 
 
 def _mean_move(grouped: Grouped, before: Mapping[Journey, Correction], after: Mapping[Journey, Correction]) -> float:

@@ -28,43 +28,26 @@ from estimation.values.track import (
     AlignmentSource,
     Convergence,
     Correction,
-    GaugeShift,
     TrackAlignment,
     TrackFindings,
     TrackSectionRecord,
 )
 
 
-@dataclass(frozen=True, slots=True)
-class SectionResults:
-    """Findings, and the gauge deviation (n,), m, where it is estimated from the passes."""
-
-    findings: TrackFindings
-    gauge: FloatArray | None
-
-
-def findings(iterated: IterationResult, *, gauge_estimated: bool) -> SectionResults:
-    """Return what the passes show; ``gauge_estimated`` where the gauge of the panel came from them."""
+def findings(iterated: IterationResult, *, gauge_estimated: bool) -> tuple[TrackFindings, FloatArray | None]:
+    """Return what the passes show, and the gauge deviation (n,), m, where that of the panel came from them."""
     ratios = {vehicle: one.value for vehicle, one in iterated.ratios.items()}
     std = max((one.std for one in iterated.ratios.values()), default=0.0)
     gauge = iterated.panel.gauge
     if gauge is None:
-        return SectionResults(TrackFindings(ratios, std, {}), None)
+        return TrackFindings(ratios, std, {}), None
     panel = iterated.panel
     shifts = total_gauge_shifts(iterated.solution, panel)
     sign = gauge_sign(contact_samples(iterated.passes, iterated.solution, panel), shifts) if gauge_estimated else 1
     if sign < 0:
-        shifts = {name: _turned(one) for name, one in shifts.items()}
+        shifts = {name: replace(one, shift=one.shift[:, ::-1]) for name, one in shifts.items()}  # a symmetric grid
     latest = {life.wheelset: shifts[life] for life in sorted(shifts)}  # of several lives the latest
-    found = TrackFindings(ratios, std, latest)
-    if not gauge_estimated:
-        return SectionResults(found, None)
-    return SectionResults(found, sign * gauge)
-
-
-def _turned(shift: GaugeShift) -> GaugeShift:
-    """Return what a gauge of the other sign does; the grid is symmetric."""
-    return replace(shift, shift=shift.shift[:, ::-1])
+    return TrackFindings(ratios, std, latest), sign * gauge if gauge_estimated else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,12 +173,12 @@ def merged_alignment(
     shared = np.maximum(found.passes + weight, 1e-12)
     d = (found.passes * found.alignment + weight * known.alignment) / shared
     certain = (found.passes >= p.panel.least_passes) | np.isfinite(known.std)
-    results = findings(iterated, gauge_estimated=not known.gauge_known)
-    gauge = known.gauge if results.gauge is None else results.gauge
-    gauge_std = _gauge_std(iterated, known, results)
+    shown, shown_gauge = findings(iterated, gauge_estimated=not known.gauge_known)
+    gauge = known.gauge if shown_gauge is None else shown_gauge
+    gauge_std = _gauge_std(iterated, known, shown_gauge)
     profile_std, profile_scale_std = _profile_uncertainty(iterated)
     slope_std = 0.0 if iterated.slope is None else min(iterated.slope.std, OPEN_SLOPE)
-    of_gauge = p.systematic_per_gauge[results.gauge is not None] * float(np.std(gauge))
+    of_gauge = p.systematic_per_gauge[shown_gauge is not None] * float(np.std(gauge))
     systematic = p.systematic**2 + of_gauge**2 + profile_std**2 + (slope_std * found.curves) ** 2
     std = _std(found, shared, iterated.solution.common_std, systematic)
     of_prior = 0.0 if prior is None else prior.scale_std * float(np.median(weight / shared))
@@ -211,9 +194,9 @@ def merged_alignment(
         status=Status.ESTIMATED,
         source=AlignmentSource.FLEET,
         cutoff_wavelength=p.cutoff_wavelength,
-        scale_std=float(np.linalg.norm([_scale_std(results, p), profile_scale_std, slope_std, of_prior])),
-        gauge_known=known.gauge_known and results.gauge is None,
-        findings=results.findings,
+        scale_std=float(np.linalg.norm([_scale_std(shown_gauge, p), profile_scale_std, slope_std, of_prior])),
+        gauge_known=known.gauge_known and shown_gauge is None,
+        findings=shown,
     )
 
 
@@ -224,7 +207,7 @@ def _std(found: LongWaveAlignment, shared: FloatArray, of_curves: FloatArray, sy
     return np.asarray(np.sqrt(std**2 + found.passes / shared * systematic))
 
 
-def _gauge_std(iterated: IterationResult, known: PriorAlignment, results: SectionResults) -> FloatArray:
+def _gauge_std(iterated: IterationResult, known: PriorAlignment, shown: FloatArray | None) -> FloatArray:
     """Return the std (n,), m, of the gauge deviation: as surveyed, or by what it does to passes that know none of it.
 
     Passes disagree by more than sensors make them where a gauge that is not modelled moves their wheelsets apart;
@@ -235,12 +218,12 @@ def _gauge_std(iterated: IterationResult, known: PriorAlignment, results: Sectio
     unexplained = float(np.sqrt(max(iterated.noise_without_gauge**2 - SENSOR_RESIDUAL**2, 0.0)))
     differing = min(between_pass_std_ratio(iterated.state) / WIDELY_DIFFERENT, 1.0)
     inferred = unexplained / (GAUGE_EFFECT * differing) if differing > 0.0 else 0.0
-    found = 0.0 if results.gauge is None else float(np.std(results.gauge))
+    found = 0.0 if shown is None else float(np.std(shown))
     return np.full_like(known.gauge_std, max(inferred, found))
 
 
-def _scale_std(results: SectionResults, p: SectionParameters) -> float:
-    return p.scale_error if results.gauge is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
+def _scale_std(shown: FloatArray | None, p: SectionParameters) -> float:
+    return p.scale_error if shown is None else float(np.hypot(p.scale_error, p.gauge_scale_error))
 
 
 def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:

@@ -323,7 +323,7 @@ def survey_posterior(
         alignment_std=std + nothing,
         passes=before.passes + np.rint(bands.passes).astype(np.int64),
         scale_std=_scale_std(bands, iterated, survey, p),
-        findings=findings(iterated, gauge_estimated=False).findings if ratios_known else survey.findings,
+        findings=findings(iterated, gauge_estimated=False)[0] if ratios_known else survey.findings,
     )
     return SurveyPosterior(found, before, bands)
 

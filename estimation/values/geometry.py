@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_cen
 from estimation.values.fields import IN_MM, JsonValue, Served
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
-from estimation.values.results import ResultKind
+from estimation.values.results import Result, ResultKind
 from estimation.values.runs import SubjectKind
 from estimation.values.windows import OfWindow
 
@@ -113,11 +113,8 @@ class BinStatus(StrEnum):
 
 LEFT_OUT = "windows_left_out"
 """Key among the parameters of a current geometry: windows since the last reprofiling not believed, by reason."""
-
 PASSED_OVER = "windows_passed_over"
 """Key among the parameters of a geometry: windows that would be others today, and cannot be made again, by cause."""
-
-
 RADIUS_DOUBTED = "radius_doubted"
 """Key among the parameters of a geometry: what was in doubt of its radius on file, for when its samples are gone."""
 
@@ -232,13 +229,10 @@ class WheelsetGeometry(FrozenArrays):
         """Return the geometry of a wheelset that does not follow the equations: no number is published."""
         nothing, b = np.full(len(self.samples), np.nan), len(self.samples)
         unknown = Estimate.unknown(reason, float(self.windows), Status.MODEL_MISMATCH)
-        values = BinValues(nothing, nothing, (BinStatus.UNOBSERVABLE,) * b)
+        values: Any = BinValues(nothing, nothing, (BinStatus.UNOBSERVABLE,) * b)
         return replace(
             self,
-            rolling_radius_sum=values,
-            rolling_radius_difference=values,
-            contact_angle_sum=values,
-            contact_angle_difference=values,
+            **dict.fromkeys(COMBINATIONS, values),
             conicity=(unknown,) * len(self.conicity),
             equivalent_conicity=unknown,
             nonlinearity=unknown,
@@ -362,4 +356,45 @@ def interval_conicities(record: GeometryRecord) -> IntervalConicities:
         code_version=record.code_version,
         known=known_conicities(geometry),
         reason=why_no_conicity(geometry),
+    )
+
+
+MOST_INTERVALS = 999_999
+"""To each side of a baseline; the order of the parts as texts is that of the intervals."""
+
+
+def part_of(baseline: int, interval: int | None) -> str:
+    """Return the part of a geometry; without a number of the interval of the current one of the baseline."""
+    return f"current.{baseline:04d}" if interval is None else f"{baseline:04d}.{interval + MOST_INTERVALS:07d}"
+
+
+def key_of_part(part: str) -> tuple[int, int | None]:
+    """Return baseline and interval; None is the current geometry."""
+    first, _, second = part.partition(".")
+    return (int(second), None) if first == "current" else (int(first), int(second) - MOST_INTERVALS)
+
+
+def result_of_geometry(record: GeometryRecord) -> Result[WheelsetGeometry]:
+    """Return a geometry as a result."""
+    geometry = record.geometry
+    why = why_no_conicity(geometry)
+    return Result(
+        subject=record.wheelset,
+        part=part_of(record.baseline, record.interval),
+        made_from=record.input_digest,
+        numerics=record.code_version,
+        recorded_ns=record.recorded_ns,
+        value=geometry,
+        status=geometry.status,
+        reason=geometry.reason,
+        head={
+            "mileage_km": None if math.isnan(record.mileage_km) else float(record.mileage_km),
+            "from_ns": record.from_ns,
+            "to_ns": record.to_ns,
+            "windows": geometry.windows,
+            "track_versions": {section: list(versions) for section, versions in record.track_versions.items()},
+            "conicities": [list(one) for one in known_conicities(geometry)],
+            "no_conicity": None if why is None else [why.code.value, why.text],
+        },
+        parameters=record.parameters,
     )

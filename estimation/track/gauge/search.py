@@ -37,15 +37,6 @@ class GaugePrior:
 
 
 @dataclass(frozen=True, slots=True)
-class GaugeStep:
-    """The gauge deviation after a step, and how its conjugate gradients ended."""
-
-    gauge: FloatArray  # (n,) m
-    converged: bool  # within ``CG_TOLERANCE``
-    steps: int
-
-
-@dataclass(frozen=True, slots=True)
 class _LinearisedPass:
     """One pass: residual of y and its derivative by e before the filter, on its own grid."""
 
@@ -64,8 +55,13 @@ def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: Panel)
     return replace(solution, curves=np.concatenate([h0, h1, np.zeros_like(h1), stiffness_term], axis=2))
 
 
-def gauge_step(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior) -> GaugeStep:
-    """Return the gauge deviation after one Gauss-Newton step from the gauge of ``panel``, with mean zero."""
+def gauge_step(
+    passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior
+) -> tuple[FloatArray, bool, int]:
+    """Return the gauge deviation (n,), m, with mean zero, after one Gauss-Newton step from that of ``panel``.
+
+    Then whether its conjugate gradients came within ``CG_TOLERANCE``, and their steps.
+    """
     assert panel.gauge is not None
     rows = [_linearised(item, curve, panel) for item, curve in solution.used(passes)]
     count, weight = np.zeros((2, panel.grid.points))
@@ -81,8 +77,8 @@ def gauge_step(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Pa
     gauge = panel.gauge + change
     known = share > 0
     if not known.any():
-        return GaugeStep(panel.gauge, converged, steps)
-    return GaugeStep(np.where(known, gauge - gauge[known].mean(), 0.0), converged, steps)
+        return panel.gauge, converged, steps
+    return np.where(known, gauge - gauge[known].mean(), 0.0), converged, steps
 
 
 def _linearised(item: GriddedPass, curve: FloatArray, panel: Panel) -> _LinearisedPass:

@@ -281,7 +281,7 @@ def _best_candidate(
     kept = [lives.index(life) for life in start.lives]
     residuals: list[float] = []
     for effect in candidates:
-        gauge = gauge_step(part, with_gauge_effect(start, effect[kept], zero), zero, prior).gauge
+        gauge, _, _ = gauge_step(part, with_gauge_effect(start, effect[kept], zero), zero, prior)
         if not residuals and gauge.std() < LEAST_GAUGE:
             return None
         state = update(init(small.with_gauge(gauge)), part)
