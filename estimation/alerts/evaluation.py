@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from estimation.alerts.life_cycle import DAY_NS, acknowledgement_ends_ns
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.identity import IdentityRule, mounting_corrected
+from estimation.alerts.rules.contradicted_registry import IdentityRule, mounting_corrected
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
+from estimation.alerts.rules.sensor_data import NoDataRule, silent_since_ns
 from estimation.values.alerts import Alert, CloseReason, Finding
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
@@ -79,3 +81,15 @@ def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Fi
         return geometry.geometry.reason
     hidden = (rule.hides_wear for rule, finding in found if finding is not None and finding.breached)
     return next(filter(None, hidden), None)
+
+
+def next_change_ns(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> int | None:
+    """Return when the same facts may first say something else, ns UTC; None where time alone changes nothing.
+
+    Time counts where a wheelset is silent, and where an acknowledgement runs out.
+    """
+    moments = [ends for alert in facts.open_alerts if (ends := acknowledgement_ends_ns(alert)) is not None]
+    silent, since_ns = book.rule(NoDataRule), silent_since_ns(facts)
+    if since_ns is not None:
+        moments += [since_ns + round(days * DAY_NS) for days in (silent.days, silent.critical_days)]
+    return min((at for at in moments if at >= now_ns), default=None)
