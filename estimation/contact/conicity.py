@@ -289,9 +289,6 @@ def conicity_std(
 
     Args:
         lateral_displacement, amplitudes: (n,) m, strictly increasing; (k,) m.
-
-    Raises:
-        ContactError: The profiles never touch.
     """
     wanted = np.array(amplitudes, dtype=np.float64, ndmin=1)
     if shapes.exact:

@@ -17,8 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import cKDTree
 
-from estimation.contact.en13715 import HEIGHTS, THICKNESSES
-from estimation.contact.profiles import ProfileKind, rail_profile, wheel_profile
+from estimation.contact.profiles import HEIGHTS, THICKNESSES, ProfileKind, rail_profile, wheel_profile
 from estimation.contact.wheel_definitions import RAIL_DEFINITIONS, WHEEL_DEFINITIONS, Segment
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 
@@ -64,10 +63,7 @@ class DesignCurve(FrozenArrays):
 
 
 def nearest_design(kind: ProfileKind, points: FloatArray) -> DesignCurve | None:
-    """Return the design nearest to measured points (n, 2), mm, moved to them; None if they are of no known design.
-
-    Axes are those of profiles; a wheel's y is from about its tread datum.
-    """
+    """Return the design nearest to measured points (n, 2), mm, moved to them; None if they are of no known one."""
     shown = points[np.unique(np.linspace(0, len(points) - 1, POINTS).astype(np.int64))]
     found = []
     for name in _names(kind, shown):

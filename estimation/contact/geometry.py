@@ -86,11 +86,7 @@ Setting = tuple[bool, float, tuple[float, float], _Sides, _Sides]
 
 @dataclass(frozen=True, slots=True)
 class WheelsetOnTrack:
-    """A wheelset and the track under it, as far as contact geometry goes; SI.
-
-    Raises:
-        ContactError: A wheel where a rail should be, or a dimension that is not a positive number.
-    """
+    """A wheelset and the track under it, as far as contact geometry goes; SI."""
 
     left_wheel: Profile
     right_wheel: Profile
@@ -267,9 +263,6 @@ def radius_difference_curve(
     Each cell is halved until the curve is straight in it to 0.2 um; a jump is placed by bisection of the contact
     search to 1 nm. So integrals over the curve (EN 15302) do not depend on the grid. Arguments are as those of
     :func:`contact_table`.
-
-    Raises:
-        ContactError: A grid that is not finite and increasing; profiles that never touch.
     """
     grid, _, setting, values, outcomes = search_contacts(
         wheelset, lateral_displacement, (gauge_deviation,), method=method, outside="hold"

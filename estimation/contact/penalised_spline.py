@@ -208,11 +208,7 @@ def _whitened(points: FloatArray, basis: FloatArray, weights: FloatArray, arc: F
 
 
 def _evidence_fit(rows: _Rows, noise: float, rounds: int, *, known: bool, pooled: BoolArray | None = None) -> _Fit:
-    """Return the fit whose local variance of the third difference explains the points best (MacKay's fixed point).
-
-    The variance is the sum of squares over the number of well-determined differences, both over the neighbours, or
-    over all that are ``pooled``.
-    """
+    """Return the fit whose variance of third differences, local or ``pooled``, explains points best (MacKay)."""
     local = np.full(rows[0].shape[1] - ORDER, (FIRST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2)
     least = (LEAST_THIRD_DERIVATIVE * KNOT_STEP**ORDER) ** 2
     normal = rows[0].T @ rows[0], rows[0].T @ rows[1]
@@ -294,10 +290,7 @@ def _projected(
 
 
 def _relative_precision(tangent: FloatArray, residual: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return weights (n,), geometric mean 1: the noise has one variance in height and one in lateral position.
-
-    Across a surface at angle a its variance is that in height times cos^2 a and the lateral one times sin^2 a.
-    """
+    """Return weights (n,), geometric mean 1: noise has one variance in height (cos^2) and one laterally (sin^2)."""
     share = tangent**2 / np.maximum((tangent**2).sum(axis=1), _TINY)[:, np.newaxis]  # cos^2, sin^2
     variance = np.full(len(residual), max(float((weight @ residual**2) / weight.sum()), _TINY))
     for _ in range(NOISE_ROUNDS):

@@ -86,9 +86,6 @@ def smoothed_profile(
     Args:
         points: (n, 2) mm, y to the field side and z down, along the profile with y increasing on the whole.
         noise_std: Known noise of the instrument, mm; 0 takes the points as they are, None estimates it.
-
-    Raises:
-        ProfileError: Fewer than four points, points that are not in order, or too few for their scatter.
     """
     level = correlated_noise(points)[0] if noise_std is None else noise_std
     if level < EXACT_BELOW:
@@ -189,11 +186,7 @@ def _profile(kind: ProfileKind, name: str, spline: PenalisedSpline, coefficients
 
 
 def without_spikes(points: FloatArray, level: float) -> FloatArray:
-    """Return weight 0 (n,) for points far off the median of their neighbours, which would bend the first fit, else 1.
-
-    Args:
-        level: Noise across the curve, mm.
-    """
+    """Return weight 0 (n,) for points far off the median of their neighbours, beside noise of ``level``, mm; else 1."""
     n = len(points)
     index = np.clip(np.arange(n)[:, np.newaxis] + np.arange(-3, 4), 0, n - 1)
     middle = np.median(points[index], axis=1)

@@ -37,11 +37,7 @@ _TIP = (-0.058, -0.048)  # m, the tip stays up to the first, the face moves full
 
 @dataclass(frozen=True, slots=True)
 class TreadWear:
-    """Material that a wheel has lost; metres on the profile's lateral axis.
-
-    Raises:
-        ParameterError: Depth outside 0 to 6 mm, flange wear outside 0 to 4 mm, a half width that is not positive.
-    """
+    """Material that a wheel has lost; metres on the profile's lateral axis."""
 
     depth: float  # at the centre of the hollow
     centre: float = 0.0  # lateral, from the tread datum, positive to the field side
@@ -73,11 +69,7 @@ def wear_course(family: WearFamily, depth: float) -> TreadWear:
 
 
 def worn(wheel: Profile, wear: TreadWear) -> Profile:
-    """Return the wheel profile after it has lost that material; the new profile is not touched.
-
-    Raises:
-        ProfileError: The profile is a rail.
-    """
+    """Return the wheel profile after it has lost that material; the new profile is not touched."""
     if wheel.kind != "wheel":
         raise ProfileError(f"{wheel.name!r} is a rail; wear is applied to wheels", field="kind")
     (root, root_rate), (tip, tip_rate) = _blend(wheel.y, *_ROOT), _blend(wheel.y, *_TIP)
@@ -199,11 +191,7 @@ DEEPEST_BAND = 4e-3  # largest depth that the form is meant for, m
 
 @dataclass(frozen=True, slots=True)
 class RailWear:
-    """Material that a rail head has lost; metres on the profile's lateral axis.
-
-    Raises:
-        ParameterError: Depth outside 0 to 4 mm, a half width that is not positive, a middle that is no number.
-    """
+    """Material that a rail head has lost; metres on the profile's lateral axis."""
 
     depth: float  # at the middle of the band
     centre: float = 0.0  # lateral, from the middle of the head, negative to the gauge side
@@ -215,11 +203,7 @@ class RailWear:
 
 
 def worn_rail(rail: Profile, wear: RailWear) -> Profile:
-    """Return the rail profile after it has lost that material; the new profile is not touched.
-
-    Raises:
-        ProfileError: The profile is a wheel.
-    """
+    """Return the rail profile after it has lost that material; the new profile is not touched."""
     if rail.kind != "rail":
         raise ProfileError(f"{rail.name!r} is a wheel; a band is worn into rails", field="kind")
     if wear.depth == 0.0:

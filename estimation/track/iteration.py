@@ -25,7 +25,7 @@ from estimation.track.gauge.wheel_functions import (
     total_gauge_shifts,
 )
 from estimation.track.gridded_pass import GriddedPass, Placed, all_passes, place, with_ratios
-from estimation.track.panel.basis import Panel
+from estimation.track.panel.basis import MeasuredCurve, Panel, PanelState, init, update
 from estimation.track.panel.instrumental_slope import (
     Ratio,
     SlopeCorrection,
@@ -37,8 +37,6 @@ from estimation.track.panel.instrumental_slope import (
     with_instrument,
     with_ratio_std,
 )
-from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.normal_equations import PanelState, init, update
 from estimation.track.panel.solution import (
     PanelSolution,
     PriorAlignment,

@@ -13,9 +13,8 @@ from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_
 from estimation.track.gauge.wheel_functions import contact_samples, gauge_sign, total_gauge_shifts
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.iteration import Grouped, IterationResult, Setting, first_rounds
-from estimation.track.panel.basis import Panel, unfiltered_residual
+from estimation.track.panel.basis import MeasuredCurve, Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import PRIOR_STD
-from estimation.track.panel.measured_curves import MeasuredCurve
 from estimation.track.panel.solution import PanelSolution, PriorAlignment, between_pass_std_ratio, prior_on_grid
 from estimation.track.passes import Journey, Pass, ProfileLife
 from estimation.track.positions import correlate_positions
@@ -68,10 +67,7 @@ class JourneyReport:
 
 @dataclass(frozen=True, slots=True)
 class AlignmentReport:
-    """How an alignment was found, in figures; stored with it.
-
-    ``evidence`` names what was known besides the passes: the last version, a recorded alignment.
-    """
+    """How an alignment was found, in figures; ``evidence`` names what was known besides the passes."""
 
     status: Status
     reason: Reason | None
@@ -227,10 +223,7 @@ def _scale_std(shown: FloatArray | None, p: SectionParameters) -> float:
 
 
 def _profile_uncertainty(iterated: IterationResult) -> tuple[float, float]:
-    """Return the std, m, and the relative one of y - d, that measured profiles leave where only they fix the curves.
-
-    The latter is of the profiles, and of R by a stiffness that is as assumed.
-    """
+    """Return the std, m, and the relative one of y - d that measured profiles leave where they alone fix curves."""
     if not iterated.solution.report.curves_fixed:
         return 0.0, 0.0
     squares = np.array([(one.std, one.std / one.spread) for one in iterated.measured_curves]) ** 2

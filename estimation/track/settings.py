@@ -6,8 +6,7 @@ from dataclasses import dataclass, field
 
 from estimation.track.iteration import IterationParameters
 from estimation.track.panel.basis import PanelParameters
-from estimation.track.partition import PartitionParameters
-from estimation.track.passes import PositionParameters
+from estimation.track.passes import PartitionParameters, PositionParameters
 from estimation.track.screening.agreement import ScreeningParameters
 
 

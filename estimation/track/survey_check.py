@@ -119,10 +119,7 @@ def worth_more(fleet: TrackAlignment, survey: TrackAlignment) -> bool:
 
 
 def _misplaced(found: SurveyCheck, open_scale: float, place_known: float, p: SurveyCheckParameters) -> list[Reason]:
-    """Return what is wrong with the unit, the sides and the place of a recording.
-
-    ``open_scale`` is the factor that the fleet leaves open, ``place_known``, m, the uncertainty of its place.
-    """
+    """Return what is wrong with unit, sides and place, beyond a factor and a shift, m, that the fleet leaves open."""
     reasons = []
     if not 1.0 / (p.most_factor * open_scale) <= found.scale <= p.most_factor * open_scale:
         reasons.append(Reason(ReasonCode.SURVEY_UNIT, _unit(found.scale)))
@@ -209,10 +206,7 @@ class GaugeLimits:
 def judge_gauge(
     iterated: IterationResult | None, survey: TrackAlignment, *, converged: bool, limits: GaugeLimits | None = None
 ) -> Reason | None:
-    """Return what is wrong with a surveyed gauge; None where nothing is, or where the passes cannot show it.
-
-    Until positions and stiffness ratios have ``converged`` nothing is refused.
-    """
+    """Return what is wrong with a surveyed gauge; None where nothing is, or what passes show is not certain yet."""
     p = limits or GaugeLimits()
     size = float(np.std(survey.gauge_deviation))
     if iterated is None or iterated.panel.gauge is None or not (converged and survey.gauge_known):

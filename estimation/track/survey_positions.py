@@ -49,10 +49,7 @@ class SurveyPositionParameters:
 def positions_on_survey(
     placed: Placed, survey: PriorAlignment, grid: SectionGrid, parameters: SurveyPositionParameters | None = None
 ) -> dict[Journey, Correction] | None:
-    """Return corrections of the positions of all journeys on a survey; None where none is found.
-
-    The journeys of a vehicle whose places are not found keep them. The first corrections are within a few metres.
-    """
+    """Return corrections of all journeys, placed within metres, on a survey; None where none of a vehicle is found."""
     p = parameters or SurveyPositionParameters()
     found = {journey: one.correction for journey, one in placed.items()}
     vehicles = 0

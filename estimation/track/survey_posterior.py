@@ -94,11 +94,7 @@ class SurveyBands:
 
 
 def survey_bands(iterated: IterationResult, survey: TrackAlignment, systematic: float) -> SurveyBands | None:
-    """Return what a survey and the passes that were placed on it say, band by band; None where they do not meet.
-
-    Args:
-        systematic: m, std of the passes' alignment that their scatter does not show.
-    """
+    """Return what a survey and the passes on it say by band; None where they do not meet. ``systematic``: std, m."""
     grid = iterated.panel.grid
     on_grid, std, known = survey_on_grid(survey, grid)
     kernels = [local_cubic_kernel(edge, grid.step) for edge in EDGES]

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from estimation.track.iteration import IterationResult
-from estimation.track.panel.normal_equations import PanelState, groups_of
+from estimation.track.panel.basis import PanelState, groups_of
 from estimation.track.panel.solution import PriorAlignment, curves_of_sum, prior_of_curves
 from estimation.track.passes import Journey
 from estimation.values.arrays import FloatArray, IntArray
@@ -207,10 +207,7 @@ def survey_verdict(fit: SurveyFit | None, witnesses: Witnesses, filed_std: float
 def is_mirrored(
     verdict: SurveyVerdict, fit: SurveyFit | None, image: SurveyVerdict, image_fit: SurveyFit | None
 ) -> bool:
-    """Return whether a survey that does not fit where it is said to be is the mirror image of its section.
-
-    Where the track has waves of one length, the mirror image half a wave away is not unlike the section.
-    """
+    """Return whether a survey that does not fit is a mirror image: waves may look alike half a wave away."""
     if fit is None or image_fit is None or image.refused or image.contradicted or image.elsewhere:
         return False
     related = image_fit.factor > VerdictLimits().related * image_fit.factor_std

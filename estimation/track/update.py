@@ -12,7 +12,7 @@ from enum import StrEnum
 import numpy as np
 
 from estimation.track.gauge.wheel_functions import LEAST_GAUGE
-from estimation.track.panel.measured_curves import MeasuredCurve
+from estimation.track.panel.basis import MeasuredCurve
 from estimation.track.panel.solution import prior_on_grid
 from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
 from estimation.track.results import shrunk
@@ -92,11 +92,7 @@ def update_alignment(
     survey_checked: bool,
     measured: Mapping[ProfileLife, MeasuredCurve] | None = None,
 ) -> AlignmentUpdate:
-    """Return what an epoch of passes makes of the alignment of a section.
-
-    Args:
-        survey_checked: Whether the survey in force has been confirmed: then it is not refused any more.
-    """
+    """Return what an epoch makes of an alignment; a confirmed survey (``survey_checked``) is not refused any more."""
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))
     epoch = _Epoch(section.code, screened, parameters, measured)

@@ -307,10 +307,7 @@ class KnownConicity(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class IntervalConicities:
-    """The known conicities of one interval of one wheelset, in the order of their amplitudes.
-
-    ``reason`` is why there is none; None where there is one.
-    """
+    """The known conicities of one interval of one wheelset by amplitude; ``reason`` is why there is none, else None."""
 
     baseline: int
     interval: int | None

@@ -36,10 +36,7 @@ class RailKey:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SectionConicity(FrozenArrays):
-    """What the windows of a wheelset in one mileage interval, on one section in one period, give: a cell.
-
-    NaN where an amplitude is not estimated.
-    """
+    """What the windows of a wheelset in one mileage interval, on one section in one period, give; NaN where unknown."""
 
     wheel: WheelKey
     rail: RailKey

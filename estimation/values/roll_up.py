@@ -68,10 +68,7 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class RollUp:
-    """What is known of the windows of one key without their sums.
-
-    Like the sums it is made window by window, oldest first; ``content`` is the digest of all of them in this order.
-    """
+    """What is known of windows of one key without their sums; ``content`` is the digest of all, oldest first."""
 
     key: RollUpKey
     number: int | None = None  # under which it is stored

@@ -98,10 +98,7 @@ class TrendRecord:
 
 @dataclass(frozen=True, slots=True)
 class SuspensionFinding:
-    """Yaw stiffness over longitudinal creep coefficient of a vehicle, from its passes of one section in one epoch.
-
-    ``ratio`` is relative to ``assumed``, that of the vehicle's parameters at the time. Key: (vehicle, section, to_ns).
-    """
+    """Yaw stiffness over longitudinal creep coefficient of a vehicle, by one section in one epoch, over ``assumed``."""
 
     vehicle: str
     section: str

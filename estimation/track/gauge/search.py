@@ -58,10 +58,7 @@ def with_gauge_effect(solution: PanelSolution, effect: FloatArray, panel: Panel)
 def gauge_step(
     passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior
 ) -> tuple[FloatArray, bool, int]:
-    """Return the gauge deviation (n,), m, with mean zero, after one Gauss-Newton step from that of ``panel``.
-
-    Then whether its conjugate gradients came within ``CG_TOLERANCE``, and their steps.
-    """
+    """Return the gauge (n,), m, mean zero, after a Gauss-Newton step; whether it converged; steps of the gradients."""
     assert panel.gauge is not None
     rows = [_linearised(item, curve, panel) for item, curve in solution.used(passes)]
     count, weight = np.zeros((2, panel.grid.points))
@@ -169,10 +166,7 @@ def search_gauge(
     shifts: Mapping[ProfileLife, GaugeShift],
     parameters: SearchParameters,
 ) -> FloatArray:
-    """Return the gauge deviation (n,), m, with mean zero, at which ``passes`` agree best.
-
-    The slow part of y - d is taken at ``panel.gauge``.
-    """
+    """Return the gauge deviation (n,), m, with mean zero, at which passes agree best, starting at ``panel.gauge``."""
     levels = parameters.levels
     sums, squares = np.zeros((2, panel.grid.points, len(levels)))
     count, met = np.zeros((2, panel.grid.points))

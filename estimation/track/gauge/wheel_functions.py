@@ -27,10 +27,11 @@ from estimation.track.panel.basis import (
     curve_displacement,
     gauge_at,
     gauge_curves,
+    init,
     known_shift,
     pass_residual,
+    update,
 )
-from estimation.track.panel.normal_equations import init, update
 from estimation.track.panel.solution import PanelSolution, residual_of_passes, result
 from estimation.track.passes import Pass, ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
@@ -217,10 +218,7 @@ LEAST_GAUGE = 0.3e-3  # m, std in the first trial: noise alone makes less, and a
 def initial_gauge_effect(
     passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel, prior: GaugePrior
 ) -> FloatArray | None:
-    """Return h1 (w, gauge_basis_count), m for ``gauge_unit`` of gauge, from the residuals of a panel without gauge.
-
-    None where a gauge that would explain the residuals hardly varies.
-    """
+    """Return h1 (w, gauge_basis_count), m a ``gauge_unit``, from a panel without; None where gauge hardly varies."""
     first, second, weight = _leading_vectors(passes, solution, panel)
     candidates = []
     for degrees in MIXTURES:

@@ -20,8 +20,7 @@ import numpy as np
 
 from estimation.filters.local_cubic import high_pass
 from estimation.track.gridded_pass import GriddedPass
-from estimation.track.panel.basis import Panel, curve_displacement, known_shift
-from estimation.track.panel.normal_equations import PanelState, groups_of
+from estimation.track.panel.basis import Panel, PanelState, curve_displacement, groups_of, known_shift
 from estimation.track.panel.solution import PanelSolution, curves_of_sum
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import BoolArray, FloatArray, IntArray

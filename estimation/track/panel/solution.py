@@ -10,9 +10,7 @@ from scipy import linalg
 
 from estimation.filters.local_cubic import high_pass, local_cubic_kernel, valid_support
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
-from estimation.track.panel.basis import Panel
-from estimation.track.panel.measured_curves import MeasuredCurve
-from estimation.track.panel.normal_equations import PanelState, groups_of
+from estimation.track.panel.basis import MeasuredCurve, Panel, PanelState, groups_of
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, IntArray, as_slice
 from estimation.values.quantities import Status, jackknife_std
@@ -34,10 +32,7 @@ FIXED_CURVE_WEIGHT = 100.0  # times the data of a knot: a curve that only the me
 
 @dataclass(frozen=True, slots=True)
 class PanelReport:
-    """Whether the passes could separate alignment and geometry.
-
-    ``curves_fixed`` where they could not, and measured profiles have done it for them.
-    """
+    """Whether passes could separate alignment and geometry, or measured profiles have done so: ``curves_fixed``."""
 
     status: Status
     reason: Reason | None
@@ -320,11 +315,7 @@ class PriorAlignment:
 
 
 def prior_on_grid(evidence: TrackAlignment, grid: SectionGrid, cutoff_wavelength: float) -> PriorAlignment:
-    """Return the prior alignment on the grid of the panel.
-
-    Args:
-        cutoff_wavelength: Of the panel's high-pass, m; an alignment filtered at this wavelength is not filtered again.
-    """
+    """Return the prior alignment on the panel's grid; one that has its cut-off already is not filtered again."""
     s = grid.s
     certain = np.isfinite(evidence.alignment) & np.isfinite(evidence.alignment_std)
     inside = np.interp(s, evidence.s, certain.astype(np.float64), left=0.0, right=0.0) > 1.0 - 1e-9

@@ -9,9 +9,8 @@ import pytest
 
 from estimation.track.gridded_pass import place
 from estimation.track.iteration import IterationParameters, IterationResult, _largest_move, _ratio_change
-from estimation.track.panel.basis import Panel, PanelParameters
+from estimation.track.panel.basis import Panel, PanelParameters, init
 from estimation.track.panel.instrumental_slope import Ratio
-from estimation.track.panel.normal_equations import init
 from estimation.track.panel.solution import PriorAlignment, result
 from estimation.track.passes import Pass, ProfileLife
 from estimation.track.results import LongWaveAlignment, _gauge_std, _scale_std, _std, nothing
