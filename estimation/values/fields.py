@@ -14,9 +14,7 @@ class Served:
     """Name, unit and words of a field, as metadata of its type."""
 
     text: str = ""  # for the reader of the API
-    name: str = (
-        ""  # if not its own, with ``x_at`` for ``x_ns``, ``measured_from`` and ``_to`` for ``from_ns``, ``to_ns``
-    )
+    name: str = ""  # if not its own, or ``x_at`` for ``x_ns``, ``measured_from`` for ``from_ns``, ``_to`` for ``to_ns``
     scale: float = 1.0  # from the unit that the value has into the one that the name says
     example: object = None
     finite: bool = True  # where it need not be, null is served in place of NaN and infinity
