@@ -8,7 +8,7 @@ points differ from it by no more than their noise, because wear removes corners.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated
@@ -120,9 +120,9 @@ def _names(kind: ProfileKind, points: FloatArray) -> list[str]:
     return [*(name for name in _different(WHEEL_DEFINITIONS) if name != "S1002"), *family]  # S1002 is of the family
 
 
-def _different(definitions: Mapping[str, Callable[[], tuple[Segment, ...]]]) -> list[str]:
+def _different(definitions: Mapping[str, tuple[Segment, ...]]) -> list[str]:
     """Return one name of each definition."""
-    return list({define: name for name, define in reversed(list(definitions.items()))}.values())
+    return list({segments: name for name, segments in reversed(list(definitions.items()))}.values())
 
 
 @cache

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -253,11 +253,11 @@ def is_design(name: str) -> bool:
     )
 
 
-def _named(kind: ProfileKind, name: str, definitions: Mapping[str, Callable[[], tuple[Segment, ...]]]) -> Profile:
+def _named(kind: ProfileKind, name: str, definitions: Mapping[str, tuple[Segment, ...]]) -> Profile:
     wanted = _plain(name)
-    for known, define in definitions.items():
+    for known, segments in definitions.items():
         if _plain(known) == wanted:
-            return _sampled(kind, known, define())
+            return _sampled(kind, known, segments)
     others = f", {EN13715_NAMES}" if kind == "wheel" else ""
     raise ProfileError(
         f"no {kind} profile named {name!r}; known: {', '.join(definitions)}{others}; give any other as a file",

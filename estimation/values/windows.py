@@ -265,16 +265,6 @@ class Motion(FrozenArrays):
     def __len__(self) -> int:
         return len(self.valid)
 
-    @property
-    def yaw_deflection(self) -> FloatArray:
-        """Angle (n,) of the yaw spring, rad: yaw less that of the frame."""
-        return self.yaw if self.frame_yaw is None else self.yaw - self.frame_yaw
-
-    @property
-    def yaw_deflection_rate(self) -> FloatArray:
-        """Rate (n,) of that angle, rad/s."""
-        return self.yaw_rate if self.frame_yaw_rate is None else self.yaw_rate - self.frame_yaw_rate
-
 
 @dataclass(frozen=True, slots=True)
 class WindowsOfReason:
