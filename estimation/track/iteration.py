@@ -48,7 +48,7 @@ from estimation.track.panel.solution import (
 from estimation.track.passes import Journey, Pass, PositionParameters
 from estimation.track.positions import compose, correlate_positions, refine, register
 from estimation.track.survey_positions import positions_on_survey
-from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.arrays import FloatArray
 from estimation.values.track import Convergence, Correction, Iterated
 
 Grouped = Mapping[Journey, Sequence[Pass]]
@@ -104,15 +104,6 @@ class IterationResult:
     def passes(self) -> list[GriddedPass]:
         """Passes of all journeys in order."""
         return all_passes(self.placed)
-
-    def restricted_to(self, covered: BoolArray) -> PanelState:
-        """Return the sums over the passes at some grid points (n,) alone."""
-        grid = self.panel.grid
-        kept = [
-            replace(item, inside=item.inside & covered[np.clip(item.points, 0, grid.points - 1)])
-            for item in self.passes
-        ]
-        return update(init(self.panel), kept)
 
     @property
     def corrections(self) -> dict[Journey, Correction]:

@@ -32,7 +32,7 @@ from estimation.motion.rolling_radius_difference import MotionSignals, fuse, mot
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
-from estimation.values.track import OPEN_NS, Correction
+from estimation.values.track import OPEN_NS
 from estimation.values.windows import ACCELERATIONS, Hunting, TurnBlows, Window, WindowQuality, WindowRecord
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
@@ -191,11 +191,6 @@ class PassOutcome:
     start_ns: int
     status: PassStatus
     reason: Reason | None = None
-
-
-def apply_correction(passes: Sequence[Pass], correction: Correction) -> list[Pass]:
-    """Return the passes at their corrected positions."""
-    return [replace(item, at=correction.at(item.at)) for item in passes]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from estimation.track.iteration import Grouped, IterationResult, Setting, first_
 from estimation.track.panel.basis import MeasuredCurve, Panel, unfiltered_residual
 from estimation.track.panel.instrumental_slope import PRIOR_STD
 from estimation.track.panel.solution import PanelSolution, PriorAlignment, between_pass_std_ratio, prior_on_grid
-from estimation.track.passes import Journey, Pass, ProfileLife
+from estimation.track.passes import Journey, ProfileLife
 from estimation.track.positions import correlate_positions
 from estimation.track.settings import SectionParameters
 from estimation.values.arrays import FloatArray
@@ -283,22 +283,12 @@ def place_alone(
     prior = prior_on_grid(alignment, panel.grid, parameters.panel.cutoff_wavelength)
     if not prior.has_alignment or (prior.gauge_known and prior.gauge.any()):
         return {}
-    found = {}
+    places = {}
     for journey, members in grouped.items():
-        correction = _placed(journey, members, prior, panel, parameters)
-        if correction is not None:
-            found[journey] = correction
-    return found
-
-
-def _placed(
-    journey: Journey, members: Sequence[Pass], prior: PriorAlignment, panel: Panel, p: SectionParameters
-) -> Correction | None:
-    """Return the correction of one journey; None where the rounds do not end."""
-    alone: Grouped = {journey: members}
-    setting = Setting(alone, prior, anchored=True, parameters=p.iteration)
-    start = correlate_positions(alone, panel.grid, p.positions, prior.alignment)
-    found = first_rounds(setting, panel, start, std=False)
-    if found.moved >= p.iteration.position_tolerance:
-        return None
-    return shrunk(found)[journey] if prior.surveyed else found.corrections[journey]
+        alone: Grouped = {journey: members}
+        setting = Setting(alone, prior, anchored=True, parameters=parameters.iteration)
+        start = correlate_positions(alone, panel.grid, parameters.positions, prior.alignment)
+        found = first_rounds(setting, panel, start, std=False)
+        if found.moved < parameters.iteration.position_tolerance:
+            places[journey] = shrunk(found)[journey] if prior.surveyed else found.corrections[journey]
+    return places

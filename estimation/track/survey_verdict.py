@@ -10,13 +10,13 @@ may be wrong. Nothing is compared with an alignment that the fleet has found by 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 
 from estimation.track.iteration import IterationResult
-from estimation.track.panel.basis import PanelState, groups_of
+from estimation.track.panel.basis import PanelState, groups_of, init, update
 from estimation.track.panel.solution import PriorAlignment, curves_of_sum, prior_of_curves
 from estimation.track.passes import Journey
 from estimation.values.arrays import FloatArray, IntArray
@@ -53,7 +53,10 @@ def fit_survey(iterated: IterationResult, survey: PriorAlignment) -> SurveyFit |
     covered, passed = np.isfinite(survey.std), iterated.state.passes > 0
     if not (covered & passed).any():
         return None
-    state = iterated.state if (covered | ~passed).all() else iterated.restricted_to(covered)
+    state, last = iterated.state, iterated.panel.grid.points - 1
+    if not (covered | ~passed).all():
+        kept = [replace(one, inside=one.inside & covered[np.clip(one.points, 0, last)]) for one in iterated.passes]
+        state = update(init(iterated.panel), kept)
     sums = _Sums.of(state, survey.alignment)
     present = np.flatnonzero(sums.square > 0.0)
     if len(present) < FEWEST_GROUPS:

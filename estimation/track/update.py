@@ -108,11 +108,6 @@ class Weighed:
     estimate: SectionEstimate
     posterior: SurveyPosterior | None
 
-    def places_lost_in(self, other: Weighed) -> bool:
-        """Return whether another solution no longer has its journeys on the survey, where this one has."""
-        here, there = self.estimate.iterated, other.estimate.iterated
-        return here is not None and here.placed_on_survey and (there is None or not there.placed_on_survey)
-
 
 @dataclass(frozen=True, slots=True)
 class _Epoch:
@@ -137,7 +132,9 @@ class _Epoch:
         if not 1.0 / SAME_STD <= factor <= SAME_STD:
             again = self._weighed(replace(survey, alignment_std=factor * survey.alignment_std), survey)
             # held less by the survey, the journeys of a wheelset alone may come to rest at another wave of the track
-            found = found if found.places_lost_in(again) else again
+            before, after = (one.estimate.iterated for one in (found, again))
+            lost = before is not None and before.placed_on_survey and (after is None or not after.placed_on_survey)
+            found = found if lost else again
         return found
 
     def _weighed(self, prior: TrackAlignment, survey: TrackAlignment) -> Weighed:

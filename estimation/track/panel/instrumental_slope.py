@@ -125,7 +125,13 @@ def _sums(passes: Sequence[GriddedPass], solution: PanelSolution, panel: Panel) 
     """Return by group (g, 4) the sums of h(z) h(R), h(z) y, h(z)^2 and h(R)^2, each less its mean over the place."""
     grid, groups = panel.grid, panel.parameters.groups
     filtered = [_filtered(item, panel) for item in passes if not item.empty]
-    mean, known = _mean_displacement(filtered, panel)
+    summed, passed = np.zeros((2, grid.points))
+    for one in filtered:
+        summed[one.source.used_points] += one.displacement[one.source.inside]
+        passed[one.source.used_points] += 1.0
+    mean, taps = summed / np.maximum(passed, 1.0), 2 * int(REACH / grid.step) + 1
+    # where enough have passed within the reach of the filter
+    known = np.convolve(passed >= panel.parameters.least_passes, np.ones(taps), "same") > taps - 0.5
     predicted = _predictions(filtered, mean, known, panel)
     terms: list[tuple[IntArray, FloatArray, float]] = []
     total, count = np.zeros((3, grid.points)), np.zeros(grid.points)
@@ -151,17 +157,6 @@ def _filtered(item: GriddedPass, panel: Panel) -> _Filtered:
     displacement = item.displacement - known_shift(item, panel)
     y, R = high_pass(np.stack([displacement, item.difference]), panel.grid.kernel)
     return _Filtered(item, y, item.side * R)
-
-
-def _mean_displacement(filtered: Sequence[_Filtered], panel: Panel) -> tuple[FloatArray, BoolArray]:
-    """Return the mean y (n,), m, over the passes, and where (n,) enough have passed within the reach of the filter."""
-    total, count = np.zeros(panel.grid.points), np.zeros(panel.grid.points)
-    for one in filtered:
-        total[one.source.used_points] += one.displacement[one.source.inside]
-        count[one.source.used_points] += 1.0
-    taps = 2 * int(REACH / panel.grid.step) + 1
-    enough = count >= panel.parameters.least_passes
-    return total / np.maximum(count, 1.0), np.convolve(enough, np.ones(taps), "same") > taps - 0.5
 
 
 def _predictions(
