@@ -95,9 +95,10 @@ def update_alignment(
     """Return what an epoch makes of an alignment; a confirmed survey (``survey_checked``) is not refused any more."""
     parameters = replace(settings.section, panel=replace(settings.section.panel, length=section.length_m))
     screened = screen(passes, in_force, replace(settings.screening, positions=parameters.positions))
-    epoch = _Epoch(section.code, screened, parameters, measured)
+    settings = replace(settings, section=parameters)
+    epoch = _Epoch(section.code, screened, settings, measured)
     if in_force is not None and in_force.source == AlignmentSource.RECORDED and np.isfinite(in_force.alignment).any():
-        return _with_survey(epoch, in_force, settings, survey_checked=survey_checked)
+        return _with_survey(epoch, in_force, survey_checked=survey_checked)
     return _without_surveyed_alignment(epoch, in_force, survey_checked=survey_checked)
 
 
@@ -113,8 +114,13 @@ class Weighed:
 class _Epoch:
     section: str
     screened: Screened
-    parameters: SectionParameters
+    settings: AlignmentSettings  # with the length of the section
     measured: Mapping[ProfileLife, MeasuredCurve] | None
+
+    @property
+    def parameters(self) -> SectionParameters:
+        """How an epoch of passes becomes an alignment."""
+        return self.settings.section
 
     @property
     def vehicles(self) -> dict[str, str]:
@@ -202,16 +208,14 @@ def _without_surveyed_alignment(
     return epoch.update(UpdateOutcome.NEW_VERSION, estimate, carry_over_findings(estimate.alignment, in_force), gauge)
 
 
-def _with_survey(
-    epoch: _Epoch, survey: TrackAlignment, settings: AlignmentSettings, *, survey_checked: bool
-) -> AlignmentUpdate:
+def _with_survey(epoch: _Epoch, survey: TrackAlignment, *, survey_checked: bool) -> AlignmentUpdate:
     """Return the survey with what the passes add to it, or the fleet's alignment where the survey is wrong."""
     weighed = epoch.weigh(survey)
     verdict = epoch.judge(weighed, survey)
     if verdict is None:
-        return _extended(epoch, weighed, survey, settings, None, SurveyVerdict(refused=False, reason=None))
+        return _extended(epoch, weighed, survey, None, SurveyVerdict(refused=False, reason=None))
     if verdict.refused and not survey_checked:
-        return _refused(epoch, weighed, survey, verdict, settings)
+        return _refused(epoch, weighed, survey, verdict)
     if verdict.contradicted:
         return _contradicted(epoch, weighed.estimate, survey, verdict.reason)
     reason = None if survey_checked else verdict.reason
@@ -219,14 +223,13 @@ def _with_survey(
     if gauge is not None and _confirmed(verdict):
         of_alignment = None if reason is None else prefixed("its alignment: ", reason)
         return _without_gauge(epoch, survey, combined([gauge, of_alignment]))
-    return _extended(epoch, weighed, survey, settings, reason, verdict, decided=survey_checked or _confirmed(verdict))
+    return _extended(epoch, weighed, survey, reason, verdict, decided=survey_checked or _confirmed(verdict))
 
 
 def _extended(
     epoch: _Epoch,
     weighed: Weighed,
     survey: TrackAlignment,
-    settings: AlignmentSettings,
     reason: Reason | None,
     verdict: SurveyVerdict,
     *,
@@ -237,7 +240,7 @@ def _extended(
     Until it is decided on, it is kept as it is, but for a scale that is in doubt: then that of both is.
     """
     kept = epoch.update(UpdateOutcome.SURVEY_KEPT, _placed_on_survey(weighed.estimate), survey, survey=reason)
-    posterior, doubted = weighed.posterior, verdict.doubted_scale
+    posterior, doubted, settings = weighed.posterior, verdict.doubted_scale, epoch.settings
     if (decided or doubted > 0.0) and posterior is not None and weighed.estimate.report.converged:
         found = carry_over_findings(posterior.alignment, posterior.before)  # on one grid
         found = replace(found, scale_std=float(np.hypot(found.scale_std, doubted)))
@@ -296,9 +299,7 @@ def _confirmed(verdict: SurveyVerdict) -> bool:
     return code_of(verdict.reason) is ReasonCode.SURVEY_CONFIRMED
 
 
-def _refused(
-    epoch: _Epoch, weighed: Weighed, survey: TrackAlignment, verdict: SurveyVerdict, settings: AlignmentSettings
-) -> AlignmentUpdate:
+def _refused(epoch: _Epoch, weighed: Weighed, survey: TrackAlignment, verdict: SurveyVerdict) -> AlignmentUpdate:
     """Return the fleet's own alignment in place of a survey that is wrong; where it finds none, none is known.
 
     A survey whose zero point alone is wrong is then kept: all journeys are placed on it alike.
@@ -311,7 +312,7 @@ def _refused(
         return epoch.update(UpdateOutcome.NEW_VERSION, without, without.alignment, survey=refusal)
     if verdict.harmless and verdict.reason is not None:
         kept = prefixed("kept, with all positions on it, for the fleet finds none: ", verdict.reason)
-        return _extended(epoch, weighed, survey, settings, kept, verdict)
+        return _extended(epoch, weighed, survey, kept, verdict)
     nothing = np.full(len(survey.s), np.nan)
     unknown = replace(
         survey, alignment=nothing, alignment_std=nothing, source=AlignmentSource.FLEET, status=Status.UNESTIMATED
