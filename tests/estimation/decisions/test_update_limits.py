@@ -269,5 +269,5 @@ def test_without_passes_what_is_in_force_stays() -> None:
         (SURVEY, UpdateOutcome.SURVEY_KEPT, SURVEY),
         (gauge_alone, UpdateOutcome.UNESTIMATED, None),
     ):
-        found = update_alignment(section, [], in_force, survey_checked=False)
+        found = update_alignment(section, [], in_force, SETTINGS, survey_checked=False)
         assert (found.outcome, found.alignment, found.pass_outcomes) == (outcome, expected, ())
