@@ -25,7 +25,7 @@ import numpy as np
 from estimation.contact.profiles import TREAD_DATUM, Profile
 from estimation.errors import ParameterError, ProfileError
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
-from estimation.values.fields import IN_MM, Served
+from estimation.values.fields import in_mm
 
 DEEPEST_HOLLOW = 6e-3  # largest depth that the form is meant for, m
 
@@ -119,40 +119,21 @@ class WearMeasures:
     """Wear measures of a wheel profile, m."""
 
     flange_height: Annotated[
-        float,
-        Served(
-            "Sh: tip of the flange over the tread 70 mm from the flange back.",
-            "flange_height_mm",
-            IN_MM,
-            28.0,
-            finite=False,
-        ),
+        float, in_mm("Sh: tip of the flange over the tread 70 mm from the flange back.", "flange_height_mm", 28.0)
     ]
     flange_thickness: Annotated[
-        float,
-        Served(
-            "Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", IN_MM, 32.5, finite=False
-        ),
+        float, in_mm("Sd: flange face to flange back, 10 mm beyond the tread.", "flange_thickness_mm", 32.5)
     ]
     flange_gradient: Annotated[
         float,
-        Served(
+        in_mm(
             "qR: lateral distance of the face 10 mm beyond the tread from that 2 mm short of the tip.",
             "flange_gradient_mm",
-            IN_MM,
             10.8,
-            finite=False,
         ),
     ]
     hollow: Annotated[
-        float,
-        Served(
-            "Depth of the tread below the highest point farther out; 0 for a new wheel.",
-            "hollow_mm",
-            IN_MM,
-            0.0,
-            finite=False,
-        ),
+        float, in_mm("Depth of the tread below the highest point farther out; 0 for a new wheel.", "hollow_mm", 0.0)
     ]
 
 

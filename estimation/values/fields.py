@@ -20,6 +20,11 @@ class Served:
     finite: bool = True  # where it need not be, null is served in place of NaN and infinity
 
 
+def in_mm(text: str, name: str, example: object = None) -> Served:
+    """Return how a length, m, that may not be known is served."""
+    return Served(text, name, IN_MM, example, finite=False)
+
+
 JsonValue = str | float | int | bool | None | list["JsonValue"] | dict[str, "JsonValue"]
 NEAREST = 4  # neighbours of the quotient that are tried, either way
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, bin_centres, freeze
-from estimation.values.fields import IN_MM, JsonValue, Served
+from estimation.values.fields import IN_MM, JsonValue, Served, in_mm
 from estimation.values.quantities import NORMAL_95, Estimate, Status
 from estimation.values.reasons import Reason
 from estimation.values.results import Result, ResultKind
@@ -132,21 +132,14 @@ class Centre:
 
     displacement: Annotated[
         float,
-        Served(
-            "Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left.",
-            "displacement_mm",
-            IN_MM,
-            finite=False,
-        ),
+        in_mm("Middle of the travel at `equivalent_conicity_amplitude_mm`, positive to the left.", "displacement_mm"),
     ]
     std: Annotated[
         float,
-        Served(
+        in_mm(
             "Standard deviation of where both rolling radii are equal, against that: a bogie holds wheels "
             "of different diameters off it. What it changes is part of the intervals.",
             "rolling_line_std_mm",
-            IN_MM,
-            finite=False,
         ),
     ]
     origin: Annotated[CentreOrigin, Served("From where the displacement is counted.")]
@@ -186,8 +179,7 @@ class WheelsetGeometry(FrozenArrays):
     amplitude: Annotated[FloatArray, "n"]  # m
     conicity: Annotated[tuple[Estimate, ...], "n"]  # equivalent conicity at each amplitude
     reported_amplitude: Annotated[
-        float,
-        Served("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm", IN_MM, finite=False),
+        float, in_mm("3 mm, or the largest amplitude covered.", "equivalent_conicity_amplitude_mm")
     ]
     equivalent_conicity: Annotated[Estimate, Served(name="equivalent_conicity_1")]  # at reported_amplitude
     nonlinearity: Annotated[
