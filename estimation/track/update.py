@@ -18,7 +18,14 @@ from estimation.track.passes import Pass, PassOutcome, PassStatus, ProfileLife
 from estimation.track.results import shrunk
 from estimation.track.screening.screen import Screened, screen
 from estimation.track.section import SectionEstimate, estimate_section
-from estimation.track.settings import AlignmentSettings, SectionParameters
+from estimation.track.settings import (
+    AlignmentSettings,
+    SectionParameters,
+    carry_over_findings,
+    changed_vehicles,
+    gauge_shift_changed,
+    requires_reestimation,
+)
 from estimation.track.survey_check import check_survey, judge_gauge, worth_more
 from estimation.track.survey_posterior import SurveyPosterior, survey_posterior
 from estimation.track.survey_verdict import (
@@ -31,7 +38,6 @@ from estimation.track.survey_verdict import (
     place_of,
     survey_verdict,
 )
-from estimation.track.versions import carry_over_findings, changed_vehicles, gauge_shift_changed, requires_reestimation
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, combined, prefixed
 from estimation.values.track import AlignmentSource, TrackAlignment, TrackSectionRecord
