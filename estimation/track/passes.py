@@ -28,7 +28,7 @@ from estimation.motion.checks import (
 )
 from estimation.motion.integration import IntegratedWindow, bridged, integrate
 from estimation.motion.parameters import SignalParameters, WindowParameters
-from estimation.motion.rolling_radius_difference import MotionSignals, fuse, motion_signals
+from estimation.motion.rolling_radius_difference import fuse, motion_signals
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
@@ -109,36 +109,29 @@ def passes(
         at = bridged(window.distance[segment.part], segment.known)
         steps = np.diff(at)
         direction = 1 if steps.min() > 0 else -1 if steps.max() < 0 else 0
-        if direction:
-            signals = motion_signals(segment, vehicle, np.asarray(direction * at))
-            facing = -direction if window.backwards else direction
-            found += _placed(window, signals, vehicle, (direction, facing), -1 if mounted_reversed else 1)
-    return found
-
-
-def _placed(
-    window: Window, signals: MotionSignals, vehicle: VehicleParameters, ways: tuple[int, int], mounted: int
-) -> list[Pass]:
-    """Return the pass of one stretch, along the section's own direction; ways are those of running and of the axes."""
-    direction, facing = ways
-    if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
-        return []
-    grid = fuse(signals, vehicle)
-    if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
-        return []
-    along = slice(None, None, direction)
-    return [
-        Pass(
-            ProfileLife(window.wheelset),
-            window.vehicle,
-            window.start_ns,
-            direction * grid.run[along],
-            facing * grid.displacement[along],
-            mounted * grid.difference[along],
-            facing * mounted,
-            mounted * grid.stiffness_term[along],
+        if not direction:
+            continue
+        signals = motion_signals(segment, vehicle, np.asarray(direction * at))
+        if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
+            continue
+        grid = fuse(signals, vehicle)
+        if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
+            continue
+        facing, mounted = -direction if window.backwards else direction, -1 if mounted_reversed else 1
+        along = slice(None, None, direction)
+        found.append(
+            Pass(
+                ProfileLife(window.wheelset),
+                window.vehicle,
+                window.start_ns,
+                direction * grid.run[along],
+                facing * grid.displacement[along],
+                mounted * grid.difference[along],
+                facing * mounted,
+                mounted * grid.stiffness_term[along],
+            )
         )
-    ]
+    return found
 
 
 NANOSECONDS = 1_000_000_000
