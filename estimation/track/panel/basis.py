@@ -22,7 +22,7 @@ from estimation.compiled import compiled
 from estimation.contact.geometry import WheelsetOnTrack, radius_difference_curve
 from estimation.contact.method import ContactMethod
 from estimation.contact.profiles import Profile, rail_profile
-from estimation.filters.local_cubic import high_pass
+from estimation.filters import high_pass
 from estimation.track.gridded_pass import GriddedPass, SectionGrid
 from estimation.track.passes import ProfileLife
 from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, as_slice
