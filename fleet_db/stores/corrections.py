@@ -94,19 +94,30 @@ class CorrectionStore:
             raise NotFoundError(f"voided {key.kind}", _name(key))
         if self._on_file(key) is not None:
             raise ConflictError(f"{key.kind} {_name(key)} is on file", kind=key.kind.value, key=key.subject)
-        put = {
-            RecordKind.MOUNTING: self._restore_mounting,
-            RecordKind.REPROFILING: self._restore_reprofiling,
-            RecordKind.MEASUREMENT: self._restore_measurement,
-            RecordKind.WHEELSET: self._restore_nothing,
-            RecordKind.SECTION: self._restore_section,
-            RecordKind.VEHICLE: self._restore_nothing,
-            RecordKind.VEHICLE_CLASS: self._restore_class,
-            RecordKind.SENSOR_CHANGE: self._restore_sensor_change,
-        }[key.kind]
         self.history.note(key, RecordAction.RESTORED, voided.record, decision)
-        put(dict(voided.record), decision.recorded_ns)
+        self._put_back(key.kind, dict(voided.record), decision.recorded_ns)
         return voided.record
+
+    def _put_back(self, kind: RecordKind, record: _Values, recorded_ns: int | None) -> None:
+        """Store a record again; of a wheelset or vehicle, the decision itself ends that it is voided."""
+        if kind is RecordKind.MOUNTING:
+            self.registry.add_mounting(Mounting(**record), recorded_ns=recorded_ns)
+        elif kind is RecordKind.REPROFILING:
+            self.registry.add_reprofiling(Reprofiling(**record), recorded_ns)
+        elif kind is RecordKind.MEASUREMENT:
+            row = record | {"packed": base64.b64decode(record["packed"])}
+            self.connection.execute(insert(MEASURED).values(**row))
+        elif kind is RecordKind.SECTION:
+            self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)
+        elif kind is RecordKind.SENSOR_CHANGE:
+            found = sensor_change_of(record)
+            axles = self.registry.vehicle(found.vehicle).axles
+            self.sensor_changes.add(found, axles, Decision(recorded_ns=recorded_ns))
+        elif kind is RecordKind.VEHICLE_CLASS:
+            restored = class_of_document(record)
+            newest = find_class(self.connection, restored.code, None)
+            if newest is None or newest.digest != class_digest(restored):  # else the decision itself brings it back
+                self.registry.add_vehicle_class(restored, recorded_ns or 0)
 
     def _on_file(self, key: RecordKey) -> object | None:
         if key.kind is RecordKind.MOUNTING:
@@ -199,33 +210,6 @@ class CorrectionStore:
             raise NotFoundError("sensor change", _name(key))
         self.sensor_changes.remove(key.subject, key.at_ns or 0)
         return found
-
-    def _restore_class(self, record: _Values, recorded_ns: int | None) -> None:
-        restored = class_of_document(record)
-        newest = find_class(self.connection, restored.code, None)
-        if newest is None or newest.digest != class_digest(restored):  # else the decision itself brings it back
-            self.registry.add_vehicle_class(restored, recorded_ns or 0)
-
-    def _restore_sensor_change(self, record: _Values, recorded_ns: int | None) -> None:
-        found = sensor_change_of(record)
-        axles = self.registry.vehicle(found.vehicle).axles
-        self.sensor_changes.add(found, axles, Decision(recorded_ns=recorded_ns))
-
-    def _restore_mounting(self, record: _Values, recorded_ns: int | None) -> None:
-        self.registry.add_mounting(Mounting(**record), recorded_ns=recorded_ns)
-
-    def _restore_reprofiling(self, record: _Values, recorded_ns: int | None) -> None:
-        self.registry.add_reprofiling(Reprofiling(**record), recorded_ns)
-
-    def _restore_measurement(self, record: _Values, _recorded_ns: int | None) -> None:
-        row = record | {"packed": base64.b64decode(record["packed"])}
-        self.connection.execute(insert(MEASURED).values(**row))
-
-    def _restore_nothing(self, _record: _Values, _recorded_ns: int | None) -> None:
-        """Nothing is to be put back: the decision itself ends that it is voided."""
-
-    def _restore_section(self, record: _Values, recorded_ns: int | None) -> None:
-        self.tracks.add_section(TrackSectionRecord(**record), recorded_ns)
 
 
 def _name(key: RecordKey) -> str:
