@@ -17,8 +17,7 @@ from estimation.errors import InputError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.input_file import Location, dotted
-from ingest.registry_entry.contents import Entry, RegistryContents
-from ingest.registry_entry.contradiction import Rule
+from ingest.registry_entry.contents import Entry, RegistryContents, Rule
 from ingest.registry_entry.enter import enter
 
 UNNAMED = "unnamed client"

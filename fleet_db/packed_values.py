@@ -14,15 +14,14 @@ import numpy as np
 import orjson
 
 from estimation.contact.profiles import Profile
-from estimation.values.adhesion import FrictionSums, SectionAdhesion, WindowAdhesion
+from estimation.values.alerts import WorklistRow
 from estimation.values.arrays import BoolArray
-from estimation.values.dampers import DamperSums, WindowDamper
+from estimation.values.fields import JsonValue
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
-from estimation.values.json_value import JsonValue
+from estimation.values.opinions import DamperSums, FrictionSums, SectionAdhesion, WindowAdhesion, WindowDamper
 from estimation.values.roll_up import RollingSums
 from estimation.values.signatures import AxlePosition, Place, Signature
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, TrackLayout
-from estimation.values.worklist import WorklistRow
 from fleet_db.fields import Array, fields_of, from_json, pack, to_json, unpack, value_of
 
 V = TypeVar("V")

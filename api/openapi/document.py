@@ -20,9 +20,8 @@ from api.openapi import headers
 from api.openapi.words import describe_properties
 from api.problems import PROBLEM_MEDIA_TYPE, TYPES, Problem
 from api.schemas.common import Uncertain
-from estimation.values.alerts import CloseReason
+from estimation.values.alerts import CloseReason, Urgency
 from estimation.values.reasons import ReasonCode
-from estimation.values.worklist import Urgency
 
 
 def describe_tables(app: FastAPI, document: dict[str, Any]) -> None:

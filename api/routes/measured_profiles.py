@@ -20,7 +20,7 @@ from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.errors import ConflictError, ProfileError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
-from ingest.profiles.wheel_profile import wheel_profile_of
+from ingest.profiles.files import wheel_profile_of
 from ingest.registry_entry.contents import RegistryContents
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])

@@ -17,8 +17,8 @@ from api.schemas.common import Page
 from api.schemas.registry_changes import Dismounting, Exchange, ExchangeRecord, NewMounting
 from api.services import writer_slot
 from estimation.errors import ConflictError
+from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting
-from estimation.values.utc_text import utc_text
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
 from ingest.registry_entry.contents import RegistryContents

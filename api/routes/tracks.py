@@ -14,7 +14,7 @@ from api.schemas import adhesion, rails, tracks
 from api.schemas.common import Page
 from api.times import Moment
 from estimation.errors import NotFoundError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.rails import SECTION_RAILS
 from estimation.values.track import TrackReport
 from fleet_db.storage import SqlUnitOfWork

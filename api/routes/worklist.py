@@ -17,9 +17,8 @@ from api.schemas import worklist
 from api.schemas.alerts import KnownKind
 from api.schemas.common import Page
 from api.services import ServicesDep
-from estimation.values.alerts import Severity
+from estimation.values.alerts import Severity, Urgency
 from estimation.values.quantities import Status
-from estimation.values.worklist import Urgency
 from fleet_db.stores.worklist import WorklistEntry, WorklistFilter, WorklistOrder, WorklistPlace
 
 REMEMBERED = 8192

@@ -10,7 +10,7 @@ from api.schemas.common import Links
 from api.schemas.derived import Derived
 from api.schemas.evidence import Stretch
 from api.schemas.registry import segment
-from estimation.values import adhesion as values
+from estimation.values import opinions as values
 
 
 class WindowCreep(

@@ -9,7 +9,7 @@ from pydantic import Field
 from api.schemas.common import Links, Representation
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
-from estimation.values.dampers import GearDamper
+from estimation.values.opinions import GearDamper
 
 
 class DamperState(Derived, of=GearDamper, without=("vehicle", "windows")):

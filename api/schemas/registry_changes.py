@@ -22,7 +22,7 @@ from estimation.vehicle.vehicle_class import ClassOnFile, class_of_document
 from fleet_db.packed_values import unpack_wheel_pair
 from fleet_db.registry_events import RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.sensor_changes import sensor_change_of
-from ingest.bounded_file import MEBIBYTE
+from ingest.input_file import MEBIBYTE
 
 TEXT = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"
 MOST_KM = 1e8

@@ -11,9 +11,8 @@ from api.schemas.common import Links, Representation, finite, finite_list
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
-from estimation.track.convergence import Iterated
 from estimation.values.reasons import ReasonCode
-from estimation.values.track import AlignmentRecord, TrackAlignment, TrackReport, TrackSectionRecord
+from estimation.values.track import AlignmentRecord, Iterated, TrackAlignment, TrackReport, TrackSectionRecord
 
 MM = 1000.0
 

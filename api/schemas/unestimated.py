@@ -8,8 +8,7 @@ from pydantic import Field
 
 from api.schemas.derived import Derived
 from estimation.values.reasons import code_of
-from estimation.values.window_reasons import WindowsOfReason, WithoutEstimate
-from estimation.values.windows import WindowState
+from estimation.values.windows import WindowsOfReason, WindowState, WithoutEstimate
 
 
 class WindowsByReason(Derived, of=WindowsOfReason):

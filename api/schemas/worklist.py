@@ -14,10 +14,9 @@ from api.schemas.registry import segment
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.times import Timestamp, to_rfc3339
 from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii
-from estimation.values.alerts import Severity
+from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.worklist import AxlePosition, OpenAlert, Urgency, WorklistRow, WorklistState
 from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistOrder
 

@@ -12,8 +12,8 @@ import numpy as np
 from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, select, update
 
 from estimation.errors import ConflictError, NotFoundError
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.track import (
     AlignmentRecord,
     AlignmentSource,
@@ -34,7 +34,7 @@ from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.window_positions import forget_positions, positions_of, put_positions
 from fleet_db.subjects import Subjects
-from fleet_db.tables.track import (
+from fleet_db.tables import (
     TrackAlignmentRow,
     TrackEpochRow,
     TrackLayoutRow,
@@ -42,8 +42,8 @@ from fleet_db.tables.track import (
     TrackSectionRow,
     TrackVersionRow,
     WindowPositionRow,
+    WindowRow,
 )
-from fleet_db.tables.windows import WindowRow
 
 LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)

@@ -13,8 +13,8 @@ from sqlalchemy import ColumnElement, Connection, Select, and_, exists, func, or
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError, ParameterError
+from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, Reprofiling
-from estimation.values.utc_text import utc_text
 from fleet_db.packed_values import pack_wheel_pair, unpack_wheel_pair
 from fleet_db.rows import by_wheelset, row_of, table_of, upsert, value_of_row
 from fleet_db.tables.recordings import StaleSpanRow

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from api.schemas.adhesion import section_adhesion
-from estimation.values.adhesion import LeftOut, SectionAdhesion
+from estimation.values.opinions import LeftOut, SectionAdhesion
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.packed_values import pack_section_adhesion, unpack_section_adhesion
 
