@@ -16,7 +16,7 @@ from estimation.values.windows import Window, WindowPosition, WindowRecord, Wind
 from fleet_db.keeping.retention import DAY_NS
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.tables import ChunkRow
+from fleet_db.tables.recordings import ChunkRow
 
 WINDOWS_A_DAY = 4
 DAYS_A_RUN = 5  # of the jobs

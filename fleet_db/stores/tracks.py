@@ -34,7 +34,7 @@ from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.window_positions import forget_positions, positions_of, put_positions
 from fleet_db.subjects import Subjects
-from fleet_db.tables import (
+from fleet_db.tables.track import (
     TrackAlignmentRow,
     TrackEpochRow,
     TrackLayoutRow,
@@ -42,8 +42,8 @@ from fleet_db.tables import (
     TrackSectionRow,
     TrackVersionRow,
     WindowPositionRow,
-    WindowRow,
 )
+from fleet_db.tables.windows import WindowRow
 
 LAYOUTS = table_of(TrackLayoutRow)
 SECTIONS, ALIGNMENTS, VERSIONS = table_of(TrackSectionRow), table_of(TrackAlignmentRow), table_of(TrackVersionRow)
