@@ -106,7 +106,7 @@ class _Next:
 
 @dataclass(slots=True)
 class Deliveries:
-    """Sends what is due; one in all processes, see :func:`fleet_db.sole_sender.sending_alone`.
+    """Sends what is due; one in all processes, see :func:`fleet_db.process_locks.sending_alone`.
 
     Args:
         storage: Of all fleets.

@@ -14,8 +14,8 @@ from api.services import Services
 from api.webhooks.delivering import Deliveries
 from api.webhooks.sending import Sender
 from estimation.errors import TreadwatchError
+from fleet_db.process_locks import sending_alone
 from fleet_db.session import BUSY_TIMEOUT_MS
-from fleet_db.sole_sender import sending_alone
 
 INTERVAL_S = 1.0
 """Between two looks at what is due."""

@@ -16,7 +16,6 @@ from sqlalchemy import Column, Connection, Engine, Integer, Table, bindparam, de
 
 from estimation.errors import InputError, StorageError
 from fleet_db.atomic_files import write_atomically
-from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.kept_files import (
     RAW,
     KeptFile,
@@ -29,6 +28,7 @@ from fleet_db.keeping.kept_files import (
     write_digests,
 )
 from fleet_db.migrate import check_head, head, upgrade
+from fleet_db.process_locks import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
 from fleet_db.session import IMMEDIATE, database_engine, read_only_engine, translate_errors

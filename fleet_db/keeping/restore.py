@@ -17,7 +17,6 @@ from sqlalchemy import Connection, Engine, exists, inspect, select
 from estimation.errors import ConflictError, InputError, StorageError
 from fleet_db.atomic_files import sync_directory
 from fleet_db.keeping.backup import Manifest, copy_rows, read_manifest, row_counts, sha256_of
-from fleet_db.keeping.exclusive import keeping_alone
 from fleet_db.keeping.kept_files import (
     RAW,
     KeptFile,
@@ -29,6 +28,7 @@ from fleet_db.keeping.kept_files import (
     not_listed,
 )
 from fleet_db.migrate import check_upgradable, known_revisions, refusal, upgrade
+from fleet_db.process_locks import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import FileRawStore
 from fleet_db.rows import table_of
