@@ -35,7 +35,12 @@ def write_atomically(path: Path, content: bytes, *, durable: bool) -> None:
 
 def sync_directory(directory: Path) -> None:
     """Put the names in ``directory`` on the disk."""
-    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    synchronise(directory, os.O_DIRECTORY)
+
+
+def synchronise(path: Path, flags: int = 0) -> None:
+    """Put a file on the disk."""
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC | flags)
     try:
         os.fsync(handle)
     finally:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,8 +11,9 @@ from sqlalchemy import Connection, and_, exists, func, select
 from estimation.errors import DamagedError
 from estimation.values.windows import WindowState
 from fleet_db.keeping.kept_files import (
+    Holdings,
+    Kept,
     KeptFile,
-    KeptRecording,
     kept_files,
     kept_recordings,
     orphaned_recordings,
@@ -65,18 +66,15 @@ def check_deep(storage: SqlStorage, raw: RawStore, progress: Callable[[int, int]
         packed, rows = _packed(unit)
         recordings, files = list(kept_recordings(unit.connection)), list(kept_files(unit.connection))
     findings += packed
-    gone: list[tuple[KeptRecording | KeptFile, Finding]] = []
-    total = len(recordings) + len(files)
-    for done, kept in enumerate(recordings, start=1):
-        fault = kept.fault(raw)
+    gone: list[tuple[Kept, Finding]] = []
+    here = Holdings(storage.data_dir, raw)
+    to_check: list[Kept] = [*recordings, *files]
+    for done, kept in enumerate(to_check, start=1):
+        fault = kept.fault(here)
         if fault is not None:
-            gone.append((kept, Finding("recording", kept.owner, f"{raw.place(kept.digest, kept.suffix)} {fault}")))
-        progress(done, total)
-    for done, file in enumerate(files, start=len(recordings) + 1):
-        fault = file.fault(storage.data_dir)
-        if fault is not None:
-            gone.append((file, Finding("window file", file.owner, f"{file.path} {fault}")))
-        progress(done, total)
+            kind = "window file" if isinstance(kept, KeptFile) else "recording"
+            gone.append((kept, Finding(kind, kept.owner, f"{kept.at(here)} {fault}")))
+        progress(done, len(to_check))
     if gone:  # a window that was replaced meanwhile has another file now, and a recording may be purged
         with storage.read() as unit:
             still = {*kept_recordings(unit.connection), *kept_files(unit.connection)}
@@ -86,7 +84,7 @@ def check_deep(storage: SqlStorage, raw: RawStore, progress: Callable[[int, int]
         *(one.place for one in orphaned_recordings(storage, raw)),
     ]
     findings += [Finding("orphan", place, "no row refers to it", harmless=True) for place in left]
-    return DeepCheck(total, rows, tuple(findings))
+    return DeepCheck(len(to_check), rows, tuple(findings))
 
 
 def _database(connection: Connection) -> Iterator[Finding]:
@@ -137,39 +135,27 @@ def _packed(unit: SqlUnitOfWork) -> tuple[list[Finding], int]:
     """Return packed values that cannot be read, and how many values were."""
     findings: list[Finding] = []
     count = 0
-    readers = [*_of_wheelsets(unit), *_of_sections(unit)]
-    for subject, read in readers:
+    for subject, read in (*_of_wheelsets(unit), *_of_sections(unit)):
         try:
-            count += read()
+            value = read()
+            count += sum(1 for _ in value) if isinstance(value, Iterable) else int(value is not None)
         except DamagedError as error:
             findings.append(Finding("packed values", subject, str(error)))
     return findings, count
 
 
-def _of_wheelsets(unit: SqlUnitOfWork) -> Iterator[tuple[str, Callable[[], int]]]:
+def _of_wheelsets(unit: SqlUnitOfWork) -> Iterator[tuple[str, Callable[[], object]]]:
     for wheelset in unit.registry.wheelsets():
         serial = wheelset.serial
-        yield f"bin tables of {serial}", partial(_tables, unit, serial)
-        yield f"geometries of {serial}", partial(_number, partial(unit.geometries.intervals, serial))
-        yield f"geometry of {serial}", partial(_one, partial(unit.geometries.current, serial))
-        yield f"trend of {serial}", partial(_one, partial(unit.trends.latest, serial))
-        yield f"measured profiles of {serial}", partial(_number, partial(unit.registry.measured_profiles, serial))
+        yield f"bin tables of {serial}", partial(unit.tables.stream, serial, 0, None)
+        yield f"geometries of {serial}", partial(unit.geometries.intervals, serial)
+        yield f"geometry of {serial}", partial(unit.geometries.current, serial)
+        yield f"trend of {serial}", partial(unit.trends.latest, serial)
+        yield f"measured profiles of {serial}", partial(unit.registry.measured_profiles, serial)
 
 
-def _of_sections(unit: SqlUnitOfWork) -> Iterator[tuple[str, Callable[[], int]]]:
+def _of_sections(unit: SqlUnitOfWork) -> Iterator[tuple[str, Callable[[], object]]]:
     for section, version in unit.connection.execute(select(ALIGNMENTS.c.section, ALIGNMENTS.c.version)):
-        yield f"alignment {version} of {section}", partial(_one, partial(unit.tracks.alignment, section, version))
+        yield f"alignment {version} of {section}", partial(unit.tracks.alignment, section, version)
     for record in unit.tracks.sections():
-        yield f"layout of {record.code}", partial(_one, partial(unit.tracks.layout, record.code))
-
-
-def _tables(unit: SqlUnitOfWork, serial: str) -> int:
-    return sum(1 for _ in unit.tables.stream(serial, 0, None))
-
-
-def _number(read: Callable[[], Sequence[object]]) -> int:
-    return len(read())
-
-
-def _one(read: Callable[[], object]) -> int:
-    return int(read() is not None)
+        yield f"layout of {record.code}", partial(unit.tracks.layout, record.code)
