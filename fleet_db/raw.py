@@ -232,9 +232,9 @@ class RawStore(ABC):
             self.put([incoming])
             return incoming.digest
 
-    def put_file(self, source: Path, admit: Callable[[str], None] = lambda _digest: None) -> str:
+    def put_file(self, source: Path) -> str:
         """Put the file ``source``; return its digest. Raises as :meth:`taken_in`."""
-        with self.taken_in(source, admit) as (digest, _):
+        with self.taken_in(source) as (digest, _):
             return digest
 
     @contextmanager

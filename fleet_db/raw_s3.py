@@ -144,7 +144,7 @@ class S3RawStore(RawStore):
 
     def write_mark(self, mark: str) -> None:
         """Write the object of the mark."""
-        self._bucket.put_bytes(MARK_NAME, f"{mark}\n".encode())
+        self._bucket.put(MARK_NAME, f"{mark}\n".encode())
 
     def _put(self, file: IncomingFile) -> None:
         name = recording_name(file.digest, file.suffix)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 EXTRA = "treadwatch[s3]"
 PART_BYTES = 5 << 20
 """Objects up to this size are sent and read by one request; larger ones in parts of it."""
-PARTS_AT_ONCE = 1
 CONNECT_S = 5.0
 RETRIES = 3
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 2.0
@@ -97,20 +96,12 @@ class S3Bucket:
         for first in range(0, facts.size_bytes, PART_BYTES):
             yield self._part(name, first, min(first + PART_BYTES, facts.size_bytes), facts.e_tag)
 
-    def put(self, name: str, source: Path) -> None:
-        """Put the content of a file, whole or not at all; large ones in parts. Raises PassingFaultError."""
-        large = source.stat().st_size > PART_BYTES
+    def put(self, name: str, content: Path | bytes) -> None:
+        """Put a file or a few bytes, whole or not at all; large ones in parts. Raises PassingFaultError."""
+        large = isinstance(content, Path) and content.stat().st_size > PART_BYTES
         with self._faults(name):
             try:
-                self._store.put(name, source, use_multipart=large, chunk_size=PART_BYTES, max_concurrency=PARTS_AT_ONCE)
-            except FileNotFoundError as error:
-                self._refuse(name, error)
-
-    def put_bytes(self, name: str, content: bytes) -> None:
-        """Put a few bytes; raises as :meth:`put`."""
-        with self._faults(name):
-            try:
-                self._store.put(name, content, use_multipart=False)
+                self._store.put(name, content, use_multipart=large, chunk_size=PART_BYTES, max_concurrency=1)
             except FileNotFoundError as error:
                 self._refuse(name, error)
 

@@ -32,6 +32,7 @@ VERSION = 1
 MISSING, LARGEST_COUNT = -32768, 32767
 NAN_BITS = int(np.array(np.nan).view(np.int64))
 SMOOTH = ("speed", "distance")
+PLAIN = ("wheelset", "vehicle", "axle", "start_ns", "length_ns", "track_section")
 QUALITY = tuple(item.name for item in fields(WindowQuality) if item.name not in ("hunting", "blows"))
 QUALITY_COUNTS = ("gaps", "sensor_fault")
 
@@ -121,7 +122,7 @@ def unpack_window(blob: bytes, *, where: str) -> Window:
     for array in (*values.values(), valid):
         array.flags.writeable = False
     return Window(
-        **{name: scalars[name] for name in ("wheelset", "vehicle", "axle", "start_ns", "length_ns", "track_section")},
+        **{name: scalars[name] for name in PLAIN},
         sample_interval_s=from_json(scalars["sample_interval_s"], float),
         odometer_m=from_json(scalars["odometer_m"], float),
         **values,
@@ -164,15 +165,7 @@ def _from_counts(packed: Array, step: float) -> FloatArray:
 
 def _scalars(window: Window) -> dict[str, Any]:
     return {
-        "wheelset": window.wheelset,
-        "vehicle": window.vehicle,
-        "axle": int(window.axle),
-        "start_ns": int(window.start_ns),
-        "length_ns": int(window.length_ns),
-        "track_section": window.track_section,
-        "sample_interval_s": to_json(window.sample_interval_s),
-        "odometer_m": to_json(window.odometer_m),
-        "resolution": to_json(window.resolution),
+        **{name: to_json(getattr(window, name)) for name in (*PLAIN, "sample_interval_s", "odometer_m", "resolution")},
         "quality": {name: _to_json(name, getattr(window.quality, name)) for name in QUALITY},
         # only where there is some
         **({"hunting": to_json(window.quality.hunting)} if window.quality.hunting.share else {}),

@@ -16,7 +16,7 @@ from api.settings import load_settings
 from api.tracing import start_tracing
 from estimation.errors import StoppedError, StorageError
 from estimation.jobs.stop_signals import stop_on_signals
-from fleet_db.keeping.scrub import ScrubFault, ScrubPlan, scrub
+from fleet_db.keeping.checks import ScrubFault, ScrubPlan, scrub
 from fleet_db.stores.chunks import RawScrub
 from ingest.intake.backlog import DecodedChunks, decode_received
 

@@ -119,11 +119,5 @@ class DamperStore:
 
 
 def _values(found: WindowDamper) -> dict[str, object]:
-    return {
-        "vehicle": found.vehicle,
-        "first_axle": found.first_axle,
-        "start_ns": found.start_ns,
-        "wheelset": found.wheelset,
-        "content_digest": found.content_digest,
-        "packed": pack_window_damper(found),
-    }
+    plain = ("vehicle", "first_axle", "start_ns", "wheelset", "content_digest")
+    return {**{name: getattr(found, name) for name in plain}, "packed": pack_window_damper(found)}

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import base64
-from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Select, and_, exists, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Table, and_, exists, func, or_, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError, ParameterError
@@ -190,30 +190,19 @@ class WindowDistance:
 
 def lives_on_file(connection: Connection, serials: Collection[str]) -> dict[str, LifeOnFile]:
     """Return the lives of some wheelsets."""
-    mountings: defaultdict[str, list[Mounting]] = defaultdict(list)
-    for one in mountings_where(connection, MOUNTINGS.c.wheelset, serials):
-        mountings[one.wheelset].append(one)
-    turned = _dated(
-        connection, select(REPROFILINGS.c.wheelset, REPROFILINGS.c.at_ns, REPROFILINGS.c.mileage_km), serials
-    )
-    measured = _dated(connection, select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km), serials)
+    mountings = by_wheelset(mountings_where(connection, MOUNTINGS.c.wheelset, serials), lambda one: one)
+    turned, measured = (_dated(connection, table, serials) for table in (REPROFILINGS, MEASURED))
     return {
-        serial: LifeOnFile(
-            tuple(sorted(mountings[serial], key=lambda one: one.from_ns)),
-            tuple(sorted(turned.get(serial, ()))),
-            tuple(sorted(measured.get(serial, ()))),
-        )
+        serial: LifeOnFile(*(tuple(dated.get(serial, ())) for dated in (mountings, turned, measured)))
         for serial in serials
     }
 
 
 def mountings_where(connection: Connection, column: ColumnElement[str], keys: Collection[str]) -> list[Mounting]:
     """Return the mountings of some wheelsets, or on some vehicles, by that column."""
-    found = []
-    for some in _parts(keys):
-        statement = select(MOUNTINGS).where(column.in_(some)).order_by(MOUNTINGS.c.from_ns)
-        found += [value_of_row(Mounting, row) for row in connection.execute(statement)]
-    return found
+    statement = select(MOUNTINGS).order_by(MOUNTINGS.c.from_ns)
+    found = (connection.execute(statement.where(column.in_(some))) for some in _parts(keys))
+    return [value_of_row(Mounting, row) for row in chain.from_iterable(found)]
 
 
 def any_windows(connection: Connection) -> bool:
@@ -241,22 +230,14 @@ def windows_beside(connection: Connection, wheelset: str, at_ns: int) -> list[Wi
     )
     before = believed.where(WINDOWS.c.start_ns <= at_ns).order_by(WINDOWS.c.start_ns.desc()).limit(1)
     after = believed.where(WINDOWS.c.start_ns > at_ns).order_by(WINDOWS.c.start_ns).limit(1)
-    return [
-        WindowDistance(row.wheelset, row.start_ns, row.mileage_km)
-        for statement in (before, after)
-        for row in connection.execute(statement)
-    ]
+    return [WindowDistance(*row) for statement in (before, after) for row in connection.execute(statement)]
 
 
-def _dated(
-    connection: Connection, statement: Select[tuple[str, int, float]], serials: Collection[str]
-) -> Mapping[str, Sequence[tuple[int, float]]]:
-    found: defaultdict[str, list[tuple[int, float]]] = defaultdict(list)
-    for some in _parts(serials):
-        column = statement.selected_columns[0]
-        for row in connection.execute(statement.where(column.in_(some))):
-            found[row.wheelset].append((row.at_ns, row.mileage_km))
-    return found
+def _dated(connection: Connection, table: Table, serials: Collection[str]) -> dict[str, list[tuple[int, float]]]:
+    """Return time and mileage of what a table holds of wheelsets, oldest first."""
+    statement = select(table.c.wheelset, table.c.at_ns, table.c.mileage_km).order_by(table.c.at_ns)
+    found = (connection.execute(statement.where(table.c.wheelset.in_(some))) for some in _parts(serials))
+    return by_wheelset(chain.from_iterable(found), lambda row: (row.at_ns, row.mileage_km))
 
 
 def _parts(keys: Collection[str]) -> Iterator[list[str]]:

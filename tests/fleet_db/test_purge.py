@@ -14,7 +14,7 @@ from stored_raw import raw_of
 from estimation.errors import ConflictError, ParameterError
 from estimation.values.runs import JobOutcome, JobTrigger
 from fleet_db.keeping import purge as purge_module
-from fleet_db.keeping.deep_check import check_deep
+from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import LEAST_AGE_S, orphaned_recordings, orphaned_samples
 from fleet_db.keeping.purge import Purged, purge, purged_before
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
