@@ -69,7 +69,7 @@ from fleet_db.visibility import VISIBLE
 
 @dataclass(slots=True)
 class SqlUnitOfWork:
-    """One transaction over all stores; the jobs see of it what ``estimation.storage.UnitOfWork`` lists."""
+    """One transaction over all stores."""
 
     connection: Connection
     files: WindowFiles
@@ -179,7 +179,7 @@ class SqlUnitOfWork:
 
 @dataclass(frozen=True, slots=True)
 class SqlStorage:
-    """Implements ``estimation.storage.Storage``.
+    """Transactions: `write` commits on a clean exit and rolls back on an exception; `read` sees one snapshot.
 
     Args:
         engine: From ``fleet_db.session.database_engine``; migrated (``fleet_db.migrate.check_head``).

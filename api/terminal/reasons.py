@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from api.factory import open_store
-from api.schemas.worklist import WheelsetRow, row_of_document
+from api.routes.worklist import WheelsetRow, row_of_document
 from api.settings import Settings
 from api.times import from_rfc3339, to_rfc3339
 from api.window_reasons import SHOWN, WindowReasons, same_reason

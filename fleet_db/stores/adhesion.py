@@ -31,7 +31,7 @@ SAME = and_(OF_WINDOWS.c.wheelset == WINDOWS.c.wheelset, OF_WINDOWS.c.start_ns =
 
 @dataclass(frozen=True, slots=True)
 class AdhesionStore:
-    """Implements ``estimation.storage.Adhesion``."""
+    """Creep forces of windows, and the friction of sections."""
 
     connection: Connection
     subjects: Subjects

@@ -29,7 +29,7 @@ BATCH = 500  # rows fetched at once
 
 @dataclass(frozen=True, slots=True)
 class BinTableStore:
-    """Implements ``estimation.storage.BinTables``."""
+    """One packed bin table per window."""
 
     connection: Connection
     subjects: Subjects

@@ -40,7 +40,7 @@ INTERVALS: Parts = ("0000", "9999.9999999")
 
 @dataclass(frozen=True, slots=True)
 class GeometryStore:
-    """Implements ``estimation.storage.Geometries``."""
+    """Geometry estimates, append-only; reads give the state recorded at ``as_of_ns``."""
 
     connection: Connection
     results: ResultStore

@@ -114,7 +114,7 @@ MOST_BEHIND_NS = DAY_NS
 
 @dataclass(frozen=True, slots=True)
 class RecordedTimeStore:
-    """Implements ``estimation.storage.RecordedTimes``."""
+    """Our clock on what is stored: results from the time when it was ahead count as recorded now."""
 
     connection: Connection
 

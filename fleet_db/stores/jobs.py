@@ -41,7 +41,7 @@ KEPT_NS = 86_400_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class WorkClaimStore:
-    """Implements ``estimation.storage.WorkClaims``."""
+    """Leases of processes, and what is claimed under them."""
 
     connection: Connection
 
@@ -214,12 +214,13 @@ def _locked(lease: int, *, ending: bool = False) -> Select[tuple[int]]:
 
 
 RUNS = table_of(JobRunRow)
+RUNNING = JobOutcome.RUNNING.value
 GONE = "the process ended during the run"
 
 
 @dataclass(frozen=True, slots=True)
 class JobRunStore:
-    """Implements ``estimation.storage.JobRuns``."""
+    """The record of every run."""
 
     connection: Connection
     owner: int | None = None  # lease of the process that starts runs here
@@ -238,7 +239,7 @@ class JobRunStore:
         """Record how a run ended and return it; raises NotFoundError, and ConflictError where it has ended already."""
         row = self.connection.execute(
             update(RUNS)
-            .where(RUNS.c.run_id == run_id, RUNS.c.outcome == JobOutcome.RUNNING.value)
+            .where(RUNS.c.run_id == run_id, RUNS.c.outcome == RUNNING)
             .values(outcome=outcome.value, counts=dict(counts), finished_ns=finished_ns, error=error)
             .returning(RUNS)
         ).first()
@@ -255,7 +256,7 @@ class JobRunStore:
         return self._abandon(finished_ns, or_(RUNS.c.owner.is_(None), RUNS.c.owner.not_in(select(LEASES.c.lease_id))))
 
     def _abandon(self, finished_ns: int, which: ColumnElement[bool]) -> int:
-        statement = update(RUNS).where(RUNS.c.outcome == JobOutcome.RUNNING.value, which)
+        statement = update(RUNS).where(RUNS.c.outcome == RUNNING, which)
         return self.connection.execute(
             statement.values(outcome=JobOutcome.ABANDONED.value, finished_ns=finished_ns, error=GONE)
         ).rowcount
@@ -277,7 +278,7 @@ class JobRunStore:
         return self._runs(self.connection.execute(statement.order_by(RUNS.c.run_id.desc()).limit(limit)).all())
 
     def _runs(self, rows: Sequence[Row[Any]]) -> list[JobRun]:
-        tokens = {row.owner for row in rows if row.owner is not None and row.outcome == JobOutcome.RUNNING.value}
+        tokens = {row.owner for row in rows if row.owner is not None and row.outcome == RUNNING}
         return [_run(row, tokens - living(self.connection, tokens)) for row in rows]
 
 

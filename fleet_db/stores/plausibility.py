@@ -49,7 +49,7 @@ SPANS = 100  # of readings, in a statement
 
 @dataclass(frozen=True, slots=True)
 class PlausibilityStore:
-    """Implements ``estimation.storage.Plausibility``."""
+    """Which windows have a mileage or a place that is not believed."""
 
     connection: Connection
     windows: WindowStore

@@ -21,7 +21,7 @@ Place = tuple[str, str, str]
 
 @dataclass(frozen=True, slots=True)
 class QuarantineStore:
-    """Implements ``estimation.storage.Quarantine``."""
+    """What failed by itself and is kept apart."""
 
     connection: Connection
 

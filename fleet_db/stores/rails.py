@@ -25,7 +25,7 @@ CELLS = table_of(RailCellRow)
 
 @dataclass(frozen=True, slots=True)
 class RailsStore:
-    """Implements ``estimation.storage.Rails``."""
+    """Conicities of wheelsets by section."""
 
     connection: Connection
     subjects: Subjects

@@ -58,7 +58,7 @@ NOBODY = Decision()
 
 @dataclass(frozen=True, slots=True)
 class RegistryStore:
-    """Implements ``estimation.storage.Registry``."""
+    """Fleets, vehicles, wheelsets with what happened to them. Writes are upserts: a repeat changes nothing."""
 
     connection: Connection
     subjects: Subjects

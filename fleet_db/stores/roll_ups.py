@@ -28,7 +28,7 @@ KNOWN = (*OWN, "baseline", "baseline_interval", "side", "table_key", "vehicle_cl
 
 @dataclass(frozen=True, slots=True)
 class RollUpStore:
-    """Implements ``estimation.storage.RollUps``."""
+    """Sums of bin tables by mileage interval."""
 
     connection: Connection
     once: ReadOnce = field(default_factory=ReadOnce)

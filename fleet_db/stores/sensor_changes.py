@@ -23,7 +23,7 @@ CHANGES = table_of(SensorChangeRow)
 
 @dataclass(frozen=True, slots=True)
 class SensorChangeStore:
-    """Implements ``estimation.storage.SensorChanges``."""
+    """When the sensors of an axle were exchanged or calibrated."""
 
     connection: Connection
     subjects: Subjects

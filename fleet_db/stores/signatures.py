@@ -27,7 +27,7 @@ NEWEST = 24  # windows of a wheelset on a section in a band of speed that the li
 
 @dataclass(frozen=True, slots=True)
 class SignatureStore:
-    """Implements ``estimation.storage.Signatures``."""
+    """Wear signatures of windows."""
 
     connection: Connection
     subjects: Subjects

@@ -25,7 +25,7 @@ FINDINGS = table_of(SuspensionFindingRow)
 
 @dataclass(frozen=True, slots=True)
 class SuspensionStore:
-    """Implements ``estimation.storage.Suspensions``."""
+    """What the passes of sections show of the suspension of vehicles."""
 
     connection: Connection
     subjects: Subjects
@@ -72,7 +72,7 @@ SAME = and_(
 
 @dataclass(frozen=True, slots=True)
 class DamperStore:
-    """Implements ``estimation.storage.Dampers``."""
+    """What windows say of the lateral dampers of running gears, and what they say together."""
 
     connection: Connection
     results: ResultStore

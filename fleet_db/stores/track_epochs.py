@@ -100,7 +100,7 @@ def _refused() -> Update:
 
 @dataclass(frozen=True, slots=True)
 class EpochStore:
-    """Implements ``estimation.storage.Epochs``."""
+    """Epochs of sections in vehicle time, each as it was computed last, and what has changed under them since."""
 
     connection: Connection
     subjects: Subjects

@@ -70,7 +70,7 @@ RECORDS = select(
 
 @dataclass(frozen=True, slots=True)
 class TrackStore:
-    """Implements ``estimation.storage.Tracks``."""
+    """Track sections and versions of their alignment."""
 
     connection: Connection
     subjects: Subjects

@@ -212,14 +212,14 @@ def _add_alignment(unit: SqlUnitOfWork, alignment: TrackAlignment) -> None:
     version = tracks.add_alignment(alignment)
     if before is not None and version > before.version:
         tracks.forget_positions(alignment.section)
-        unit.windows.requeue_section(alignment.section)
+        unit.windows.estimate_again(alignment.section)
 
 
 def _add_layout(unit: SqlUnitOfWork, layout: TrackLayout) -> None:
     before = unit.tracks.layout(layout.section)
     version = unit.tracks.add_layout(layout)
     if before is None or before.version != version:
-        unit.windows.requeue_section(layout.section)
+        unit.windows.estimate_again(layout.section)
 
 
 def refuse_contradicted(unit: SqlUnitOfWork, key: RecordKey, now_ns: int) -> None:

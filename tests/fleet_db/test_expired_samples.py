@@ -142,9 +142,9 @@ def test_nothing_queues_it_again(fleet: SqlStorage) -> None:
     with fleet.write() as unit:
         unit.tracks.put_positions([WindowPosition("WS-1", make.START, "d" * 64, 1)])
         assert not unit.windows.mark("WS-1", make.START, WindowState.PENDING)
-        assert unit.windows.requeue_section(SECTION) == 0
-        assert unit.windows.requeue(SECTION, ReasonCode.IN_CURVES) == 0
-        assert unit.windows.requeue_vehicle("V-1", ReasonCode.IN_CURVES) == 0
+        unit.windows.estimate_again(SECTION)
+        assert unit.windows.counts()["pending"] == 0
+        assert unit.windows.refused_on(SECTION, [ReasonCode.IN_CURVES]) == []
         assert unit.windows.look_again([("WS-1", make.START)]) == []
         assert unit.plausibility.judge({("WS-1", make.START): Reason(ReasonCode.ODOMETER_IMPLAUSIBLE, "no")}) == 0
         assert unit.windows.passed_over("WS-1") == [(make.START, PassedOver.SUPERSEDED)]
