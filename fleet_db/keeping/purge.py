@@ -7,20 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from sqlalchemy import (
-    Column,
-    ColumnElement,
-    Connection,
-    Row,
-    and_,
-    delete,
-    exists,
-    func,
-    insert,
-    or_,
-    select,
-    update,
-)
+from sqlalchemy import Column, ColumnElement, Connection, Row, and_, delete, exists, func, insert, or_, select, update
 
 from estimation.jobs.job import Job, JobContext
 from estimation.values.reasons import ReasonCode

@@ -7,18 +7,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from estimation.values.alerts import Severity, Urgency
 from estimation.values.quantities import Status
-from fleet_db.tables.base import (
-    Base,
-    Code,
-    Json,
-    Name,
-    Nanoseconds,
-    Packed,
-    Real,
-    Serial,
-    one_of,
-    partial_index,
-)
+from fleet_db.tables.base import Base, Code, Json, Name, Nanoseconds, Packed, Real, Serial, one_of, partial_index
 
 IN_FORCE, PAST = text("superseded_ns IS NULL"), text("superseded_ns IS NOT NULL")
 
