@@ -48,13 +48,7 @@ class Unpacked:
 
 
 def pack(kind: str, version: int, scalars: Mapping[str, JsonValue], arrays: Mapping[str, Array]) -> bytes:
-    """Return one blob of ``arrays`` and ``scalars``.
-
-    Args:
-        kind, version: What the blob is, and the version of that layout; ``unpack`` insists on the kind.
-        scalars: Anything JSON holds except NaN and infinity (numbers that may be one go into an array).
-        arrays: float64, int64, int16 or uint8, of any shape.
-    """
+    """Return one blob of ``scalars`` (JSON without NaN) and ``arrays`` (float64, int64, int16, uint8, of any shape)."""
     described = [[name, _little(array).dtype.str, list(array.shape)] for name, array in arrays.items()]
     header = json.dumps(
         {"kind": kind, "version": version, "scalars": dict(scalars), "arrays": described},

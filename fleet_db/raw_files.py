@@ -166,12 +166,7 @@ def unlink_old(path: Path, least_age_s: float) -> int | None:
 
 
 def total_of(directory: Path, enough: int) -> RawTotal:
-    """Return the files below a folder, by whole subfolders until enough were looked at; names are digests.
-
-    Args:
-        directory: The folder; it need not be there.
-        enough: Files after which the other subfolders are taken to be like those that were looked at.
-    """
+    """Return the files below a folder, if it is there, by whole subfolders until enough are seen: names are digests."""
     try:
         below = sorted(entry.path for entry in os.scandir(directory) if entry.is_dir())
         files = size = seen = 0

@@ -35,8 +35,6 @@ class S3Place:
     Attributes:
         bucket, prefix: Of the objects; the prefix may be empty.
         endpoint, region: Of the store.
-        allow_http: Whether the connection may go without TLS.
-        timeout_s: How long one request may take; with its repetitions, at most twice as long.
         keys: ``access_key_id``, ``secret_access_key``, and ``token`` where there is one; None where the client library
             finds credentials by a role of the machine or the container.
     """
@@ -45,8 +43,8 @@ class S3Place:
     prefix: str
     endpoint: str
     region: str
-    allow_http: bool
-    timeout_s: float
+    allow_http: bool  # whether the connection may go without TLS
+    timeout_s: float  # how long one request may take; with its repetitions, at most twice as long
     keys: Mapping[str, str] | None = field(default=None, repr=False)
 
     @property
@@ -84,14 +82,9 @@ class S3Bucket:
                 return None
 
     def pieces(self, name: str, facts: ObjectFacts) -> Iterator[bytes]:
-        """Yield the bytes of an object, by bounded requests.
+        """Yield the bytes of an object of which the store has said this, by bounded requests.
 
-        Args:
-            facts: What the store has said of it: these bytes are read, or none.
-
-        Raises:
-            FileNotFoundError: It is not there any more.
-            PassingFaultError: It cannot be read now, or has been replaced meanwhile.
+        Raises FileNotFoundError, and PassingFaultError where it cannot be read now, or has been replaced meanwhile.
         """
         for first in range(0, facts.size_bytes, PART_BYTES):
             yield self._part(name, first, min(first + PART_BYTES, facts.size_bytes), facts.e_tag)

@@ -66,13 +66,7 @@ class WindowFiles:
         return len(blob)
 
     def load(self, digest: str) -> Window:
-        """Return the window, bit for bit.
-
-        Raises:
-            DamagedError: The file is missing, damaged, or holds other content than its name says; names the file.
-            PassingFaultError: The file cannot be read now, and the directory can.
-            StorageError: The directory is not there or cannot be used.
-        """
+        """Return the window, bit for bit; StorageError: no folder, PassingFaultError: not now, DamagedError: ever."""
         path = self.path(digest)
         try:
             blob = path.read_bytes()

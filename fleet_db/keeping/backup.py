@@ -180,15 +180,9 @@ def back_up(
     refer to them, and only a purge deletes them, which waits for a backup. Files that an earlier backup of the folder
     has already are not copied again.
 
-    Args:
-        folder: Of the backups; made if it is not there.
-        progress: Called with (done, total) files.
-
     Raises:
         ConflictError: Another backup, restore or purge is running.
         MigrationError: The database is not at the migration of this version.
-        StorageError, PassingFaultError: The database, a file or a recording cannot be read or written; the folder holds
-            no manifest then.
     """
     check_head(storage.engine)
     name = backup_name(now_ns)

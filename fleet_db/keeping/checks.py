@@ -198,13 +198,7 @@ def scrub(
 ) -> RawScrub:
     """Read every raw file, mark what is damaged or missing in quarantine, and return how it ended; services may run.
 
-    Args:
-        progress: Called with (done, total) files; it may raise to end the work, and the next scrub goes on from there.
-        sleep: Waits, s.
-
-    Raises:
-        PassingFaultError: The folder of raw recordings is not mounted: nothing is marked.
-        StorageError: The database cannot be reached.
+    ``progress`` may raise to end the work, and the next scrub goes on from there. PassingFaultError: not mounted.
     """
     check_raw_store(storage, raw, now_ns())
     with storage.write() as unit:

@@ -51,10 +51,6 @@ def expired_tables(connection: Connection, before_ns: int, number: int | None = 
     Such a roll-up is over: a later one has begun. All its windows are older, and none has samples from which it could
     be estimated again. Its sums are whole: no window of its wheelset from before is due, and it has as many windows as
     there are tables.
-
-    Args:
-        before_ns: Their windows start before it, ns UTC.
-        number: Of the one that is looked at; None: all are.
     """
     later = ROLL_UPS.alias("later")
     over = exists().where(later.c.wheelset == ROLL_UPS.c.wheelset, later.c.first_ns > ROLL_UPS.c.last_ns)
@@ -112,9 +108,6 @@ def expired_samples(connection: Connection, before_ns: int, limit: int) -> Seque
 
     A window is estimated and its table summed, or it is refused for good. It is of no epoch of an alignment that may be
     computed again when a recording comes late: nor of one that identified nothing, until a later one has.
-
-    Args:
-        before_ns: They start before it, ns UTC.
     """
     summed = and_(WINDOWS.c.state == WindowState.ESTIMATED.value, ~is_due(DueStage.SUMS, WINDOWS))
     waits = WINDOWS.c.reason_code.in_([code.value for code in WAITING])
@@ -170,14 +163,8 @@ def purge(
 ) -> list[Purged]:
     """Delete what has been kept long enough; return how much of each kind.
 
-    Every batch is a transaction of its own with its record, so that a purge which ends early has done a part.
-
-    Args:
-        checkpoint: Called between batches; it may raise to end the purge.
-
-    Raises:
-        ConflictError: A backup, restore or other purge is running.
-        StorageError, PassingFaultError: The database, a directory or the store of raw recordings cannot be used.
+    Every batch is a transaction of its own with its record, so that a purge which ends early, by ``checkpoint``, has
+    done a part. ConflictError: a backup, restore or other purge is running.
     """
     with keeping_alone(storage.engine):
         with storage.read() as unit:

@@ -67,17 +67,13 @@ class Installation:
 def restore(into: Installation, folder: Path, name: str | None = None, *, progress: Progress) -> Restored:
     """Restore a backup; files first, then all rows in one step, so that an interrupted restore can be repeated.
 
-    Args:
-        into: The database must be without content, SQLite or PostgreSQL whatever the backup was made of. Files in the
-            data folder and recordings in the store stay.
-        name: Of the backup; the newest where left out.
-        progress: Called with (done, total) files.
+    The database must be without content, SQLite or PostgreSQL whatever the backup was made of. Files in the data folder
+    and recordings in the store stay. Without a name it is the newest backup.
 
     Raises:
         InputError: There is no such backup, its database is damaged, or it is of a version that no upgrade leads from.
         ConflictError: The database has content, or another backup, restore or purge is running.
         MigrationError: No upgrade of this version leads from the migration of the database.
-        StorageError, PassingFaultError: The database, a file or a recording cannot be read or written.
     """
     manifest = read_manifest(folder, name)
     _check(manifest, folder)

@@ -64,9 +64,6 @@ def database_size(connection: Connection, exact_bytes: int = EXACT_BYTES) -> Dat
 
     PostgreSQL keeps sizes and row counts itself. In SQLite the pages of a small file are counted; of a large one a
     few rows are read at even distances, and their mean is scaled to the size of the file.
-
-    Args:
-        exact_bytes: Largest SQLite file of which every page is counted.
     """
     if connection.dialect.name == "postgresql":
         return _of_postgresql(connection)
@@ -237,14 +234,7 @@ class StoredBytes:
 def stored_bytes(
     storage: SqlStorage, raw: RawStore, retention: Retention, hours_per_day: float | None = None
 ) -> StoredBytes:
-    """Return where the bytes are.
-
-    Args:
-        hours_per_day: Running of a wheelset to reckon with; None: as in the last days of data.
-
-    Raises:
-        StorageError, PassingFaultError: The database, a directory or the store of raw recordings cannot be read.
-    """
+    """Return where the bytes are, for wheelsets that run so much a day; None: as in the last days of data."""
     with storage.read() as unit:
         size = database_size(unit.connection, EXACT_BYTES)
         running = _running(unit.connection, size.tables["windows"].rows, hours_per_day)

@@ -35,12 +35,7 @@ class BinTableStore:
     subjects: Subjects
 
     def put(self, wheelset: str, start_ns: int, table: BinTable, track_version: int | None, window_digest: str) -> None:
-        """Store the bin table of a window, in the place of an earlier one; the same again changes nothing.
-
-        Raises:
-            NotFoundError: There is no such window.
-            ConflictError: The window holds other content now than ``window_digest``.
-        """
+        """Store the bin table of a window; raises NotFoundError, and ConflictError where its content is other."""
         self.put_all([WindowTable(wheelset, start_ns, window_digest, table, track_version)])
 
     def put_all(self, tables: Sequence[WindowTable]) -> None:

@@ -82,12 +82,7 @@ class CorrectionStore:
         return record
 
     def restore(self, key: RecordKey, decision: Decision) -> Mapping[str, JsonValue]:
-        """Put a voided record back as it was; return it.
-
-        Raises:
-            NotFoundError: No such record was voided.
-            ConflictError: There is one of its wheelset and time, or number, by now; or it overlaps another mounting.
-        """
+        """Put a voided record back as it was and return it; raises NotFoundError, ConflictError: another is there."""
         serialise(self.connection, Subject.REGISTRY)
         voided = self.history.latest(key, RecordAction.VOIDED)
         if voided is None:

@@ -48,13 +48,8 @@ class WorkClaimStore:
     def lease(self, holder: str, length_ns: int, owner: int | None = None, unit: str | None = None) -> int:
         """Begin a lease and return its number; those that have ended are removed, what was claimed is free again.
 
-        Args:
-            length_ns: How long it lasts from now, ns.
-            owner: Lease of the process that runs the job, with which this one ends; None where it does not.
-            unit: Number of a unit of work. It was begun before where a worker is gone: that lease ends.
-
-        Raises:
-            LeaseLostError: That of the owner has ended.
+        It ends with that of its owner, the process that runs the job; LeaseLostError: that has ended. A unit of work
+        that was begun before was that of a worker that is gone: that lease ends.
         """
         self.end_outdated()
         if owner is not None:
@@ -140,9 +135,6 @@ class WorkClaimStore:
         """End a lease whose process could not reach the database at the end of its work, but lives.
 
         What it had claimed is free, and it does not count that it had begun, unless others have begun since.
-
-        Args:
-            lease: It may have ended by its time.
         """
         if lease.alone:
             self.connection.execute(delete(LEASES).where(LEASES.c.lease_id == lease.number))

@@ -182,10 +182,7 @@ class RegistryStore:
         return [found for _, found in sorted(newest_classes(self.connection).items())]
 
     def add_vehicle_class(self, vehicle_class: VehicleClass, recorded_ns: int) -> EstimatedAgain:
-        """Add a class or a new version of it; return what is estimated again: where the motion changes, every window.
-
-        The content of the newest version again changes nothing.
-        """
+        """Add a class, or a version where its content is new; return what another motion estimates again."""
         serialise(self.connection, Subject.REGISTRY)
         before = self.vehicle_class(vehicle_class.code)
         on_file = find_class(self.connection, vehicle_class.code, None)

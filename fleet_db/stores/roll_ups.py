@@ -153,10 +153,7 @@ class RollUpStore:
             replace_all(self.connection, ROLLING, rows)
 
     def newest_chosen(self, wheelsets: Sequence[str]) -> Mapping[str, Sequence[str]]:
-        """Return by wheelset the digests of the windows that stand for its newest roll-up.
-
-        With those of later windows of which it is kept what they say of their rolling radius.
-        """
+        """Return by wheelset the digests of the windows behind its newest roll-up, and of later ones beside it."""
         newest = (
             select(func.max(ROLL_UPS.c.number)).where(ROLL_UPS.c.wheelset.in_(wheelsets)).group_by(ROLL_UPS.c.wheelset)
         )

@@ -90,13 +90,7 @@ class DamperStore:
         return [(row.vehicle, row.first_axle) for row in rows]
 
     def newest(self, vehicle: str, first_axle: int, limit: int) -> Sequence[WindowDamper]:
-        """Return what the newest windows of a running gear say, newest first.
-
-        Windows that are not there any more, or have other samples now, say nothing.
-
-        Args:
-            limit: How many at most.
-        """
+        """Return what the newest windows of a running gear that are there unchanged say, newest first."""
         own = (OF_WINDOWS.c.vehicle == vehicle, OF_WINDOWS.c.first_axle == first_axle)
         statement = select(OF_WINDOWS).select_from(OF_WINDOWS.join(WINDOWS, SAME)).where(*own)
         rows = self.connection.execute(statement.order_by(OF_WINDOWS.c.start_ns.desc()).limit(limit))

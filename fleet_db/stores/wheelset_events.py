@@ -214,9 +214,6 @@ def windows_beside(connection: Connection, wheelset: str, at_ns: int) -> list[Wi
     """Return the last window of a wheelset that starts at or before a time and the first that starts after it.
 
     Left out are windows whose mileage is not believed, and those that are to be assembled again.
-
-    Args:
-        at_ns: ns UTC on the vehicle's clock.
     """
     stale = exists().where(
         and_(

@@ -81,17 +81,15 @@ class CountedWindows:
     """Windows of one wheelset that have the same state, reason code, section and vehicle.
 
     Attributes:
-        placed: Whether their place on the section is found; False of those that do not wait.
-        reason: As it is stored of the newest; None where none is.
         first_ns, newest_start_ns, newest_end_ns: Begin of the oldest, begin and end of the newest, ns UTC on the
             vehicle's clock.
     """
 
     state: WindowState
-    reason: Reason | None
+    reason: Reason | None  # as it is stored of the newest; None where none is
     section: str | None
     vehicle: str
-    placed: bool
+    placed: bool  # whether their place on the section is found; False of those that do not wait
     windows: int
     first_ns: int
     newest_start_ns: int
@@ -193,14 +191,13 @@ class Backlog:
     """What waits.
 
     Attributes:
-        recordings: How many there are, by state.
-        oldest_recording_ns, oldest_window_ns: Since when, ns of our clock, the oldest recording waits to be decoded and
-            the oldest window to be estimated; None where none does.
+        oldest_recording_ns, oldest_window_ns: Since when, ns of our clock, the oldest recording waits to be decoded
+            and the oldest window to be estimated; None where none does.
         last_data: Fleet, and newest data on the vehicle's clock, of each vehicle with a mounted wheelset; None without
             data.
     """
 
-    recordings: Mapping[ChunkState, int]
+    recordings: Mapping[ChunkState, int]  # how many there are, by state
     oldest_recording_ns: int | None
     oldest_window_ns: int | None
     last_data: tuple[tuple[str, int | None], ...]
