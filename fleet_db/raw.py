@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from estimation.errors import InputError, ParameterError, PassingFaultError
@@ -77,9 +76,7 @@ class IncomingFile:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.discard()
 
 
@@ -127,18 +124,10 @@ class RawStore(ABC):
     same bytes again change nothing, but replace a damaged recording.
     """
 
-    def __init__(self, receiving: Path) -> None:
+    def __init__(self, receiving: Path, url: str, *, saved_by_backup: bool) -> None:
         self.receiving = receiving  # folder of this machine in which recordings are received before they are put
-
-    @property
-    @abstractmethod
-    def url(self) -> str:
-        """Where it is, without any secret."""
-
-    @property
-    @abstractmethod
-    def saved_by_backup(self) -> bool:
-        """Whether a backup copies the recordings, because nothing else does."""
+        self.url = url  # without any secret
+        self.saved_by_backup = saved_by_backup  # whether a backup copies the recordings, because nothing else does
 
     @abstractmethod
     def place(self, digest: str, suffix: str) -> str:

@@ -31,18 +31,8 @@ class FileRawStore(RawStore):
     """Recordings under one folder, received in it and named by a rename; it is made with the first one."""
 
     def __init__(self, directory: Path) -> None:
-        super().__init__(receiving=directory)
+        super().__init__(directory, str(directory), saved_by_backup=True)
         self.directory = directory
-
-    @property
-    def url(self) -> str:
-        """The folder."""
-        return str(self.directory)
-
-    @property
-    def saved_by_backup(self) -> bool:
-        """Files on a disk of ours are."""
-        return True
 
     def path(self, digest: str, suffix: str) -> Path:
         """Return where the recording of this digest is; raises ParameterError as :meth:`RawStore.place`."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from sqlalchemy import (
@@ -241,15 +240,15 @@ def stored_bytes(
         raw_hour = _raw_bytes_per_hour(unit.connection, running)
     year = _Year(running, retention)
     kinds = [_of_tables(kind, size.tables, year) for kind in (*TABLES, OTHER)]
-    samples = _samples(storage.data_dir / SAMPLES)
+    folder = storage.data_dir / SAMPLES
+    try:
+        samples = total_of(folder, LOOKED_AT_FILES)
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot be read: {error.strerror}") from error
     one = samples.size_bytes / samples.items if samples.items else 0.0
     per_hour = one / running.window_hours if running.window_hours else 0.0
-    kinds += [
-        _of_files("samples of windows", samples, retention.window_samples, year.kept(per_hour, Kept.WINDOW_SAMPLES)),
-        _of_files(
-            "raw recordings", raw.total(LOOKED_AT_FILES), retention.recordings, year.kept(raw_hour, Kept.RECORDINGS)
-        ),
-    ]
+    kinds.append(_of_files("samples of windows", samples, Kept.WINDOW_SAMPLES, per_hour, year))
+    kinds.append(_of_files("raw recordings", raw.total(LOOKED_AT_FILES), Kept.RECORDINGS, raw_hour, year))
     return StoredBytes(tuple(sorted(kinds, key=lambda kind: -kind.bytes)), running, size.free_bytes)
 
 
@@ -283,15 +282,9 @@ def _of_tables(kind: str, sizes: Mapping[str, TableSize], year: _Year) -> Stored
     return StoredKind(kind, items, item_bytes, index_bytes, estimated, days, year.kept(per_hour, kept))
 
 
-def _of_files(kind: str, found: RawTotal, days: float | None, year_bytes: int | None) -> StoredKind:
-    return StoredKind(kind, found.items, found.size_bytes, 0, found.estimated, days, year_bytes)
-
-
-def _samples(path: Path) -> RawTotal:
-    try:
-        return total_of(path, LOOKED_AT_FILES)
-    except OSError as error:
-        raise StorageError(f"{path}: cannot be read: {error.strerror}") from error
+def _of_files(kind: str, found: RawTotal, kept: Kept, per_hour: float, year: _Year) -> StoredKind:
+    days = getattr(year.retention, kept.value)
+    return StoredKind(kind, found.items, found.size_bytes, 0, found.estimated, days, year.kept(per_hour, kept))
 
 
 def _running(connection: Connection, windows: int, hours_per_day: float | None) -> Running:

@@ -9,7 +9,7 @@ from functools import partial
 from itertools import chain
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Table, and_, exists, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Row, Table, and_, exists, func, or_, select
 
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ConflictError, ParameterError
@@ -38,29 +38,6 @@ def _where(mounting: Mounting) -> str:
     place = f"wheelset {mounting.wheelset!r} at axle {mounting.axle} of {mounting.vehicle!r}"
     end = "" if mounting.to_ns is None else f" to {utc_text(mounting.to_ns)}"
     return f"{place} from {utc_text(mounting.from_ns)}{end}"
-
-
-def mounting_at(connection: Connection, vehicle: str, axle: int, at_ns: int) -> Mounting | None:
-    """Return the mounting at an axle (from 1) that covers ``at_ns``, UTC on the vehicle's clock."""
-    statement = select(MOUNTINGS).where(
-        MOUNTINGS.c.vehicle == vehicle,
-        MOUNTINGS.c.axle == axle,
-        MOUNTINGS.c.from_ns <= at_ns,
-        or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > at_ns),
-    )
-    row = connection.execute(statement).first()
-    return None if row is None else value_of_row(Mounting, row)
-
-
-def mountings_on(connection: Connection, vehicle: str, from_ns: int, to_ns: int) -> Sequence[Mounting]:
-    """Return every mounting on a vehicle that covers some of ``[from_ns, to_ns)``, by axle and start."""
-    statement = (
-        select(MOUNTINGS)
-        .where(MOUNTINGS.c.vehicle == vehicle, MOUNTINGS.c.from_ns < to_ns)
-        .where(or_(MOUNTINGS.c.to_ns.is_(None), MOUNTINGS.c.to_ns > from_ns))
-        .order_by(MOUNTINGS.c.axle, MOUNTINGS.c.from_ns)
-    )
-    return [value_of_row(Mounting, row) for row in connection.execute(statement)]
 
 
 def mountings_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, list[Mounting]]:
@@ -119,24 +96,6 @@ def reprofilings_of(connection: Connection, serials: Sequence[str]) -> dict[str,
     return by_wheelset(connection.execute(statement), lambda row: Reprofiling(*row))
 
 
-def measured_profiles_of(connection: Connection, wheelset: str) -> Sequence[MeasuredProfiles]:
-    """Return every measurement of a wheelset, oldest first."""
-    statement = select(MEASURED).where(MEASURED.c.wheelset == wheelset).order_by(MEASURED.c.at_ns)
-    found = []
-    for row in connection.execute(statement):
-        where = f"profiles of wheelset {row.wheelset!r} measured at {row.at_ns}"
-        left, right = unpack_wheel_pair(row.packed, where=where)
-        found.append(MeasuredProfiles(row.wheelset, row.at_ns, row.mileage_km, left, right, row.std_m))
-    return found
-
-
-def newest_measurement_of(connection: Connection, wheelsets: Collection[str]) -> dict[str, tuple[int, float]]:
-    """Return time (ns UTC) and mileage (km) of the newest measurement of each wheelset that has one, by serial."""
-    statement = select(MEASURED.c.wheelset, MEASURED.c.at_ns, MEASURED.c.mileage_km)
-    statement = statement.where(MEASURED.c.wheelset.in_(wheelsets)).order_by(MEASURED.c.at_ns)
-    return {wheelset: (int(at_ns), float(mileage)) for wheelset, at_ns, mileage in connection.execute(statement)}
-
-
 def newest_measurements(
     connection: Connection, fleet: str | None, from_ns: int | None, to_ns: int | None, limit: int
 ) -> tuple[int, list[tuple[str, int]]]:
@@ -152,6 +111,12 @@ def newest_measurements(
     newest = select(MEASURED.c.wheelset, MEASURED.c.at_ns).where(*wanted)
     newest = newest.order_by(MEASURED.c.at_ns.desc(), MEASURED.c.wheelset).limit(limit)
     return total, [(row.wheelset, row.at_ns) for row in connection.execute(newest)]
+
+
+def measured_of(row: Row[Any]) -> MeasuredProfiles:
+    """Return the measurement of a row; raises DamagedError."""
+    left, right = unpack_wheel_pair(row.packed, where=f"profiles of wheelset {row.wheelset!r} measured at {row.at_ns}")
+    return MeasuredProfiles(row.wheelset, row.at_ns, row.mileage_km, left, right, row.std_m)
 
 
 def store_measured_profiles(connection: Connection, record: MeasuredProfiles) -> bool:
