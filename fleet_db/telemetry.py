@@ -28,7 +28,6 @@ from fleet_db.atomic_files import passing_fault, passing_faults, write_atomicall
 from fleet_db.fields import Array, from_json, pack, to_json, unpack
 
 KIND = "window"
-VERSION = 1
 MISSING, LARGEST_COUNT = -32768, 32767
 NAN_BITS = int(np.array(np.nan).view(np.int64))
 SMOOTH = ("speed", "distance")
@@ -100,13 +99,12 @@ def pack_window(window: Window) -> bytes:
     }
     smooth = {name: np.diff(getattr(window, name).view(np.int64), prepend=np.int64(0)) for name in SMOOTH}
     valid = {"valid": np.packbits(window.valid)}
-    return pack(KIND, VERSION, _scalars(window), {**channels, **smooth, **valid})
+    return pack(KIND, _scalars(window), {**channels, **smooth, **valid})
 
 
 def unpack_window(blob: bytes, *, where: str) -> Window:
     """Return the window, bit for bit."""
-    packed = unpack(blob, KIND, where=where)
-    scalars, arrays = packed.scalars, packed.arrays
+    scalars, arrays = unpack(blob, KIND, where=where)
     steps: Any = from_json(scalars["resolution"], tuple[float, ...])
     values: dict[str, Any] = {
         name: _from_counts(arrays[name], step) for name, step in zip(ACCELERATIONS, steps, strict=True)
