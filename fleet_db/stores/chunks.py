@@ -243,7 +243,7 @@ class ChunkStore:
         )
         return self._read(statement)
 
-    def with_state(self, state: ChunkState, limit: int) -> Sequence[ChunkRecord]:
+    def with_state(self, state: ChunkState, limit: int = 100) -> Sequence[ChunkRecord]:
         """Return receipts in ``state``, oldest first."""
         found = select(CHUNKS).where(CHUNKS.c.state == state.value)
         return self._read(found.order_by(CHUNKS.c.recorded_ns, CHUNKS.c.digest).limit(limit))
