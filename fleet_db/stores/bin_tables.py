@@ -162,7 +162,10 @@ class BinTableStore:
         self, wheelset: str, from_ns: int, to_ns: int | None
     ) -> Iterator[tuple[WindowRecord, BinTable, int | None]]:
         """Yield windows that start in ``[from_ns, to_ns)`` with bin table and track version, oldest first."""
-        statement = _selected(select(WINDOWS, TABLES.c.track_version, TABLES.c.packed), wheelset, from_ns, to_ns)
+        statement = select(WINDOWS, TABLES.c.track_version, TABLES.c.packed).join_from(WINDOWS, TABLES, SAME_WINDOW)
+        statement = statement.where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
+        statement = statement if to_ns is None else statement.where(WINDOWS.c.start_ns < to_ns)
+        statement = statement.order_by(WINDOWS.c.start_ns)
         with self.connection.execute(statement.execution_options(yield_per=BATCH)) as found:
             for row in found:
                 where = f"bin table of window {wheelset}@{row.start_ns}"
@@ -181,12 +184,3 @@ def _values(one: WindowTable) -> dict[str, Any]:
         "content_digest": hashlib.sha256(packed).hexdigest(),
         "packed": packed,
     }
-
-
-def _selected(columns: Select[Any], wheelset: str, from_ns: int, to_ns: int | None) -> Select[Any]:
-    statement = (
-        columns.join_from(WINDOWS, TABLES, SAME_WINDOW)
-        .where(WINDOWS.c.wheelset == wheelset, WINDOWS.c.start_ns >= from_ns)
-        .order_by(WINDOWS.c.start_ns)
-    )
-    return statement if to_ns is None else statement.where(WINDOWS.c.start_ns < to_ns)

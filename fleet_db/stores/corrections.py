@@ -28,7 +28,7 @@ from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordAction, RecordKind
 from fleet_db.rows import columns_of, delete_row, row_of, table_of
 from fleet_db.stores.registry import RegistryStore
-from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
+from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore, stands_voided
 from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.sensor_changes import SensorChangeStore, sensor_change_of
 from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
@@ -121,7 +121,7 @@ class CorrectionStore:
             section = row_of(self.connection, SECTIONS, key.subject)
             return None if section is None or section["number"] <= 0 else section
         if key.kind in {RecordKind.VEHICLE, RecordKind.VEHICLE_CLASS}:
-            return None if self.history.stands_voided(key) is not None else key
+            return None if stands_voided(self.connection, key) is not None else key
         if key.kind is RecordKind.SENSOR_CHANGE:
             return self.sensor_changes.stored(key.subject, key.at_ns or 0)
         if key.kind is RecordKind.WHEELSET:
@@ -167,7 +167,7 @@ class CorrectionStore:
 
     def _void_vehicle(self, key: RecordKey) -> _Values:
         record = self.registry.vehicle(key.subject)
-        if self.history.stands_voided(key) is not None:
+        if stands_voided(self.connection, key) is not None:
             raise NotFoundError(key.kind.value, _name(key))
         mounted = self.registry.mountings_on(key.subject, EARLIEST_NS, LATEST_NS)
         if mounted:
@@ -178,7 +178,7 @@ class CorrectionStore:
     def _void_class(self, key: RecordKey) -> _Values:
         """Return the newest version of a class that is registered; what was in force before it follows it."""
         found = self.registry.vehicle_class(key.subject)
-        if found is None or found.version == SHIPPED_VERSION or self.history.stands_voided(key) is not None:
+        if found is None or found.version == SHIPPED_VERSION or stands_voided(self.connection, key) is not None:
             raise NotFoundError("vehicle class", _name(key))
         vehicles = self.registry.vehicles_of_class(key.subject)
         if vehicles and self._class_before(found) is None:

@@ -75,21 +75,16 @@ class WorkClaimStore:
         rest = set(keys) - set(taken)
         if not rest:
             return Claimed(ours, begun_ns=taken)
-        columns = (CLAIMS.c.key, CLAIMS.c.lease_id, CLAIMS.c.attempts)
-        held = {
-            row.key: row
-            for row in self.connection.execute(select(*columns).where(CLAIMS.c.stage == stage, CLAIMS.c.key.in_(rest)))
-        }
+        of_others = select(CLAIMS).where(CLAIMS.c.stage == stage, CLAIMS.c.key.in_(rest))
+        held = {row.key: row for row in self.connection.execute(of_others)}
         free = tuple((key, held[key].attempts) for key in keys if key in held and held[key].lease_id is None)
         return Claimed(ours, free, len(rest) - len(free), taken)
 
     def prolong(self, lease: int) -> bool:
         """Let a lease last its length from now; return whether it is still there."""
         until = _now(self.connection) + LEASES.c.length_ns
-        return (
-            self.connection.execute(update(LEASES).where(LEASES.c.lease_id == lease).values(until_ns=until)).rowcount
-            > 0
-        )
+        prolonged = update(LEASES).where(LEASES.c.lease_id == lease).values(until_ns=until)
+        return self.connection.execute(prolonged).rowcount > 0
 
     def bound(self, length_s: float) -> None:
         """Let the server end this transaction where its process stands still in it for longer than its lease, s."""
@@ -163,10 +158,8 @@ class WorkClaimStore:
     def _insert(self, lease: int, stage: str, keys: Sequence[str], *, alone: bool) -> dict[str, int]:
         """Insert claims, in one order in all transactions; return when each was begun that is ours now."""
         now = _now(self.connection)
-        values = [
-            {"stage": stage, "key": key, "lease_id": lease, "attempts": 1, "begun_ns": now}
-            for key in dict.fromkeys(keys)
-        ]
+        claim = {"stage": stage, "lease_id": lease, "attempts": 1, "begun_ns": now}
+        values = [{"key": key, **claim} for key in dict.fromkeys(keys)]
         new = (postgresql if self.connection.dialect.name == "postgresql" else sqlite).insert(CLAIMS).values(values)
         forgotten = CLAIMS.c.begun_ns < now - KEPT_NS
         claimed = new.on_conflict_do_update(
@@ -237,9 +230,8 @@ class JobRunStore:
         ).first()
         if row is None:
             ended = self.get(run_id)
-            raise ConflictError(
-                f"run {run_id} of {ended.job} has ended: {ended.outcome}", kind="job run", key=str(run_id)
-            )
+            reason = f"run {run_id} of {ended.job} has ended: {ended.outcome}"
+            raise ConflictError(reason, kind="job run", key=str(run_id))
         return _run(row, ())
 
     def abandon_running(self, finished_ns: int) -> int:
