@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import tempfile
 from collections.abc import Iterator
@@ -60,3 +61,9 @@ def passing_fault(error: OSError, path: Path) -> PassingFaultError:
     """Return an error of the system at a path of ours as ours."""
     code = ReasonCode.WAITS_FOR_MEMORY if error.errno == errno.ENOMEM else ReasonCode.WAITS_FOR_STORAGE
     return PassingFaultError(error.strerror or str(error), file=path, code=code)
+
+
+def sha256_of(path: Path) -> str:
+    """Return the sha256 of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

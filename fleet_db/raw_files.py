@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 import uuid
@@ -11,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from estimation.errors import PassingFaultError
-from fleet_db.atomic_files import passing_faults, sync_directory, write_atomically
+from fleet_db.atomic_files import passing_faults, sha256_of, sync_directory, write_atomically
 from fleet_db.raw import (
     MARK_NAME,
     IncomingFile,
@@ -52,7 +51,7 @@ class FileRawStore(RawStore):
         for file in files:
             path = self.path(file.digest, file.suffix)
             with passing_faults(path):
-                if not (path.is_file() and _digest_of(path) == file.digest):
+                if not (path.is_file() and sha256_of(path) == file.digest):
                     path.parent.mkdir(parents=True, exist_ok=True)
                     file.path.replace(path)
             directories |= {path.parent, self.directory}  # also of one that was there: who put it may not have got here
@@ -79,7 +78,7 @@ class FileRawStore(RawStore):
         path = self.path(digest, suffix)
         try:
             check_size(path.stat().st_size, size_bytes, path)
-            whole = _digest_of(path) == digest
+            whole = sha256_of(path) == digest
         except FileNotFoundError:
             raise missing(path) from None
         except OSError as error:  # of this file: the others may be whole
@@ -169,11 +168,6 @@ def total_of(directory: Path, enough: int) -> RawTotal:
         return RawTotal(0, 0, estimated=False)
     scale = len(below) / seen if seen else 1.0
     return RawTotal(round(files * scale), round(size * scale), estimated=seen < len(below))
-
-
-def _digest_of(path: Path) -> str:
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 LOOKED_FOR = 10  # so many of the oldest and of the newest receipts are looked for in a store without the mark

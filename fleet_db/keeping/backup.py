@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sqlite3
 from collections.abc import Mapping
@@ -15,7 +14,7 @@ from typing import Any
 from sqlalchemy import Connection, Engine, Integer, Table, delete, func, insert, select, text, update
 
 from estimation.errors import InputError, StorageError
-from fleet_db.atomic_files import write_atomically
+from fleet_db.atomic_files import sha256_of, write_atomically
 from fleet_db.keeping.kept_files import (
     RAW,
     Holdings,
@@ -70,12 +69,10 @@ def backup_name(now_ns: int) -> str:
     return f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1_000_000:03d}Z"
 
 
-def write_manifest(folder: Path, manifest: Manifest) -> Path:
-    """Write the manifest of a backup that is whole; return its file."""
-    path = folder / f"{PREFIX}{manifest.name}{SUFFIX}"
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write the manifest of a backup that is whole."""
     content = json.dumps({"format": FORMAT, **asdict(manifest)}, indent=1).encode()
-    write_atomically(path, content + b"\n", durable=True)
-    return path
+    write_atomically(folder / f"{PREFIX}{manifest.name}{SUFFIX}", content + b"\n", durable=True)
 
 
 def read_manifest(folder: Path, name: str | None = None) -> Manifest:
@@ -96,12 +93,6 @@ def read_manifest(folder: Path, name: str | None = None) -> Manifest:
     if found != FORMAT:
         raise InputError(f"has format {found!r}; this version reads {FORMAT!r}", file=path)
     return manifest
-
-
-def sha256_of(path: Path) -> str:
-    """Return the sha256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 BATCH = 2000

@@ -14,8 +14,8 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine, exists, inspect, select
 
 from estimation.errors import ConflictError, InputError, StorageError
-from fleet_db.atomic_files import sync_directory, synchronise
-from fleet_db.keeping.backup import Manifest, copy_rows, read_manifest, row_counts, sha256_of
+from fleet_db.atomic_files import sha256_of, sync_directory, synchronise
+from fleet_db.keeping.backup import Manifest, copy_rows, read_manifest, row_counts
 from fleet_db.keeping.kept_files import (
     RAW,
     Holdings,
