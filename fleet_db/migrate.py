@@ -78,15 +78,9 @@ def upgrade(url: str) -> str:
         with translate_errors(), engine.connect().execution_options(**IMMEDIATE) as connection, connection.begin():
             serialise(connection, Subject.MIGRATION)
             check_upgradable(connection)
-            config = _config()
-            config.attributes["connection"] = connection
+            config = Config(attributes={"connection": connection})
+            config.set_main_option("script_location", str(SCRIPTS).replace("%", "%%"))
             command.upgrade(config, "head")
     finally:
         engine.dispose()
     return head()
-
-
-def _config() -> Config:
-    config = Config()
-    config.set_main_option("script_location", str(SCRIPTS).replace("%", "%%"))
-    return config

@@ -58,6 +58,14 @@ class DatabaseSize:
     free_bytes: int
 
 
+_SIZES = text("""
+    SELECT c.relname AS name, CASE WHEN c.reltuples < 0 THEN coalesce(s.n_live_tup, 0) ELSE c.reltuples END,
+           pg_table_size(c.oid), pg_indexes_size(c.oid)
+    FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace LEFT JOIN pg_stat_user_tables s ON s.relid = c.oid
+    WHERE c.relkind = 'r' AND n.nspname = current_schema()
+""")
+
+
 def database_size(connection: Connection, exact_bytes: int = EXACT_BYTES) -> DatabaseSize:
     """Return the size of every table.
 
@@ -65,34 +73,17 @@ def database_size(connection: Connection, exact_bytes: int = EXACT_BYTES) -> Dat
     few rows are read at even distances, and their mean is scaled to the size of the file.
     """
     if connection.dialect.name == "postgresql":
-        return _of_postgresql(connection)
-    pages, size, free = (int(connection.scalar(text(f"PRAGMA {name}")) or 0) for name in _PRAGMAS)
-    if pages * size <= exact_bytes:
-        found = _by_page(connection)
-        if found is not None:
-            return DatabaseSize(found, free * size)
+        sizes = [row for row in connection.execute(_SIZES) if row[0] in Base.metadata.tables]
+        found = {
+            name: TableSize(int(rows), int(table), int(indexes), estimated=True) for name, rows, table, indexes in sizes
+        }
+        return DatabaseSize(found, 0)
+    pragmas = ("page_count", "page_size", "freelist_count")
+    pages, size, free = (int(connection.scalar(text(f"PRAGMA {name}")) or 0) for name in pragmas)
+    counted = _by_page(connection) if pages * size <= exact_bytes else None
+    if counted is not None:
+        return DatabaseSize(counted, free * size)
     return DatabaseSize(_by_sample(connection, (pages - free) * size, size), free * size)
-
-
-_PRAGMAS = ("page_count", "page_size", "freelist_count")
-
-_SIZES = text("""
-    SELECT coalesce(pg_partition_root(c.oid)::regclass, c.oid::regclass)::text AS name,
-           sum(CASE WHEN c.reltuples < 0 THEN coalesce(s.n_live_tup, 0) ELSE c.reltuples END) AS rows,
-           sum(pg_table_size(c.oid)) AS table_bytes, sum(pg_indexes_size(c.oid)) AS index_bytes
-    FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace LEFT JOIN pg_stat_user_tables s ON s.relid = c.oid
-    WHERE c.relkind IN ('r', 'p') AND n.nspname = current_schema() GROUP BY 1
-""")
-
-
-def _of_postgresql(connection: Connection) -> DatabaseSize:
-    ours = Base.metadata.tables
-    found = {}
-    for row in connection.execute(_SIZES):
-        name = row.name.rpartition(".")[2].strip('"')
-        if name in ours:
-            found[name] = TableSize(int(row.rows), int(row.table_bytes), int(row.index_bytes), estimated=True)
-    return DatabaseSize(found, 0)
 
 
 def _by_page(connection: Connection) -> dict[str, TableSize] | None:
@@ -104,9 +95,9 @@ def _by_page(connection: Connection) -> dict[str, TableSize] | None:
     taken = {str(name): int(size) for name, size in rows}
     found = {}
     for table in _existing(connection):
-        own = connection.execute(text("SELECT name FROM sqlite_master WHERE type = 'index' AND tbl_name = :table"),
-                                 {"table": table.name})  # fmt: skip
-        index_bytes = sum(taken.get(str(index), 0) for (index,) in own)
+        own = text("SELECT name FROM sqlite_master WHERE type = 'index' AND tbl_name = :table")
+        indexes = connection.scalars(own, {"table": table.name})
+        index_bytes = sum(taken.get(str(index), 0) for index in indexes)
         count = int(connection.scalar(select(func.count()).select_from(table)) or 0)
         found[table.name] = TableSize(count, taken.get(table.name, 0), index_bytes, estimated=False)
     return found
