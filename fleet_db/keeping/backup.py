@@ -43,7 +43,7 @@ PREFIX, SUFFIX = "backup-", ".json"
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """One backup in a backup folder; recordings and windows are shared with the others of the folder."""
+    """One backup of a folder, whose recordings and windows they share; written last: one without it never counts."""
 
     name: str  # the time of the backup, which is in the names of its files
     migration: str  # of the database

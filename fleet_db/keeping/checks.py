@@ -1,4 +1,4 @@
-"""Whether rows, files and digests belong together: everything that is stored is read once."""
+"""Whether rows, files and digests belong together: all of them read once, or raw files at a bounded rate."""
 
 from __future__ import annotations
 

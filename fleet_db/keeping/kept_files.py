@@ -1,4 +1,4 @@
-"""The samples of windows that the rows of a database refer to, as files."""
+"""The files and recordings that the rows of a database refer to, and those that no row does."""
 
 from __future__ import annotations
 

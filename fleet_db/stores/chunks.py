@@ -1,4 +1,4 @@
-"""Receipts of recordings."""
+"""Receipts of recordings, what was done to them by hand, and readings of their raw files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Settings that must not differ between the processes of a deployment, nor change after data are stored."""
+"""What a database holds of its installation: settings, mark of the raw store, clock, branches of the feed."""
 
 from __future__ import annotations
 

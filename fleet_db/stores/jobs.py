@@ -1,4 +1,4 @@
-"""The record of every run of a job."""
+"""Runs of jobs, and what they work on: claims, each under a lease that ends unless it is prolonged."""
 
 from __future__ import annotations
 
@@ -41,7 +41,11 @@ KEPT_NS = 86_400_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class WorkClaimStore:
-    """Leases of processes, and what is claimed under them."""
+    """Leases of processes, and what is claimed under them.
+
+    A claim costs the same however much waits: it names what it is for. The clock is that of the database, or of the
+    machine with SQLite. Whoever stores results locks the row of the lease first: nobody takes over what is committed.
+    """
 
     connection: Connection
 

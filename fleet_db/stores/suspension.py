@@ -1,4 +1,4 @@
-"""What the passes of sections show of the suspension of vehicles."""
+"""What windows and passes of sections say of the dampers and the suspension of vehicles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Windows of a wheelset counted over time, by state and reason."""
+"""Windows counted by state and reason, and what waits."""
 
 from __future__ import annotations
 

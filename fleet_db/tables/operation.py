@@ -1,4 +1,4 @@
-"""Runs of jobs, who owns and claims work, what each job has seen, and settings that are kept."""
+"""Runs of jobs, who claims what, what stages have seen; settings; keys, audit, requests answered once."""
 
 from __future__ import annotations
 

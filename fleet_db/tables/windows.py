@@ -1,4 +1,4 @@
-"""Windows, their bin tables, and the sums of these."""
+"""Windows, their bin tables and the sums of these; what is said of them beside the geometry."""
 
 from __future__ import annotations
 
