@@ -45,16 +45,8 @@ def _of_fleet(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     return _among(columns.fleet, fleets)
 
 
-def _fleet_itself(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    return _among(columns.code, fleets)
-
-
 def _among(column: ColumnElement[str], fleets: Fleets) -> ColumnElement[bool]:
     return column.in_(sorted(fleets))
-
-
-def _of_vehicle(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    return _in(columns.vehicle, _VEHICLES, "code", fleets)
 
 
 def _of_vehicle_before_and_after(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
@@ -62,16 +54,8 @@ def _of_vehicle_before_and_after(columns: Columns, fleets: Fleets) -> ColumnElem
     return before & after
 
 
-def _of_wheelset(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    return _in(columns.wheelset, _WHEELSETS, "serial", fleets)
-
-
 def _of_both(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
     return _of_wheelset(columns, fleets) & _of_vehicle(columns, fleets)
-
-
-def _of_alert(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
-    return _in(columns.alert_id, _ALERTS, "alert_id", fleets)
 
 
 def _of_webhook(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
@@ -86,6 +70,13 @@ def _in(column: ColumnElement[Any], owner: Table, key: str, fleets: Fleets) -> C
     named = owner.alias()  # another name, so that it is never taken for a table of the statement around it
     return column.in_(select(named.c[key]).where(_among(named.c.fleet, fleets)).correlate(None))
 
+
+def _naming(column: str, owner: Table, key: str) -> Rule:
+    return lambda columns, fleets: _in(columns[column], owner, key, fleets)
+
+
+_of_vehicle = _naming("vehicle", _VEHICLES, "code")
+_of_wheelset = _naming("wheelset", _WHEELSETS, "serial")
 
 _OF_WHEELSETS = ("mounting", "reprofiling", "measurement", "wheelset")  # kinds of records
 _OF_VEHICLES = ("vehicle", "sensor_change")
@@ -125,8 +116,8 @@ def _of_quarantined(columns: Columns, fleets: Fleets) -> ColumnElement[bool]:
 RULES: Mapping[str, Rule] = {
     "registry_events": _of_subject,
     "quarantine": _of_quarantined,
-    "fleets": _fleet_itself,
-    "alert_events": _of_alert,
+    "fleets": lambda columns, fleets: _among(columns.code, fleets),
+    "alert_events": _naming("alert_id", _ALERTS, "alert_id"),
     "recording_changes": _of_vehicle_before_and_after,
     "results": _of_result,
     **dict.fromkeys(("vehicles", "wheelsets", "alerts", "worklist_entries"), _of_fleet),

@@ -229,8 +229,14 @@ def _snapshot(engine: Engine, target: Path) -> None:
             driver.backup(copy)
     else:
         _copied(engine, target)
-    with closing(sqlite3.connect(target)) as copy:
-        copy.execute("PRAGMA journal_mode = DELETE")
+    without_log(target)
+
+
+def without_log(database: Path) -> Path:
+    """Return the file after its write-ahead log went into it."""
+    with closing(sqlite3.connect(database)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+    return database
 
 
 def _copied(engine: Engine, target: Path) -> None:

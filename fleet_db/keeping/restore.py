@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import shutil
-import sqlite3
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from sqlalchemy import Connection, Engine, exists, inspect, select
 
 from estimation.errors import ConflictError, InputError, StorageError
 from fleet_db.atomic_files import sha256_of, sync_directory, synchronise
-from fleet_db.keeping.backup import Manifest, copy_rows, read_manifest, row_counts
+from fleet_db.keeping.backup import Manifest, copy_rows, read_manifest, row_counts, without_log
 from fleet_db.keeping.kept_files import (
     RAW,
     Holdings,
@@ -139,14 +138,7 @@ def _at_this_version(manifest: Manifest, folder: Path, data_dir: Path) -> Iterat
         database = Path(name) / "database.sqlite3"
         shutil.copyfile(manifest.database_file(folder), database)
         upgrade(f"sqlite:///{database.resolve()}")
-        yield _without_log(database)
-
-
-def _without_log(database: Path) -> Path:
-    """Return the file after its write-ahead log went into it."""
-    with closing(sqlite3.connect(database)) as connection:
-        connection.execute("PRAGMA journal_mode = DELETE")
-    return database
+        yield without_log(database)
 
 
 def _stale(source: Connection, manifest: Manifest, lost: list[KeptFile]) -> tuple[str, ...]:
@@ -177,21 +169,16 @@ def _store_rows(engine: Engine, url: str, source: Connection, database: Path, st
                 rows = _finished(target, stale)
         finally:
             new.dispose()
-        _without_log(part)
-        _into_place(part, file)
+        synchronise(without_log(part))
+        for leftover in ("-wal", "-shm"):
+            file.with_name(f"{file.name}{leftover}").unlink(missing_ok=True)
+        part.replace(file)
+        sync_directory(file.parent)
     except OSError as error:
         raise StorageError(f"{file}: cannot be written: {error.strerror}") from error
     finally:
         part.unlink(missing_ok=True)
     return rows
-
-
-def _into_place(part: Path, file: Path) -> None:
-    synchronise(part)
-    for leftover in ("-wal", "-shm"):
-        file.with_name(f"{file.name}{leftover}").unlink(missing_ok=True)
-    part.replace(file)
-    sync_directory(file.parent)
 
 
 def _finished(target: Connection, stale: tuple[str, ...]) -> dict[str, int]:
