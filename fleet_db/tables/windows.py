@@ -15,7 +15,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.values.geometry import BinStatus
+from estimation.values.geometry import COMBINATIONS, BinStatus
 from estimation.values.windows import WindowState
 from fleet_db.tables.base import Base, Code, Count, Json, Name, Nanoseconds, Packed, Real, Serial, one_of, partial_index
 
@@ -118,15 +118,7 @@ class WindowDueRow(Base, table="window_due"):
 class WheelsetBinRow(Base, table="wheelset_bins"):
     """One bin of the current geometry of a wheelset; null where nothing is known."""
 
-    __table_args__ = tuple(
-        one_of(f"{name}_status", BinStatus)
-        for name in (
-            "rolling_radius_sum",
-            "rolling_radius_difference",
-            "contact_angle_sum",
-            "contact_angle_difference",
-        )
-    )
+    __table_args__ = tuple(one_of(f"{name}_status", BinStatus) for name in COMBINATIONS)
 
     wheelset: Mapped[str] = mapped_column(ForeignKey("wheelsets.serial"), primary_key=True)
     bin: Mapped[int] = mapped_column(primary_key=True)
