@@ -27,7 +27,7 @@ from api.terminal.store import begun, store_once_it_answers
 from api.topic import publishing
 from estimation.errors import InputError, MigrationError, PassingFaultError, StoppedError, StorageError
 from estimation.jobs.stop_signals import stop_on_signals
-from fleet_db.keeping.scrub import ScrubFault, ScrubPlan, scrub
+from fleet_db.keeping.checks import ScrubFault, ScrubPlan, scrub
 from ingest.intake.backlog import DecodedChunks, decode_received
 from ingest.intake.drop_folder import DropFolder, DropSettings, held_folder
 from ingest.intake.store import ChunkStorage

@@ -13,7 +13,7 @@ from api.factory import SystemClock, open_store, raw_store, retention_of
 from api.progress import counted
 from api.settings import load_settings
 from fleet_db.keeping.backup import BackupPlan, back_up
-from fleet_db.keeping.deep_check import DeepCheck, check_deep
+from fleet_db.keeping.checks import DeepCheck, check_deep
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
 from fleet_db.keeping.stored_bytes import StoredBytes, StoredKind, stored_bytes
