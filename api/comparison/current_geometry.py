@@ -8,8 +8,7 @@ from typing import Any
 
 from estimation.errors import PurgedError
 from estimation.estimators.catalogue import SHIPPED, estimator_named
-from estimation.estimators.interface import Estimator, EstimatorParameters
-from estimation.estimators.wheelset_geometry import PublishedBins, geometry_from_motion
+from estimation.estimators.interface import Estimator, EstimatorParameters, PublishedBins, geometry_from_motion
 from estimation.geometry.estimate import contradictions
 from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_geometry import geometries_of

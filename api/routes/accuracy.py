@@ -8,7 +8,7 @@ from urllib.parse import urlencode
 
 from fastapi import APIRouter, Path, Query, Response
 
-from api.accuracy.placed import placed_comparisons
+from api.accuracy import placed_comparisons
 from api.answers import answer_payload, table_payload
 from api.asking import AskedDep
 from api.contract import CSV, Accepted

@@ -13,7 +13,7 @@ from api.problems import described
 from api.schemas import worklist
 from api.services import ServicesDep
 from api.times import to_rfc3339
-from estimation.plans.reprofiling import DiameterLimits, turning_plan
+from estimation.worklist.turning_plan import DiameterLimits, turning_plan
 from fleet_db.stores.worklist import WorklistFilter
 from fleet_db.worklist_documents import from_document
 

@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field
 
-from api.accuracy.placed import Placed
+from api.accuracy import Placed
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.derived import Derived
 from api.schemas.geometry import MM, Bins, bin_table

@@ -13,10 +13,10 @@ from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, distance_forecast
 from api.times import Timestamp, to_rfc3339
-from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii
 from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.worklist.turning_plan import Candidate, Cause, DiameterLimits, PlanLine, Radii
 from fleet_db.stores.worklist import WorklistOrder
 from fleet_db.worklist_documents import from_document
 

@@ -14,7 +14,7 @@ import numpy as np
 import orjson
 import typer
 
-from api.plots.contact import AMPLITUDE_MM, ContactSummary, contact_summary, save_contact_figure
+from api.terminal.contact_picture import AMPLITUDE_MM, ContactSummary, contact_summary, save_contact_figure
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity, nonlinearity_parameter
 from estimation.contact.geometry import (
     ContactTable,

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import shutil
+import socket
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
+from importlib.resources import files
 from pathlib import Path
 from urllib.parse import quote
 
@@ -14,21 +17,96 @@ from rich.console import Console
 from api import logs
 from api.access.caller import EVERYTHING
 from api.access.key_ring import Wanted
-from api.demo.own_rules import with_rules
+from api.demo.findings import ServiceAddress, get, lines, second_opinions, tables, to_do, track_lines, true_campaigns
 from api.demo.replay import Simulated, ending_now, replay
-from api.demo.second_opinions import second_opinions
-from api.demo.service import free_port, serving
-from api.demo.table import ServiceAddress, get, lines, tables, true_campaigns
-from api.demo.to_do import to_do
-from api.demo.track import track_lines
+from api.factory import create_server, job_context, open_store, scheduled_jobs
 from api.settings import Settings, load_settings
 from api.terminal.clients import make_stored_key
 from api.terminal.simulate import simulate_with_progress
 from estimation.errors import StorageError
+from estimation.jobs.scheduler import serve_jobs
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import upgrade
 from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
+
+START_S = 30.0
+
+
+@contextmanager
+def serving(settings: Settings) -> Iterator[str]:
+    """Serve the REST API and run the jobs on schedule; yield the base URL, and end both on leaving.
+
+    Raises:
+        StorageError: The API did not start.
+    """
+    stopping = threading.Event()
+
+    def schedule() -> None:
+        with closing(open_store(settings)) as storage:
+            serve_jobs(job_context(settings, storage), scheduled_jobs(settings), stopping, holder="demo")
+
+    scheduler = threading.Thread(target=schedule, name="scheduler", daemon=True)
+    with serving_api(settings) as url:
+        scheduler.start()
+        try:
+            yield url
+        finally:
+            stopping.set()
+            scheduler.join(settings.shutdown_timeout_s)
+
+
+@contextmanager
+def serving_api(settings: Settings) -> Iterator[str]:
+    """Serve the REST API alone; yield its base URL.
+
+    Raises:
+        StorageError: The API did not start.
+    """
+    api = create_server(settings)
+    thread = threading.Thread(target=api.run, name="api", daemon=True)
+    thread.start()
+    try:
+        deadline = time.monotonic() + START_S
+        while not api.started:
+            if time.monotonic() > deadline or not thread.is_alive():
+                raise StorageError(f"the API did not start on {settings.host}:{settings.port}")
+            time.sleep(0.05)
+        yield f"http://{settings.host}:{settings.port}"
+    finally:
+        api.should_exit = True
+        thread.join(settings.shutdown_timeout_s)
+
+
+def free_port(host: str, wanted: int) -> int:
+    """Return ``wanted`` if it can be listened on, else a free port."""
+    for port in (wanted, 0):
+        with closing(socket.socket(socket.AF_INET, socket.SOCK_STREAM)) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, port))
+            except OSError:
+                continue
+            return int(probe.getsockname()[1])
+    raise StorageError(f"no port can be listened on at {host}")
+
+
+FILE = "rules.toml"
+
+
+def with_rules(settings: Settings, name: str, folder: Path) -> Settings:
+    """Return settings with the rules of a scenario, where it has some and the deployment does not name others.
+
+    Args:
+        folder: Of the demo; the rules are put there, to be read and changed.
+    """
+    shipped = files("api.demo").joinpath("rules", f"{name}.toml")
+    if settings.rules_file is not None or not shipped.is_file():
+        return settings
+    file = folder / FILE
+    file.write_text(shipped.read_text(encoding="utf-8"), encoding="utf-8")
+    return settings.model_copy(update={"rules_file": file})
+
 
 BESIDE = {"demo": ("demo_autumn",)}
 """Scenarios that are shown beside a built-in one."""

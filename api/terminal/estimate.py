@@ -18,7 +18,7 @@ from api.progress import bar
 from api.settings import Settings
 from api.terminal.reasons import fleet_reasons, summary_lines
 from api.tracing import start_tracing
-from api.workers.choice import executor_of
+from api.workers.on_dask import executor_of
 from estimation.errors import ParameterError
 from estimation.jobs.job import Job, JobContext, run_job
 from estimation.jobs.steps.refusals import REFUSED, refusals

@@ -15,19 +15,30 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.estimators.interface import CurveEstimate, EstimatorParameters, covered_range, usable
-from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
+from estimation.estimators import filter_kernels as kernels
+from estimation.estimators.interface import (
+    FEWEST_GROUPS,
+    CurveEstimate,
+    EstimatorParameters,
+    Replicates,
+    covered_range,
+    curve_estimate,
+    nothing,
+    usable,
+)
 from estimation.estimators.series import GROUPS, SPACING, Basis, SeriesState, added, empty, misfit, shifts
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
+from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.regressors import regression
 
 STEP_S = 0.012  # between the samples that a filter takes
@@ -188,3 +199,40 @@ def solved(state: FilterState, basis: Basis, prior: Prior) -> CurveEstimate:
     shifted = np.vstack([value + shifts(series, functions, ridge=1e-9), unfollowed])
     curve = Replicates(x, value, np.array(left_out), shifted, series.samples, series.stretches, own.T)
     return curve_estimate(curve, series.parameters)
+
+
+PRIOR = Prior(np.array([0.0, 0.3e-3, 0.0, 0.0]), np.array([1e-3, 0.3e-3, 0.05e-3, 0.03e-3]))  # m, of powers of mm
+
+
+@dataclass(frozen=True, slots=True)
+class ExtendedKalman:
+    """Cubic polynomial as augmented state; too far from a motion, it says that it has diverged."""
+
+    name: str = "extended_kalman"
+    title: str = "extended Kalman-Bucy filter"
+
+    def init(self, parameters: EstimatorParameters) -> FilterState:
+        """Return the state before any block."""
+        return start(parameters, len(PRIOR.mean))
+
+    def update(self, state: FilterState, motion: Motion, weight: float = 1.0) -> FilterState:
+        """Return the state with the blocks of ``motion`` filtered and added, ``weight`` times."""
+        run = partial(_filtered, state.series.parameters.vehicle)
+        return filtered(state, motion, _powers, PRIOR, run, weight)
+
+    def result(self, state: FilterState) -> CurveEstimate:
+        """Return the polynomial that all blocks tell."""
+        return solved(state, _powers, PRIOR)
+
+
+def _powers(x: FloatArray) -> FloatArray:
+    return np.vander(x / kernels.MILLIMETRE, len(PRIOR.mean), increasing=True)
+
+
+def _filtered(vehicle: VehicleParameters, inputs: Inputs, noise: float) -> Posterior:
+    """Return what a block tells of the coefficients."""
+    mean = np.concatenate([[0.0, 0.0], PRIOR.mean])
+    P = np.diag(np.concatenate([[1.0, 1.0], PRIOR.std]) ** 2)
+    lever = 2 * vehicle.half_contact_distance * vehicle.nominal_radius
+    square = kernels.extended(*inputs, noise, lever, mean, P)
+    return Posterior(mean[2:], 0.5 * (P + P.T)[2:, 2:], square)

@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from estimation.errors import ParameterError
-from estimation.estimators.extended_kalman import ExtendedKalman
+from estimation.estimators.block_filters import ExtendedKalman
 from estimation.estimators.hidden_displacement import HiddenDisplacement
 from estimation.estimators.interface import REACH, CurveEstimate, Estimator, EstimatorParameters
-from estimation.estimators.known_irregularity import KnownIrregularity
 from estimation.estimators.paper_algorithm import PaperAlgorithm
 from estimation.estimators.particle_filter import ParticleFilter
-from estimation.estimators.series import SeriesState, added, empty, solved
+from estimation.estimators.series import KnownIrregularity, SeriesState, added, empty, solved
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.tables import bin_table
 from estimation.tables.bin_table import BinParameters

@@ -28,14 +28,17 @@ from estimation.errors import ParameterError
 from estimation.estimators.contact_jumps import stepped
 from estimation.estimators.interface import (
     CELLS,
+    FEWEST_GROUPS,
     REACH,
     CurveEstimate,
     EstimatorParameters,
+    Replicates,
     counted,
     covered_range,
+    curve_estimate,
+    nothing,
     usable,
 )
-from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.estimators.series import GROUPS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced

@@ -20,16 +20,19 @@ from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
 from estimation.estimators.interface import (
     CELLS,
+    FEWEST_GROUPS,
     REACH,
     WIDTH,
     CurveEstimate,
     EstimatorParameters,
+    Replicates,
     beside,
     counted,
+    curve_estimate,
+    nothing,
     usable,
 )
 from estimation.estimators.paper_equations import REGRESSORS, yaw_output
-from estimation.estimators.replicates import FEWEST_GROUPS, Replicates, curve_estimate, nothing
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.geometry.uncertainty import ParameterUncertainty

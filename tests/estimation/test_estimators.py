@@ -17,9 +17,8 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.estimators import paper_equations
 from estimation.estimators.catalogue import SHIPPED, CubicFit, LinearConicity, b_splines, estimator_named, estimators
-from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
+from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters, Replicates, curve_estimate
 from estimation.estimators.paper_algorithm import PaperAlgorithm
-from estimation.estimators.replicates import Replicates, curve_estimate
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.windows import Motion

@@ -14,12 +14,11 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
 from estimation.estimators import block_filters, particle_filter
 from estimation.estimators import filter_kernels as kernels
-from estimation.estimators.block_filters import Inputs, Posterior, follows
+from estimation.estimators.block_filters import ExtendedKalman, Inputs, Posterior, follows
 from estimation.estimators.catalogue import LinearConicity
-from estimation.estimators.extended_kalman import ExtendedKalman
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
-from estimation.estimators.known_irregularity import KnownIrregularity
 from estimation.estimators.particle_filter import ParticleFilter
+from estimation.estimators.series import KnownIrregularity
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode

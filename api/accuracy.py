@@ -1,12 +1,15 @@
-"""The newest measurements of a fleet, compared, with where their wheelsets ran."""
+"""The newest measurements of a fleet beside their estimates, and contact geometries that were computed before."""
 
 from __future__ import annotations
 
-from collections import defaultdict
+import hashlib
+from collections import OrderedDict, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from threading import Lock
 
 from estimation.accuracy.fleet_accuracy import PlacedComparison
+from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair, wheel_contact
 from estimation.errors import DamagedError
 from estimation.jobs.steps.compared_measurements import ComparisonReader
 from estimation.values.reasons import Reason
@@ -74,3 +77,43 @@ def _class_of(unit: SqlUnitOfWork, vehicle: str, known: dict[str, str]) -> str:
     if vehicle not in known:
         known[vehicle] = unit.registry.vehicle(vehicle).vehicle_class
     return known[vehicle]
+
+
+MOST_KEPT = 2048
+"""Each takes some 8 kB."""
+
+
+@dataclass(frozen=True, slots=True)
+class ContactCache:
+    """The contact geometries that were asked for last, in one process; safe in threads."""
+
+    _kept: OrderedDict[str, WheelContact | Reason] = field(default_factory=OrderedDict)
+    _lock: Lock = field(default_factory=Lock)
+
+    def contact(self, wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact | Reason:
+        """Return the contact geometry of two wheels on rails, or why there is none.
+
+        Args:
+            wheels: Profiles, radius and their standard deviation.
+            rails: Rails with the share of the running on each.
+        """
+        key = _digest(wheels, rails)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+        found = wheel_contact(wheels, rails)
+        with self._lock:
+            self._kept[key] = found
+            while len(self._kept) > MOST_KEPT:
+                self._kept.popitem(last=False)
+        return found
+
+
+def _digest(wheels: WheelPair, rails: Sequence[RailShare]) -> str:
+    digest = hashlib.blake2b(repr((wheels.nominal_radius, wheels.std, tuple(rails))).encode(), digest_size=16)
+    for wheel in (wheels.left, wheels.right):
+        for values in (wheel.y, wheel.z, wheel.slope):
+            digest.update(values.tobytes())
+        digest.update(b"/")
+    return digest.hexdigest()
