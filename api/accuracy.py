@@ -35,9 +35,6 @@ def placed_comparisons(unit: SqlUnitOfWork, reader: ComparisonReader, keys: Sequ
     """Return some measurements beside the estimates that belong to them, in their order.
 
     A wheelset of which something stored is damaged is named, and keeps no other from being compared.
-
-    Args:
-        reader: Compares; of the same transaction.
     """
     times: defaultdict[str, set[int]] = defaultdict(set)
     for serial, at_ns in keys:
@@ -91,12 +88,7 @@ class ContactCache:
     _lock: Lock = field(default_factory=Lock)
 
     def contact(self, wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact | Reason:
-        """Return the contact geometry of two wheels on rails, or why there is none.
-
-        Args:
-            wheels: Profiles, radius and their standard deviation.
-            rails: Rails with the share of the running on each.
-        """
+        """Return the contact geometry of two wheels on rails, or why there is none."""
         key = _digest(wheels, rails)
         with self._lock:
             if key in self._kept:

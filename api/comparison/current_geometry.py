@@ -33,12 +33,6 @@ def replayed(
 
     A window is left out whose position or content has changed since, so that it is refused today, and one whose
     samples have been purged.
-
-    Args:
-        parameters: Class of the vehicle, filters and gates; the same for all windows.
-
-    Raises:
-        DamagedError: The samples of a window are damaged; names the file.
     """
 
     @lru_cache
@@ -79,11 +73,7 @@ def _position(unit: UnitOfWork, record: WindowRecord) -> WindowPosition | None:
 
 
 def geometry_by(storage: Storage, context: JobContext, serial: str, estimator: str) -> WheelsetGeometry | None:
-    """Return the current geometry of a wheelset as an estimator finds it; nothing is stored.
-
-    Args:
-        estimator: Name in the catalogue; the shipped one gives the geometry of the job.
-    """
+    """Return the current geometry of a wheelset as an estimator finds it; nothing is stored."""
     with storage.read() as unit:
         found = geometries_of(unit, serial, context)
         if estimator != SHIPPED:
@@ -107,11 +97,7 @@ def _by_rival(unit: UnitOfWork, found: RolledGeometries, rival: Estimator[Any]) 
 
 
 def parameters_of(used: EstimatedWith) -> EstimatorParameters:
-    """Return what all estimators share, as the job has it.
-
-    Args:
-        used: What a geometry of the job is estimated with.
-    """
+    """Return what all estimators share, as the job has it."""
     settings = used.settings
     return EstimatorParameters(
         used.assumed.windows.vehicle,

@@ -67,26 +67,14 @@ class TrueWheelset:
 
 
 def read_truth(path: Path, campaign: int = 1) -> tuple[TrueWheelset, ...]:
-    """Return what is true of every wheelset, in the order of their serials.
-
-    Args:
-        path: The ``truth.json`` of a simulation.
-        campaign: From 1.
-
-    Raises:
-        NotFoundError: There is no such campaign.
-    """
+    """Return what is true of every wheelset by the ``truth.json`` of a simulation, in the order of their serials."""
     wheelsets = json.loads(path.read_text(encoding="utf-8"))["wheelsets"]
     found = [_wheelset(item, _campaign(item, campaign)) for item in wheelsets]
     return tuple(sorted(found, key=lambda item: item.serial))
 
 
 def conicity_errors(found: WheelsetGeometry, truth: TrueWheelset) -> list[tuple[float, bool] | None]:
-    """Return error and whether the 95 % interval holds the truth at each amplitude of the truth; None: no estimate.
-
-    Args:
-        truth: Of the same wheelset.
-    """
+    """Return error and whether the 95 % interval holds the truth at each amplitude of the truth; None: no estimate."""
     compared: list[tuple[float, bool] | None] = []
     for amplitude, true in zip(truth.amplitude, truth.conicity, strict=True):
         at = int(np.argmin(np.abs(found.amplitude - amplitude)))
@@ -208,10 +196,6 @@ def study(scenario: Scenario, cache: Path, progress: Progress = no_progress, wor
 
     The recordings are received once. Alignment, windows and geometries are those of the scheduled jobs; each estimator
     of the catalogue gets the same stored windows and versions of the alignment.
-
-    Args:
-        progress: Called with what is being done, and how far it is.
-        workers: Processes of the simulation; None for as many as cores.
     """
 
     def show(what: str, done: int, of: int) -> None:

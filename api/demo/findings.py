@@ -58,11 +58,7 @@ class WheelsetLine:
 
 
 def lines(service: ServiceAddress, truth: Path, fleet: str) -> list[WheelsetLine]:
-    """Ask the REST API for every wheelset of a fleet, its geometry, trend and open alerts; the most urgent first.
-
-    Args:
-        truth: The simulator's side file.
-    """
+    """Ask the REST API for every wheelset of a fleet, its geometry, trend and open alerts; the most urgent first."""
     true = true_campaigns(truth)
     return [_line(service, row["serial"], true[row["serial"]]) for row in _wheelsets(service, fleet, sort="urgency")]
 
@@ -215,11 +211,7 @@ class SecondOpinion:
 def second_opinions(
     service: ServiceAddress, scenario: Scenario, true: Mapping[str, Sequence[Mapping[str, Any]]]
 ) -> Iterator[SecondOpinion]:
-    """Ask the REST API for a fleet's wheelsets without a geometry, and for the low adhesion that it found.
-
-    Args:
-        true: Campaigns of each wheelset, of the simulator's side file.
-    """
+    """Ask the REST API for a fleet's wheelsets without a geometry, and for the low adhesion that it found."""
     for row in _wheelsets(service, scenario.fleet_code):
         found = _by_signature(service, row["serial"], true)
         if found is not None:

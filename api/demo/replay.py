@@ -62,16 +62,7 @@ def ending_now(scenario: Scenario, now_ns: int) -> Scenario:
 
 
 def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) -> Table:
-    """Receive and estimate the whole history; return what was done, as a table.
-
-    Args:
-        settings: Of the demo's deployment.
-        fleets: What was simulated; the campaigns of the first fleet are replayed first.
-
-    Raises:
-        TreadwatchError: A recording was rejected.
-        StorageError: A job failed.
-    """
+    """Receive and estimate the whole history, campaigns of the first fleet first; return what was done, as a table."""
     clock = ReplayClock(min(fleet.scenario.sessions.start_ns for fleet in fleets) - DAY_NS)
     shown = bar(console, "receiving and estimating, campaign by campaign", "{task.fields[what]}")
     with closing(open_store(settings)) as storage, shown as progress:

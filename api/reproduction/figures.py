@@ -155,11 +155,7 @@ def numbers(contact: ContactTable, cases: Mapping[str, Case], seed: int) -> dict
 
 
 def page(title: str, case: Case) -> str:
-    """Return a Markdown page of a figure, bin by bin.
-
-    Args:
-        case: The run behind the figure.
-    """
+    """Return a Markdown page of a figure, bin by bin."""
     return f"# {title}\n\nWritten by `treadwatch reproduce`.\n\n{table(case)}"
 
 

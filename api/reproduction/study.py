@@ -58,11 +58,7 @@ def contact(gauge_deviation: FloatArray) -> ContactTable:
 
 
 def run(gauge_std: float, seconds: float, seed: int) -> Case:
-    """Simulate and estimate one case.
-
-    Args:
-        gauge_std: Standard deviation of the gauge, m; zero for the paper's first simulation.
-    """
+    """Simulate and estimate one case; the std of the gauge, m, is zero in the paper's first simulation."""
     gauge_grid = np.linspace(-GAUGE_REACH, GAUGE_REACH, 33) if gauge_std else np.zeros(1)
     table = contact(gauge_grid)
     length = SPEED * seconds + 100.0

@@ -95,16 +95,7 @@ def contact_of(
 
 
 def measured_shapes(wheels: tuple[str, str], rail: str, options: FileOptions) -> MeasuredShapes:
-    """Return the profiles of both wheels and of the rail, built-in ones or from files.
-
-    Args:
-        wheels: Left and right: name of a built-in profile, or path of a profile file.
-        rail: The same, of both rails.
-
-    Raises:
-        ProfileError: No such profile, or a file holds none.
-        ParameterError: Options for files, and no file.
-    """
+    """Return the profiles of both wheels and of the rail, by the names of built-in ones or the paths of files."""
     for given, names, option in (
         (options.mirror is not None, (rail,), "--mirror"),
         (options.origin is not Origin.AUTO, wheels, "--origin"),
@@ -175,11 +166,7 @@ def _play(wheelset: WheelsetOnTrack) -> float:
 
 
 def parse_inclination(text: str) -> float:
-    """Return the rail inclination, as a tangent, that is written as ``1:20``, ``1/20`` or ``0.05``.
-
-    Raises:
-        ParameterError: ``text`` is none of these.
-    """
+    """Return the rail inclination, as a tangent, that is written as ``1:20``, ``1/20`` or ``0.05``."""
     rise, _, run = text.replace("/", ":").partition(":")
     try:
         return float(rise) / float(run) if run else float(rise)

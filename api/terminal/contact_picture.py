@@ -21,8 +21,6 @@ class ContactSummary:
     """Wheel, rail, gauge, and the equivalent conicity at 3 mm beside the shipped limit.
 
     Args:
-        inclination: Of the rails, as it was written.
-        conicity, std: Equivalent conicity at 3 mm and its standard deviation; None where the contact gives none.
         limit: Of the equivalent conicity at 3 mm, by the shipped rules, which the operator confirms; None where there
             is none.
     """
@@ -75,12 +73,7 @@ def contact_summary(
     at_limit_amplitude: tuple[float | None, float | None],
     speed_km_h: float,
 ) -> ContactSummary:
-    """Return what a contact geometry is of.
-
-    Args:
-        inclination: Of the rails, as it was written.
-        at_limit_amplitude: Equivalent conicity at 3 mm and its standard deviation; None where the contact gives none.
-    """
+    """Return what a contact geometry is of."""
     return ContactSummary(
         wheel_left=wheelset.left_wheel.name,
         wheel_right=wheelset.right_wheel.name,
@@ -113,9 +106,7 @@ def save_contact_figure(
     """Write radii, contact angles, contact positions and equivalent conicity of the table's first gauge as PNG.
 
     Args:
-        table: Contact geometry; the column of its first gauge deviation is drawn.
         amplitude, conicity, std: (k,) m, tan(gamma_e) and its standard deviation, which is drawn where it is not 0.
-        summary: What it is, with the conicity at 3 mm and the limit, which are marked.
     """
     figure = Figure(figsize=(10.0, 7.5), layout="constrained")
     FigureCanvasAgg(figure)

@@ -35,11 +35,7 @@ START_S = 30.0
 
 @contextmanager
 def serving(settings: Settings) -> Iterator[str]:
-    """Serve the REST API and run the jobs on schedule; yield the base URL, and end both on leaving.
-
-    Raises:
-        StorageError: The API did not start.
-    """
+    """Serve the REST API and run the jobs on schedule; yield the base URL, and end both on leaving."""
     stopping = threading.Event()
 
     def schedule() -> None:
@@ -58,11 +54,7 @@ def serving(settings: Settings) -> Iterator[str]:
 
 @contextmanager
 def serving_api(settings: Settings) -> Iterator[str]:
-    """Serve the REST API alone; yield its base URL.
-
-    Raises:
-        StorageError: The API did not start.
-    """
+    """Serve the REST API alone; yield its base URL."""
     api = create_server(settings)
     thread = threading.Thread(target=api.run, name="api", daemon=True)
     thread.start()
@@ -95,11 +87,7 @@ FILE = "rules.toml"
 
 
 def with_rules(settings: Settings, name: str, folder: Path) -> Settings:
-    """Return settings with the rules of a scenario, where it has some and the deployment does not name others.
-
-    Args:
-        folder: Of the demo; the rules are put there, to be read and changed.
-    """
+    """Return settings with the rules of a scenario, put into the folder, unless the deployment names others."""
     shipped = files("api.demo").joinpath("rules", f"{name}.toml")
     if settings.rules_file is not None or not shipped.is_file():
         return settings

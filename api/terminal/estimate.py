@@ -60,12 +60,7 @@ def _chosen(settings: Settings, name: str | None) -> Sequence[Job]:
 def run_in_order(
     jobs: Sequence[Job], context: JobContext, console: Console, trigger: JobTrigger = JobTrigger.CLI
 ) -> list[JobRun]:
-    """Run the jobs one after the other, with a line of progress each; return their records.
-
-    Args:
-        jobs: In the order in which they run.
-        context: What the jobs may touch.
-    """
+    """Run the jobs one after the other, with a line of progress each; return their records."""
     runs = []
     with bar(console) as progress:
         for job in jobs:

@@ -41,11 +41,7 @@ def served(
     readyz: Callable[[], Answer],
     measures: Sequence[Callable[[], Iterable[Metric]]],
 ) -> Iterator[int]:
-    """Serve ``/healthz``, ``/readyz`` and ``/metrics`` from threads of their own; yield the port.
-
-    Raises:
-        ParameterError: Nobody can listen there.
-    """
+    """Serve ``/healthz``, ``/readyz`` and ``/metrics`` from threads of their own; yield the port."""
     registry = registry_of(*measures)
     answers: dict[str, Callable[[], Answer]] = {
         "/healthz": healthz,

@@ -49,11 +49,7 @@ def ingest_and_report(
     *,
     take_deleted: bool,
 ) -> None:
-    """Receive recordings and exchanges of runs, and print a summary.
-
-    Raises:
-        typer.Exit: Code 1: a recording was rejected.
-    """
+    """Receive recordings and exchanges of runs, print a summary, and exit 1 where one was rejected."""
     settings = load_settings()
     logs.configure(settings)
     start_tracing()
@@ -81,11 +77,7 @@ def ingest_and_report(
 
 
 def print_outcomes(outcomes: Sequence[Outcome], console: Console, waiting: Sequence[str] = ()) -> None:
-    """Print a summary, what windows wait for, and what was not decoded or rejected.
-
-    Raises:
-        typer.Exit: Code 1: a recording was rejected.
-    """
+    """Print a summary, what windows wait for, and what was not decoded or rejected; exit 1 where anything was."""
     Console().print(summary(outcomes))
     for line in waiting:
         print_line(console, f"windows: {line}")
@@ -102,10 +94,6 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
     """Return every recording and its vehicle, folders searched through, in the order of their names.
 
     Files in folders whose names contain no vehicle come second, with why they are left out.
-
-    Raises:
-        InputError: A path does not exist, a folder holds no recording, or the name of a file that was given contains no
-            vehicle.
     """
     found: list[tuple[Path, str]] = []
     unnamed: list[Outcome] = []
@@ -136,11 +124,7 @@ def _say_left_out(places: Iterable[Path], console: Console) -> None:
 
 
 def vehicle_in_name(path: Path) -> str:
-    """Return the vehicle in ``<vehicle>__<time>.<suffix>``.
-
-    Raises:
-        InputError: The name has no such part.
-    """
+    """Return the vehicle in ``<vehicle>__<time>.<suffix>``."""
     vehicle, separator, _ = path.stem.partition(SEPARATOR)
     if not (vehicle and separator):
         raise InputError("does not name its vehicle: name it <vehicle>__<time>, or give --vehicle", file=path)

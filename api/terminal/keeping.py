@@ -23,11 +23,7 @@ LISTED = 50
 
 
 def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) -> None:
-    """Write a backup and print what it holds.
-
-    Raises:
-        typer.Exit: Code 1: files that the database refers to are missing or damaged; they are listed.
-    """
+    """Write a backup and print what it holds; exit 1 where files that the database refers to are missing or damaged."""
     settings, plan = load_settings(), BackupPlan(windows, recordings)
     raw = raw_store(settings)
     with closing(open_store(settings)) as storage, counted("backing up files") as progress:
@@ -42,11 +38,7 @@ def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) 
 
 
 def restore_and_report(folder: Path, name: str | None) -> None:
-    """Restore a backup and print what is there now.
-
-    Raises:
-        typer.Exit: Code 1: files are missing; they are listed.
-    """
+    """Restore a backup and print what is there now; exit 1 where files are missing."""
     settings = load_settings()
     with counted("restoring files") as progress:
         into = Installation(settings.url, settings.data_dir, raw_store(settings))
@@ -60,11 +52,7 @@ def restore_and_report(folder: Path, name: str | None) -> None:
 
 
 def check_and_report() -> None:
-    """Compare everything that is stored and print what does not belong together.
-
-    Raises:
-        typer.Exit: Code 1: something is damaged or lost.
-    """
+    """Compare everything that is stored and print what does not belong together; exit 1 where something is lost."""
     settings = load_settings()
     raw = raw_store(settings)
     with closing(open_store(settings)) as storage, counted("reading files") as progress:

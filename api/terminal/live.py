@@ -56,11 +56,7 @@ class LiveBus:
 def receive_and_report(
     buses: Sequence[LiveBus], registry: Path | None, catalogues: Sequence[Path], health: HealthAddress | None
 ) -> None:
-    """Receive live buses until SIGTERM or SIGINT, and print a summary.
-
-    Raises:
-        typer.Exit: Code 1: a recording was rejected.
-    """
+    """Receive live buses until SIGTERM or SIGINT, and print a summary; exit 1 where a recording was rejected."""
     settings = load_settings()
     console = Console(stderr=True)
     say = _say(settings, console)
@@ -202,11 +198,7 @@ TIMES: Mapping[str, str] = {
 def serving_health(
     address: HealthAddress, statuses: Mapping[str, LiveStatus], more: Sequence[Callable[[], Iterable[Metric]]] = ()
 ) -> Iterator[int]:
-    """Serve health and measures of receivers, by the vehicle, and ``more`` measures; yield the port.
-
-    Raises:
-        ParameterError: Nobody can listen there.
-    """
+    """Serve health and measures of receivers, by the vehicle, and ``more`` measures; yield the port."""
     read = partial(live_measures, statuses)
     with served(address, partial(_health, statuses), partial(_readiness, statuses), [read, *more]) as port:
         yield port

@@ -20,11 +20,7 @@ from ingest.simulator.scenario_file import builtin_scenarios, load_scenario
 
 
 def load(scenario: str, seed: int | None) -> Scenario:
-    """Return a built-in scenario or that of a file, with another seed where one is given.
-
-    Raises:
-        ScenarioError: There is no such scenario, or the file is wrong; names the line and the field.
-    """
+    """Return a built-in scenario or that of a file, with another seed where one is given."""
     plan = load_scenario(scenario)
     return plan if seed is None else with_seed(plan, seed)
 
@@ -40,13 +36,7 @@ def write_registry(scenario: Scenario, out: Path) -> None:
 
 
 def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, workers: int | None) -> None:
-    """Simulate a scenario, or some of its ``vehicles``, into the folder ``out`` in ``workers`` processes.
-
-    Args:
-        out: Folder of the recordings, the registry and the truth.
-        vehicles: Codes; None is all.
-        workers: Processes; None is as many as cores.
-    """
+    """Simulate a scenario, or some of its ``vehicles``, into a folder; None is all, and as many processes as cores."""
     console = Console(stderr=True)
     report = simulate_with_progress(scenario, out, console, vehicles=vehicles, workers=workers)
     console.print(
@@ -60,13 +50,7 @@ def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, 
 def simulate_with_progress(
     scenario: Scenario, out: Path, console: Console, *, vehicles: list[str] | None = None, workers: int | None = None
 ) -> FleetReport:
-    """Simulate a scenario into ``out`` under a progress bar; arguments and errors as ``run_fleet``.
-
-    Args:
-        out: Folder of the recordings, the registry and the truth.
-        vehicles: Codes; None is all.
-        workers: Processes; None is as many as cores.
-    """
+    """Simulate a scenario into ``out`` under a progress bar; arguments and errors as ``run_fleet``."""
     with bar(console, "simulating the fleet", "{task.fields[frames]:,} frames") as progress:
         task = progress.add_task("", total=None, frames=0)
         frames = 0
@@ -105,9 +89,6 @@ def transmit_live(
     Args:
         vehicles: The one vehicle; may be left out where the scenario has only one.
         speed_up: Simulated seconds per second.
-
-    Raises:
-        ParameterError: A channel or the choice of one vehicle is missing, or the bus cannot be opened.
     """
     console = Console(stderr=True)
     if channel is None:

@@ -48,11 +48,7 @@ _log = logging.getLogger(__name__)
 
 
 class DaskExecutor(WorkExecutor):
-    """Does units of work on the workers of a Dask scheduler, those that have shown that they are of this deployment.
-
-    Args:
-        settings: Of the deployment, with the address of the scheduler, such as ``tcp://scheduler:8786``.
-    """
+    """Does units of work on the workers of a Dask scheduler, those that have shown that they are of this deployment."""
 
     work = staticmethod(work_unit)
 
@@ -188,11 +184,7 @@ def _challenge(storage: SqlStorage) -> Iterator[str]:
 
 
 def hello(word: str, wanted: str) -> str | None:
-    """Return why the worker that this is called on is not to get work; None where it is.
-
-    Args:
-        wanted: What :func:`estimated_with` returns where the units come from.
-    """
+    """Return why the worker that this is called on is not to get work; None where it is."""
     try:
         context = context_of(_settings())
         storage = context.storage
@@ -232,9 +224,6 @@ def serve_dask(address: str, settings: Settings, stopping: threading.Event) -> N
     """Run Dask's program for workers until a stop is asked for; it ends when its scheduler does, and is started again.
 
     Dask starts a worker again that has twice the memory that one may have.
-
-    Raises:
-        PassingFaultError: Dask is not installed.
     """
     _require_dask()
     delays = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S)

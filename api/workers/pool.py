@@ -42,11 +42,7 @@ _log = logging.getLogger(__name__)
 
 @cache
 def context_of(settings: Settings) -> JobContext:
-    """Return what units of this process may touch; opened once.
-
-    Raises:
-        TreadwatchError: The database cannot be reached or used, or the settings are wrong.
-    """
+    """Return what units of this process may touch; opened once."""
     return replace(job_context(settings, open_store(settings)), holder=process_name())
 
 
@@ -99,11 +95,7 @@ LOOK_S = 1.0
 
 
 class ProcessPool(WorkExecutor):
-    """Does units of work in processes of its own.
-
-    Args:
-        count: How many workers there are; each is started when the first unit comes to it.
-    """
+    """Does units of work in processes of its own."""
 
     work = staticmethod(work_unit)
 

@@ -33,11 +33,7 @@ class EstimateOfDate:
 
 
 def baseline_at(wheelset: WheelsetRecord, at_ns: int) -> tuple[int, float]:
-    """Return the number of reprofilings up to a time, and the mileage of the last of them (0 where there is none).
-
-    Args:
-        at_ns: Time, ns UTC; the profile of a reprofiling at that time is the new one.
-    """
+    """Return the number of reprofilings up to and at a time, and the mileage of the last of them (0 without any)."""
     turned = [item for item in wheelset.reprofilings if item.at_ns <= at_ns]
     return len(turned), max(turned, key=lambda item: item.at_ns).mileage_km if turned else 0.0
 
@@ -162,12 +158,7 @@ class Comparison:
 def compared(
     measurement: MeasuredProfiles, contact: WheelContact | Reason, estimate: EstimateOfDate, *, independent: bool | None
 ) -> Comparison:
-    """Return a measurement beside the estimate that belongs to it.
-
-    Args:
-        contact: What follows from it, or why nothing does.
-        independent: Whether the estimate was made without a measurement of the same wheels; None without an estimate.
-    """
+    """Return a measurement beside the estimate that belongs to it."""
     if isinstance(contact, Reason):
         measured = dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(contact))
     else:
@@ -353,7 +344,6 @@ def curve_origin(
 
     Args:
         displacement, difference: (n,) m, the known curve.
-        crossing: Its zero crossing, m.
     """
     centre, R = found.bin_centres, found.rolling_radius_difference
     known = np.isfinite(R.value)

@@ -13,15 +13,7 @@ REFERENCE_LENGTH = 200
 
 
 def acknowledge(alert: Alert, by: str, now_ns: int) -> Transition:
-    """Record that somebody has seen the alert.
-
-    Args:
-        now_ns: Time of the acknowledgement, ns UTC.
-
-    Raises:
-        ConflictError: It is closed, still pending, or acknowledged already.
-        InputError: No name.
-    """
+    """Record that somebody has seen the alert."""
     _must_be_raised(alert)
     if not by.strip():
         raise InputError("an acknowledgement needs a name", field="by")
@@ -32,16 +24,7 @@ def acknowledge(alert: Alert, by: str, now_ns: int) -> Transition:
 
 
 def shelve(alert: Alert, until_ns: int, reason: str, now_ns: int) -> Transition:
-    """Hide the alert until a time; its life cycle goes on, and it returns by itself.
-
-    Args:
-        until_ns: End of the shelving, ns UTC, after ``now_ns``.
-        now_ns: The present, ns UTC.
-
-    Raises:
-        ConflictError: It is closed or still pending.
-        InputError: The time has passed, or no reason is given.
-    """
+    """Hide the alert until a time; its life cycle goes on, and it returns by itself."""
     _must_be_raised(alert)
     if until_ns <= now_ns:
         raise InputError("the end of shelving is in the past", field="until")
@@ -52,14 +35,7 @@ def shelve(alert: Alert, until_ns: int, reason: str, now_ns: int) -> Transition:
 
 
 def unshelve(alert: Alert, now_ns: int) -> Transition:
-    """Bring a shelved alert back before its time.
-
-    Args:
-        now_ns: The present, ns UTC.
-
-    Raises:
-        ConflictError: It is closed, or not shelved, or its shelving has ended by itself.
-    """
+    """Bring a shelved alert back before its time."""
     must_be_open(alert)
     if alert.shelved_until_ns is None or alert.shelved_until_ns <= now_ns:
         raise conflict(alert, "the alert is not shelved")
@@ -71,10 +47,6 @@ def link(alert: Alert, ref: str) -> Transition | None:
     """Note the reference of another system, such as a work order; None where it is noted already.
 
     Closed alerts take references too: the work order often comes after.
-
-    Raises:
-        ConflictError: The alert has as many references as it can hold.
-        InputError: The reference is empty or too long.
     """
     wanted = ref.strip()
     if not 0 < len(wanted) <= REFERENCE_LENGTH:

@@ -52,9 +52,6 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
     Where the sensor is silent or faulty, where the wheelset was reprofiled or mounted after the newest data, or where
     those do not follow the class of the vehicle, the wear rules find ``unknown``: old numbers are never read as the
     present state. Where its identity is in doubt no wear alert is opened either.
-
-    Args:
-        now_ns: Our time, nanoseconds UTC since the Unix epoch.
     """
     if facts.wheelset.mounting is None:
         return []

@@ -99,11 +99,7 @@ class _Curve:
 def identity_events(
     histories: Mapping[str, Sequence[Observation]], parameters: IdentityParameters | None = None
 ) -> dict[str, IdentityEvent]:
-    """Return by wheelset the first jump of its geometry that a mistake of the registry explains.
-
-    Args:
-        histories: By wheelset its geometries since its last reprofiling or known event, in order of mileage.
-    """
+    """Return by wheelset the first jump of its geometry that a mistake of the registry explains."""
     p = parameters or IdentityParameters()
     jumps = {serial: jump for serial, seen in histories.items() if (jump := _first_jump(seen, p)) is not None}
     events: dict[str, IdentityEvent] = {}
@@ -142,9 +138,6 @@ def jumps(seen: Sequence[Observation], parameters: IdentityParameters) -> bool:
     """Whether the geometry of a wheelset jumps, so that it must be compared with those of the others.
 
     Observations before the last two of which one did not jump need not be looked at again.
-
-    Args:
-        seen: Its geometries, in order of mileage.
     """
     return _first_jump(seen, parameters) is not None or _reversed_in(seen, parameters) is not None
 
@@ -178,11 +171,6 @@ def reversed_between(
     """Return the event where the curve after is the mirror image of the one before; None where it is not.
 
     Only the even part of R decides: the odd part is its own mirror image.
-
-    Args:
-        before, after: Geometry of the wheelset over two intervals of its mileage, the earlier one first.
-        parameters: Thresholds of a jump and of what may be left of it after mirroring; by default those of the identity
-            rule.
     """
     p = parameters or IdentityParameters()
     worn = _worn(before, after, p)
@@ -229,11 +217,7 @@ def swapped_between(
     second: tuple[Observation, Observation],
     parameters: IdentityParameters | None = None,
 ) -> tuple[IdentityEvent, IdentityEvent] | None:
-    """Return the events of both where each has after what was the other's before, at one time; None where not so.
-
-    Args:
-        first, second: Before and after of two wheelsets.
-    """
+    """Return the events of both where each has after what was the other's before, at one time; None where not so."""
     p = parameters or IdentityParameters()
     if max(first[0].to_ns, second[0].to_ns) > min(first[1].from_ns, second[1].from_ns):
         return None  # one had changed while the other had not yet

@@ -59,16 +59,12 @@ def transition(
     """Return what a finding does to the open alert of its wheelset and kind.
 
     Args:
-        open_alert: The open alert, or None.
         now_ns: Our time; only acknowledgements that have run out depend on it.
         delays: Delays of the rule, for a new alert; an open alert keeps those that it was raised with.
 
     Returns:
         Transition or None: None where nothing changes; a repeat with the same data is such a case. ``events`` is empty
             where only counters or a pending alert changed.
-
-    Raises:
-        ConflictError: The alert is closed, or of another wheelset or kind.
     """
     if open_alert is None:
         opens = finding.breached if finding.stands is None else finding.stands
@@ -221,11 +217,7 @@ def without_stale_acknowledgement(alert: Alert, now_ns: int) -> Alert:
 
 
 def acknowledgement_ends_ns(alert: Alert) -> int | None:
-    """Return when the acknowledgement of an alert runs out, ns UTC; None where it has none.
-
-    Args:
-        alert: Open or closed.
-    """
+    """Return when the acknowledgement of an alert runs out, ns UTC; None where it has none."""
     if alert.acknowledged_ns is None:
         return None
     days = _number(_counters(alert).get("acknowledgement_days"), AlertDelays().acknowledgement_days)
@@ -289,13 +281,6 @@ def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
     """Close an alert for a reason outside the data, such as a reprofiling or an exchange.
 
     The condition stays as it was: what was true then is on record. A pending alert goes without an event.
-
-    Args:
-        reason: Why it is closed.
-        at_ns: When that happened, ns UTC.
-
-    Raises:
-        ConflictError: It is closed already.
     """
     must_be_open(alert)
     after = replace(alert, closed_ns=at_ns, close_reason=reason)
@@ -303,11 +288,7 @@ def close(alert: Alert, reason: CloseReason, at_ns: int) -> Transition:
 
 
 def must_be_open(alert: Alert) -> None:
-    """Refuse an alert that is closed.
-
-    Raises:
-        ConflictError: It is.
-    """
+    """Refuse an alert that is closed."""
     if alert.closed_ns is not None:
         raise conflict(
             alert, f"the alert is closed ({alert.close_reason.sentence if alert.close_reason else 'no reason given'})"
@@ -329,12 +310,7 @@ def section_transition(
     delays: AlertDelays,
     rules_version: str,
 ) -> Transition | None:
-    """Return what a finding does to the open alert of a section and kind; None where nothing changes.
-
-    Args:
-        open_alert: The open alert of the fleet about the section; None where there is none.
-        finding: Of the rule; its wheelset is empty.
-    """
+    """Return what a finding does to the open alert of a section and kind; None where nothing changes."""
     nameless = None if open_alert is None else replace(open_alert, wheelset="")
     found = transition(nameless, finding, now_ns, fleet=fleet, delays=delays, rules_version=rules_version)
     if found is None:

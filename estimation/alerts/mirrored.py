@@ -53,11 +53,7 @@ class Mirrored:
 
 
 def newest_mirrored(parts: Parts) -> Mirrored | None:
-    """Return the newest change of sign; None where there is none.
-
-    Args:
-        parts: Of the curves since the last known event.
-    """
+    """Return the newest change of sign since the last known event; None where there is none."""
     bins = np.isfinite(parts.even).mean(axis=0) >= 1.0 - SAME_SIZE
     whole = np.flatnonzero(np.isfinite(parts.even[:, bins]).all(axis=1))
     if bins.sum() < LEAST_BINS or len(whole) < 2 * EVEN.least_points:

@@ -97,11 +97,7 @@ def start(parameters: EstimatorParameters, coefficients: int) -> FilterState:
 def filtered(
     state: FilterState, motion: Motion, basis: Basis, prior: Prior, block_filter: BlockFilter, weight: float
 ) -> FilterState:
-    """Return the state with the blocks of ``motion`` added.
-
-    Raises:
-        ParameterError: The interval between samples is not known.
-    """
+    """Return the state with the blocks of ``motion`` added."""
     if not motion.sample_interval_s > 0.0:
         raise ParameterError("the interval between samples is not known", field="sample_interval_s")
     keep = usable(motion)

@@ -87,8 +87,6 @@ def b_splines(x: FloatArray, first: float, piece: float, pieces: int) -> FloatAr
 
     Args:
         x: (n,) m, where to evaluate them; beyond the pieces the outermost are continued.
-        first: Start of the first piece, m.
-        piece: Length of a piece, m.
     """
     position = (x - first) / piece
     cell = np.clip(np.floor(position), 0, pieces - 1).astype(np.int64)
@@ -167,11 +165,7 @@ def estimators() -> tuple[Estimator[Any], ...]:
 
 
 def estimator_named(name: str) -> Estimator[Any]:
-    """Return the estimator called ``name``.
-
-    Raises:
-        ParameterError: There is none; the message lists those there are.
-    """
+    """Return the estimator called ``name``."""
     known = {item.name: item for item in estimators()}
     if name not in known:
         raise ParameterError(f"no estimator {name!r}; there are {', '.join(known)}", field="estimator")

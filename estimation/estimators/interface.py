@@ -108,7 +108,6 @@ def counted(displacement: FloatArray, values: FloatArray | None = None) -> Float
     """Return the number of samples, or the sum of values, (CELLS,) in each cell of ``WIDTH`` over +-``REACH``.
 
     Args:
-        displacement: (n,) m, within the reach.
         values: (n,) of any unit; None to count.
     """
     cell = np.floor((displacement + REACH) / WIDTH).astype(np.int64)
@@ -116,12 +115,7 @@ def counted(displacement: FloatArray, values: FloatArray | None = None) -> Float
 
 
 def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArray) -> FloatArray:
-    """Return by how much the mean of each cell is above a curve, straight between cells: (n,).
-
-    Args:
-        x, value: (n,) m, the curve.
-        sums, counts: (CELLS,) by cell.
-    """
+    """Return by how much the mean of each cell is above a curve, straight between cells: (n,)."""
     middles = (np.arange(CELLS) + 0.5) * WIDTH - REACH
     known = (counts >= LEAST_SAMPLES) & (middles > x[0]) & (middles < x[-1])
     if not known.any():
@@ -244,8 +238,6 @@ def estimate_of(values: FloatArray, groups: int, count: float, reason: Reason) -
     Args:
         values: (1 + groups + p,) from all data, with each group left out, and with each of p uncertain parameters
             shifted by one std.
-        count: How many stretches of running the number rests on.
-        reason: Why it is unknown where a replicate is not finite.
     """
     if not np.isfinite(values).all():
         return Estimate.unknown(reason, count)

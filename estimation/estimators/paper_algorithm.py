@@ -76,11 +76,7 @@ class CellMeans(FrozenArrays):
         return type(self)(sums, counts, self.derivatives + derivatives)
 
     def left_out(self, x: FloatArray) -> FloatArray:
-        """Return by how much the means change without each group that has samples: (g', n), m.
-
-        Args:
-            x: (n,) m.
-        """
+        """Return by how much the means change without each group that has samples: (g', n), m."""
         total, number = self.sums.sum(axis=0), self.counts.sum(axis=0)
         known = number > 0
         rows = []
@@ -92,11 +88,7 @@ class CellMeans(FrozenArrays):
         return np.array(rows).reshape(-1, len(x))
 
     def shifted(self, x: FloatArray, value: FloatArray, uncertainty: ParameterUncertainty) -> FloatArray:
-        """Return what one std of each uncertain parameter changes, and what the curve cannot follow: (7, n), m.
-
-        Args:
-            x, value: (n,) m, the curve.
-        """
+        """Return what one std of each uncertain parameter changes, and what the curve cannot follow: (7, n), m."""
         number = self.counts.sum(axis=0)
         known = number > 0
         means = self.derivatives[:, known] / number[known]
@@ -245,7 +237,6 @@ def jumps_elsewhere(x: FloatArray, curve: FloatArray, std: float) -> FloatArray:
 
     Args:
         x, curve: (n,) m, increasing displacement, and its rolling radius difference.
-        std: m.
     """
     middle = zero_crossing(x, curve)
     if not np.isfinite(middle):

@@ -84,7 +84,6 @@ def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) 
     """Return psi'' - Omega2 (k,), rad/s^2 (Eq. 17); the frame of a bogie moves the other end of the yaw spring.
 
     Args:
-        V: Speed, m/s.
         keep: (n,) which samples count; k of them.
     """
     damping = 2 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / V + 2 * p.spin_creep_coefficient / V
@@ -106,7 +105,6 @@ def recursion_in_bins(
         features: (n, 3) regressors.
         output: (n,) measured minus known part.
         index: (n,) bin of each sample, 0..bins-1.
-        parameters: Samples that start a bin's recursion, and the forgetting factor W.
     """
     count = np.bincount(index, minlength=bins).astype(np.int64)
     theta = np.full((bins, REGRESSORS), np.nan)

@@ -130,22 +130,14 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
 
 
 def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArray:
-    """Return what one std of each uncertain parameter changes of the curve (6, n), m.
-
-    Args:
-        functions: (n, m) the basis functions where the curve is given.
-    """
+    """Return what one std of each uncertain parameter changes of the curve (6, n), m, by its basis functions (n, m)."""
     gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
     theta = np.linalg.solve(gram + _small(gram, ridge), cross[:, 1:])
     return np.asarray((functions @ theta).T * state.parameters.uncertainty.yaw()[:, None])
 
 
 def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
-    """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell.
-
-    Args:
-        x, value: (n,) m, the curve.
-    """
+    """Return what the curve cannot follow (n,), m: by how much the mean of R is above it, cell by cell."""
     return beside(x, value, state.sums, state.counts)
 
 

@@ -110,12 +110,7 @@ def below_limit(geometry: WheelsetGeometry) -> list[KnownConicity]:
 
 
 def marked(estimate: Estimate, amplitude: float) -> Estimate:
-    """Return an estimate with the reason that it is extrapolated.
-
-    Args:
-        estimate: At the limit's amplitude.
-        amplitude: From which it is extrapolated, m.
-    """
+    """Return an estimate at the limit's amplitude with the reason that it is extrapolated from another one (m)."""
     return Estimate(
         estimate.value,
         estimate.std,
@@ -143,7 +138,6 @@ def extrapolated(known: Sequence[KnownConicity], family: WornFamily | None = Non
     """Return the conicity at the limit's amplitude from those at smaller ones; None where it cannot be known.
 
     Args:
-        known: At amplitudes below the limit's, increasing.
         family: Curves of wheelsets like it; by default the new and worn design pairs.
     """
     return _of_design_pairs(tuple(known)) if family is None else _extrapolated(tuple(known), family)

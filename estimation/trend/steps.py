@@ -58,21 +58,12 @@ def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
 
 
 def behind_step(records: Sequence[IntervalConicities], step: TrendStep | None) -> list[IntervalConicities]:
-    """Return the intervals behind a step; all where there is none.
-
-    Args:
-        step: Its newest.
-    """
+    """Return the intervals behind a step; all where there is none."""
     return [record for record in records if step is None or record.from_ns >= step.after_ns]
 
 
 def with_step(trend: WearTrend, step: TrendStep) -> WearTrend:
-    """Return the trend of the points behind a step; where they are few it says so and forecasts nothing.
-
-    Args:
-        trend: Of the points behind it alone.
-        step: That it begins behind.
-    """
+    """Return the trend of the points behind a step; where they are few it says so and forecasts nothing."""
     if len(trend.value) >= ENOUGH_BEHIND:
         return replace(trend, step=step)
     text = f"{len(trend.value)} intervals behind a step at {step.after_km:,.0f} km, {ENOUGH_BEHIND} are enough"
@@ -159,11 +150,7 @@ class StepSurroundings:
 
 
 def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplanation, ...]:
-    """Return the causes, the likeliest first.
-
-    Args:
-        around: What is known besides.
-    """
+    """Return the causes, the likeliest first."""
     size, std = step.size.value or 0.0, step.size.std or 1.0
     found = {
         StepCause.TURNED: _turned(step, std, around),

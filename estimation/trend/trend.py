@@ -92,9 +92,6 @@ def refresh(
     """Return the trend of the points, in whatever order they come.
 
     Args:
-        points: Values since the last reprofiling with their standard deviations; those that are not finite are left
-            out.
-        limit: The value not to be exceeded, in units of the points.
         shared_std: Standard deviation of an error that all points have in common, in their units.
         not_comparable: Why the points cannot be compared with the limit, which then nothing is said about; None where
             they can.

@@ -97,11 +97,7 @@ class Verdict:
 def judged(
     *, mounted: bool, ahead: Ahead, alerts: Sequence[OpenAlert], last_ns: int | None, refused: bool = False
 ) -> Verdict:
-    """Return how urgent a wheelset is.
-
-    Args:
-        last_ns: End of its newest usable data, ns UTC; None where there are none.
-    """
+    """Return how urgent a wheelset is."""
     standing = [alert for alert in alerts if alert.condition in {Condition.ACTIVE, Condition.UNKNOWN}]
     found: list[tuple[Urgency, Reason]] = []
     if not mounted:

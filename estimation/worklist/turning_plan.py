@@ -107,9 +107,6 @@ def turning_plan(
     """Return the plan, the earliest visit first; what cannot be assessed comes last.
 
     Args:
-        candidates: Wheelsets in service, in any order.
-        now_ns: Our time, ns UTC; what is due already is due now.
-        horizon_ns: How far ahead is planned, ns.
         together_ns: What becomes due within this time of a visit is turned in it, ns.
     """
     lines: list[PlanLine] = []

@@ -251,11 +251,7 @@ def conicity_limit_finding(
     """Return the finding on the limit by the conicity.
 
     Args:
-        windows: Windows behind the geometry.
-        measured_ns: Time of the newest data behind the conicity.
         current: That of the current geometry, where the conicity is of the trend.
-        not_assessable_reason: Why the data do not describe the present wheelset (silent, sensor fault, reprofiled
-            since); None where they do.
     """
     against = state.against(limit)
     reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)

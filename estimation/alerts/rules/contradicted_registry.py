@@ -77,7 +77,6 @@ def identity_finding(event: IdentityEvent | None, mounting: Mounting, standing: 
     """Return the finding on a wheelset's identity; None where the geometries agree with it.
 
     Args:
-        event: What has been found since the last identity change; None where nothing.
         standing: The open alert: it stands until its mounting is corrected on file.
     """
     if event is None:

@@ -180,11 +180,7 @@ def limit_forecast_finding(
     *,
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
-    """Return the finding on the distance that is left to the limit of the trend.
-
-    Args:
-        measured_ns: Time of the newest data behind the trend.
-    """
+    """Return the finding on the distance that is left to the limit of the trend."""
     points = len(trend.value)
     reason = not_assessable_reason or (trend.reason if trend.status is not Status.ESTIMATED else trend.not_comparable)
     reason = reason or trend.few_behind

@@ -198,7 +198,6 @@ class AlertRule(ABC):
         relations: Fields of which one limits another, each as (field, "<=" or ">=", field).
         evidence: What its findings rest on: what its alerts keep, and what the API answers; None where that is told by
             what it is alone.
-        enabled, delays: Whether it is evaluated; how long before an alert follows.
     """
 
     kind: ClassVar[str]
@@ -216,11 +215,7 @@ class AlertRule(ABC):
 
     @abstractmethod
     def find(self, facts: WheelsetFacts, now_ns: int) -> Finding | None:
-        """Return what the rule finds; None where it does not apply.
-
-        Args:
-            now_ns: Our time, nanoseconds UTC since the Unix epoch.
-        """
+        """Return what the rule finds, at our time in ns UTC; None where it does not apply."""
 
 
 def measured_until(windows: Sequence[WindowRecord], facts: WheelsetFacts) -> int:

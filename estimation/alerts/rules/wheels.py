@@ -242,10 +242,6 @@ def wheel_asymmetry_finding(
     Breached when one of them is; not breached when both are known not to be. Cleared when every indicator that raised
     the open alert (``raised_by``, from its evidence) is known and below its clear limit and no known one is above its
     own.
-
-    Args:
-        raised_by: Names of the indicators that raised the open alert; empty where none is open.
-        not_assessable_reason: Why the geometry does not count at present; None where it does.
     """
     reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)
     limits: dict[Indicator, tuple[Estimate, float, float]] = {
