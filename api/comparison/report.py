@@ -254,7 +254,7 @@ def _arrays(found: WheelsetGeometry) -> tuple[FloatArray, FloatArray, FloatArray
 
 
 def draw_errors(axes: Axes, study: PairStudy) -> None:
-    """Draw every wheelset's error as a dot and the median as a bar, by information on the track, on a logarithmic scale."""
+    """Draw every wheelset's error as a dot and the median as a bar, by information on the track; logarithmic."""
     tracks = [track for track in TrackInformation if track not in study.unestimated]
     names = list(titles())
     rng, step = np.random.default_rng(0), _WIDTH / len(names)

@@ -18,14 +18,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from estimation.compiled import compiled
 from estimation.contact.conicity import zero_crossing
 from estimation.errors import ParameterError
-from estimation.estimators.contact_jumps import stepped
 from estimation.estimators.interface import (
     CELLS,
     FEWEST_GROUPS,
@@ -44,7 +43,7 @@ from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.tables.bin_table import group_of
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
-from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.reasons import Reason
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
 
@@ -243,13 +242,11 @@ class HiddenDisplacement:
         """Return the last curve, its intervals from groups left out and from what is systematic."""
         samples = state.samples
         span = covered_range(state.counts)
-        if span is None:
-            reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
-            return nothing(reason, state.parameters, samples, state.stretches)
+        if isinstance(span, Reason):
+            return nothing(span, state.parameters, samples, state.stretches)
         groups = len({group for piece in state.pieces for group in piece.group.tolist()})
         if groups < FEWEST_GROUPS:
-            reason = too_few_blocks(groups)
-            return nothing(reason, state.parameters, samples, state.stretches)
+            return nothing(too_few_blocks(groups), state.parameters, samples, state.stretches)
         sums, counts = self._expected(state)
         inside = _run(counts.sum(axis=0), span)
         middles = _middles()[inside]
@@ -345,3 +342,49 @@ def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatAr
         place = float(np.linalg.norm([JUMP_PLACE, unknown.jump_mean_std, of_gauge]))
         rows += [jumps_displaced(x, curve, middle, by) - curve for by in (place, -place)]
     return np.array(rows)
+
+
+STEEP = 3.0  # times the median slope
+LEAST_STEP = 0.12e-3  # m of R
+MOST_SPREAD = 0.08e-3  # m, std of the rise over y - d
+JUMP_REACH = 4.0e-3  # m of y - d: beyond are the flanges
+JUMP_SIDES = 1e-8  # m, from a jump to the points on both of its sides
+
+
+class Stepped(NamedTuple):
+    """A curve with points close to both sides of each jump."""
+
+    displacement: FloatArray  # (n,) m
+    difference: FloatArray  # (n,) m
+    jumps: FloatArray  # (j,) m, where they are
+
+
+def stepped(x: FloatArray, curve: FloatArray) -> Stepped:
+    """Return a curve (n,), m, at even distances of displacement, whose contact jumps are each in one place.
+
+    A contact point jumps at one displacement. What is left of the error of y - d spreads the step over some 0.1 mm,
+    evenly to both sides; so the jump is in the mean of the rise. A rise that is spread further is left as it is: wheels
+    have steep parts without any jump.
+    """
+    width = x[1] - x[0]
+    middles, rise = 0.5 * (x[1:] + x[:-1]), np.diff(curve)
+    near = np.abs(middles) < JUMP_REACH
+    usual = float(np.median(rise[near])) if near.any() else 0.0
+    steep = near & (rise > STEEP * max(usual, 0.0)) & (rise > 0.0)
+    beyond = np.where(steep, rise - usual, 0.0)
+    bounds = np.flatnonzero(np.diff(np.concatenate([[0], steep.astype(np.int64), [0]])))
+    places, steps = [], []
+    smooth = rise.copy()
+    for first, behind in bounds.reshape(-1, 2):
+        part = slice(first, behind)
+        step = float(beyond[part].sum())
+        place = float(beyond[part] @ middles[part]) / step
+        spread = np.sqrt(float(beyond[part] @ (middles[part] - place) ** 2) / step + width**2 / 12.0)
+        if step >= LEAST_STEP and spread <= MOST_SPREAD:
+            places.append(place)
+            steps.append(step)
+            smooth[part] -= beyond[part]
+    jumps, heights = np.array(places), np.array(steps)
+    points = np.sort(np.concatenate([x, jumps - JUMP_SIDES, jumps + JUMP_SIDES]))
+    base = np.interp(points, x, np.append(curve[0], curve[0] + np.cumsum(smooth)))
+    return Stepped(points, base + (points[:, None] > jumps) @ heights, jumps)

@@ -27,7 +27,7 @@ from estimation.geometry.uncertainty import SCALE_UNCERTAINTY, ParameterUncertai
 from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, bin_centres
 from estimation.values.geometry import BinStatus, BinValues, WheelsetGeometry
 from estimation.values.quantities import Estimate, Status, jackknife_std, with_interval
-from estimation.values.reasons import Reason
+from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
 
@@ -124,14 +124,14 @@ def beside(x: FloatArray, value: FloatArray, sums: FloatArray, counts: FloatArra
     return np.asarray(np.interp(x, middles[known], apart))
 
 
-def covered_range(counts: FloatArray) -> tuple[float, float] | None:
-    """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; None where there is no such run."""
+def covered_range(counts: FloatArray) -> tuple[float, float] | Reason:
+    """Return from where to where, m, every cell has ``LEAST_SAMPLES``, zero inside; why not without such a run."""
     enough = counts >= LEAST_SAMPLES
     middle = CELLS // 2
     right = middle + int(np.argmin(np.append(enough[middle:], False)))
     left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
     if middle in {left, right}:
-        return None
+        return Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
     return left * WIDTH - REACH, right * WIDTH - REACH
 
 

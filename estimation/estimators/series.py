@@ -6,9 +6,10 @@ blocks; beside the target stand its derivatives by the uncertain parameters.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
@@ -27,7 +28,7 @@ from estimation.estimators.interface import (
 )
 from estimation.geometry.conicity import too_few_blocks
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import FloatArray, FrozenArrays
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import Motion
 from estimation.vehicle.equations_of_motion import VehicleParameters
@@ -67,19 +68,26 @@ def empty(parameters: EstimatorParameters, functions: int) -> SeriesState:
     )
 
 
+def grouped(
+    state: SeriesState | RecursionState, block: IntArray, weight: float, features: FloatArray, targets: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the sums of a state with samples (n,) added to the groups of their blocks."""
+    gram, cross, groups = state.gram.copy(), state.cross.copy(), group_of(block, GROUPS)
+    for group in np.unique(groups):
+        in_group = groups == group
+        weighted = weight * features[in_group].T
+        gram[group] += weighted @ features[in_group]
+        cross[group] += weighted @ targets[in_group]
+    return gram, cross
+
+
 def added(state: SeriesState, motion: Motion, basis: Basis, weight: float) -> SeriesState:
     """Return the state with ``motion`` added."""
     keep = usable(motion)
     equations = regression(motion, state.parameters.vehicle)
     targets = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
     functions = basis(motion.displacement[keep])
-    groups = group_of(motion.block[keep], GROUPS)
-    gram, cross = state.gram.copy(), state.cross.copy()
-    for group in np.unique(groups):
-        in_group = groups == group
-        weighted = weight * functions[in_group].T
-        gram[group] += weighted @ functions[in_group]
-        cross[group] += weighted @ targets[in_group]
+    gram, cross = grouped(state, motion.block[keep], weight, functions, targets)
     return replace(
         state,
         gram=gram,
@@ -100,9 +108,8 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
             equations.
     """
     span = covered_range(state.counts)
-    if span is None:
-        reason = Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
-        return nothing(reason, state.parameters, state.samples, state.stretches)
+    if isinstance(span, Reason):
+        return nothing(span, state.parameters, state.samples, state.stretches)
     present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
     if len(present) < FEWEST_GROUPS:  # what is left without one of them may not determine the functions
         return nothing(too_few_blocks(len(present)), state.parameters, state.samples, state.stretches)
@@ -127,6 +134,29 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
         ),
         state.parameters,
     )
+
+
+class SeriesFit(ABC):
+    """An estimator by least squares of a series of functions."""
+
+    __slots__ = ()
+    ridge: ClassVar[float] = 0.0  # as of :func:`solved`
+
+    @abstractmethod
+    def basis(self, x: FloatArray) -> FloatArray:
+        """Return the functions (n, m) of y - d (n,), m."""
+
+    def init(self, parameters: EstimatorParameters) -> SeriesState:
+        """Return the empty sums."""
+        return empty(parameters, self.basis(np.zeros(1)).shape[1])
+
+    def update(self, state: SeriesState, motion: Motion, weight: float = 1.0) -> SeriesState:
+        """Return the state with ``motion`` added, ``weight`` times."""
+        return added(state, motion, self.basis, weight)
+
+    def result(self, state: SeriesState) -> CurveEstimate:
+        """Return the curve of the series and its conicity where there are data."""
+        return solved(state, self.basis, self.ridge)
 
 
 def shifts(state: SeriesState, functions: FloatArray, ridge: float) -> FloatArray:
@@ -177,7 +207,16 @@ class RecursionState(FrozenArrays):
 
 @dataclass(frozen=True, slots=True)
 class KnownIrregularity:
-    """Conicity and creep coefficient of a linear wheelset by least squares."""
+    """Conicity and creep coefficient of a linear wheelset by least squares, its irregularity known.
+
+    After Selamat and Yusof (2009), of whom the paper says so. Of the linear Eq. 2 both are unknown here::
+
+        I psi'' + (moments without longitudinal creep) = -f11 (2 l^2/V) psi' - f11 (l/r0) (R0 + 2 lambda (y - d))
+
+    so that the conicity does not rest on a creep coefficient on file, but on the yaw stiffness alone. By how much the
+    coefficient found differs from that on file is in the interval: what a line cannot follow, it takes for creep. Least
+    squares without forgetting is kept as its sums (docs/estimation.md), which equal the recursion of Eq. 10 to 14.
+    """
 
     name: str = "known_irregularity"
     title: str = "linear wheelset, creep unknown"
@@ -191,15 +230,9 @@ class KnownIrregularity:
         """Return the state with ``motion`` added, ``weight`` times."""
         keep = usable(motion)
         features, targets = equations(motion, state.parameters.vehicle)
-        groups = group_of(motion.block[keep], GROUPS)
         features, targets, x = features[keep], targets[keep], motion.displacement[keep]
         sums = np.array([counted(x, targets[:, 0]), counted(x, -features[:, 0])])
-        gram, cross = state.gram.copy(), state.cross.copy()
-        for group in np.unique(groups):
-            in_group = groups == group
-            weighted = weight * features[in_group].T
-            gram[group] += weighted @ features[in_group]
-            cross[group] += weighted @ targets[in_group]
+        gram, cross = grouped(state, motion.block[keep], weight, features, targets)
         return replace(
             state,
             gram=gram,
@@ -215,20 +248,22 @@ class KnownIrregularity:
         """Return the straight line; nothing where the moments do not tell the creep coefficient."""
         span = covered_range(state.counts)
         present = np.flatnonzero(np.trace(state.gram, axis1=1, axis2=2) > 0)
-        refusal = _refusal(state, span is None, len(present))
-        if span is None or refusal is not None:
-            assert refusal is not None  # without a span there is a reason
-            return nothing(refusal, state.parameters, state.samples, state.stretches)
+        reason = span if isinstance(span, Reason) else _refusal(state, len(present))
+        if isinstance(span, Reason) or reason is not None:
+            assert reason is not None  # it is ``span``
+            return nothing(reason, state.parameters, state.samples, state.stretches)
         x = np.linspace(*span, round((span[1] - span[0]) / SPACING) + 1)
         gram, cross = state.gram.sum(axis=0), state.cross.sum(axis=0)
         theta = np.linalg.solve(gram, cross)
         value = _line(x, theta[:, 0])
         left_out = [np.linalg.solve(gram - state.gram[g], cross[:, 0] - state.cross[g, :, 0]) for g in present]
-        changes = theta[:, 1:] * _stds(state.parameters)
+        of_yaw = state.parameters.uncertainty.yaw()
+        changes = theta[:, 1:] * np.array([of_yaw[YAW_TARGETS.index(name) - 1] for name in TARGETS])
         variance = (state.squares - theta[:, 0] @ cross[:, 0]) / max(state.counts.sum() - UNKNOWNS, 1.0)
         own = np.linalg.cholesky(np.linalg.inv(gram)) * np.sqrt(max(variance, 0.0))
         moment, rate = state.sums
-        of_cell = -(moment / theta[0, 0] + rate) / _lever(state.parameters.vehicle)
+        lever = state.parameters.vehicle.half_contact_distance / state.parameters.vehicle.nominal_radius
+        of_cell = -(moment / theta[0, 0] + rate) / lever
         unfollowed = value + beside(x, value, of_cell, state.counts)
         on_file = state.parameters.vehicle.longitudinal_creep_coefficient
         creep_differs = value * (theta[0, 0] / on_file)
@@ -260,10 +295,8 @@ def equations(motion: Motion, vehicle: VehicleParameters) -> tuple[FloatArray, F
     return features, np.column_stack([without_creep, of_yaw[:, columns]])
 
 
-def _refusal(state: RecursionState, uncovered: bool, groups: int) -> Reason | None:  # noqa: FBT001 - of one caller
-    """Return why there is no estimate; None where there is one."""
-    if uncovered:
-        return Reason(ReasonCode.TOO_FEW_SAMPLES, "too few samples around the centre")
+def _refusal(state: RecursionState, groups: int) -> Reason | None:
+    """Return why the sums tell no conicity; None where they do."""
     if groups < FEWEST_GROUPS:
         return too_few_blocks(groups)
     gram = state.gram.sum(axis=0)
@@ -279,17 +312,6 @@ def _refusal(state: RecursionState, uncovered: bool, groups: int) -> Reason | No
     return None
 
 
-def _lever(vehicle: VehicleParameters) -> float:
-    """Return l/r0."""
-    return vehicle.half_contact_distance / vehicle.nominal_radius
-
-
 def _line(x: FloatArray, theta: FloatArray) -> FloatArray:
     """Return R (n,), m, of the unknowns (3,)."""
     return np.asarray((theta[1] * MILLIMETRE + theta[2] * x) / theta[0])
-
-
-def _stds(parameters: EstimatorParameters) -> FloatArray:
-    """Return the stds (4,) of what is uncertain, in the order of ``TARGETS``."""
-    of_yaw = parameters.uncertainty.yaw()
-    return np.array([of_yaw[YAW_TARGETS.index(name) - 1] for name in TARGETS])

@@ -12,12 +12,11 @@ from smooth_wheelset import SmoothTable, ideal, run, track
 
 from estimation.contact.conicity import equivalent_conicity
 from estimation.errors import ParameterError
-from estimation.estimators import block_filters, particle_filter
+from estimation.estimators import block_filters
 from estimation.estimators import filter_kernels as kernels
-from estimation.estimators.block_filters import ExtendedKalman, Inputs, Posterior, follows
+from estimation.estimators.block_filters import ExtendedKalman, Inputs, ParticleFilter, Posterior, follows
 from estimation.estimators.catalogue import LinearConicity
 from estimation.estimators.interface import CurveEstimate, Estimator, EstimatorParameters
-from estimation.estimators.particle_filter import ParticleFilter
 from estimation.estimators.series import KnownIrregularity
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.values.quantities import Status
@@ -102,7 +101,7 @@ def test_particles_find_the_conicity_of_a_cone_within_their_own_covariance(conic
     """Blocks of 18 s each: the mean is right, and the spread from block to block is what they state."""
     vehicle, off = VehicleParameters(), []
     for seed in range(20):
-        found = particle_filter._filtered(vehicle, on_a_cone(conicity, seed=seed), NOISE, 48)
+        found = ParticleFilter().filter_block(vehicle, on_a_cone(conicity, seed=seed), NOISE)
         assert 0.8 < found.square < 1.3
         off.append((found.mean[1] - 2e-3 * conicity) / np.sqrt(found.covariance[1, 1]))
     assert abs(np.mean(off)) < 1.0
