@@ -9,12 +9,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import orjson
 import typer
 
-from api.terminal.contact_picture import AMPLITUDE_MM, ContactSummary, contact_summary, save_contact_figure
+from api.terminal.contact_picture import AMPLITUDE_MM, ContactSummary, save_contact_figure
+from estimation.alerts.rules.conicity_limit import ANY_CLASS, ConicityLimitRule
 from estimation.contact.conicity import MeasuredShapes, conicity_std, equivalent_conicity, nonlinearity_parameter
 from estimation.contact.geometry import (
     ContactTable,
@@ -178,9 +180,8 @@ def save_picture(contact: Contact, out: Path | None) -> None:
     """Write the contact geometry of a wheelset as PNG."""
     if out is None:
         raise ParameterError("a picture needs --out FILE.png", field="--format")
-    conicity, std = _conicity(_curve(contact)), _std(contact)
-    summary = _summary(contact, conicity, std)
-    save_contact_figure(_table(contact), _AMPLITUDE_MM * 1e-3, conicity, std, summary, out)
+    found = _computed(contact)
+    save_contact_figure(found.table, _AMPLITUDE_MM * 1e-3, found.conicity, found.std, found.summary, out)
 
 
 @contextmanager
@@ -196,35 +197,35 @@ def refusals() -> Iterator[None]:
         raise typer.Exit(2) from error
 
 
-def table_text(contact: Contact, *, as_json: bool) -> str:
-    """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone."""
-    return _json(contact) if as_json else _csv(contact)
+class _Computed(NamedTuple):
+    table: ContactTable
+    curve: RadiusDifferenceCurve
+    conicity: FloatArray  # at ``_AMPLITUDE_MM``
+    std: FloatArray
+    summary: ContactSummary
 
 
-def _summary(contact: Contact, conicity: FloatArray, std: FloatArray) -> ContactSummary:
+def _computed(contact: Contact) -> _Computed:
+    wheelset, method, x, amplitude = contact.wheelset, contact.method, _DISPLACEMENT_MM * 1e-3, _AMPLITUDE_MM * 1e-3
+    table = contact_table(wheelset, x, method=method, outside="hold")
+    curve = radius_difference_curve(wheelset, x, method=method)
+    conicity = equivalent_conicity(curve.displacement, curve.difference, amplitude)
+    std = conicity_std(wheelset, contact.shapes, x, amplitude, method=method)
     place = int(np.argmin(np.abs(_AMPLITUDE_MM - AMPLITUDE_MM)))
     value, spread = _rounded(np.array([conicity[place], std[place]]))
-    return contact_summary(
-        contact.wheelset, contact.inclination, contact.method.value, (value, spread), contact.speed_km_h
+    summary = ContactSummary(
+        wheel_left=wheelset.left_wheel.name,
+        wheel_right=wheelset.right_wheel.name,
+        rail=wheelset.left_rail.name,
+        inclination=contact.inclination,
+        gauge_mm=round(wheelset.gauge * 1e3, 6),
+        method=method.value,
+        conicity=value,
+        std=spread,
+        limit=ConicityLimitRule().limit_at(ANY_CLASS, contact.speed_km_h),
+        speed_km_h=contact.speed_km_h,
     )
-
-
-def _table(contact: Contact) -> ContactTable:
-    return contact_table(contact.wheelset, _DISPLACEMENT_MM * 1e-3, method=contact.method, outside="hold")
-
-
-def _curve(contact: Contact) -> RadiusDifferenceCurve:
-    return radius_difference_curve(contact.wheelset, _DISPLACEMENT_MM * 1e-3, method=contact.method)
-
-
-def _std(contact: Contact) -> FloatArray:
-    return conicity_std(
-        contact.wheelset, contact.shapes, _DISPLACEMENT_MM * 1e-3, _AMPLITUDE_MM * 1e-3, method=contact.method
-    )
-
-
-def _conicity(curve: RadiusDifferenceCurve) -> FloatArray:
-    return equivalent_conicity(curve.displacement, curve.difference, _AMPLITUDE_MM * 1e-3)
+    return _Computed(table, curve, conicity, std, summary)
 
 
 def _columns(table: ContactTable) -> dict[str, FloatArray]:
@@ -241,19 +242,27 @@ def _columns(table: ContactTable) -> dict[str, FloatArray]:
     return {"lateral_displacement_mm": table.lateral_displacement * 1e3, **marked}
 
 
-def _json(contact: Contact) -> str:
-    curve = _curve(contact)
-    nonlinearity = nonlinearity_parameter(curve.displacement, curve.difference)
-    conicity, std = _conicity(curve), _std(contact)
+def table_text(contact: Contact, *, as_json: bool) -> str:
+    """Return the contact geometry of a wheelset as JSON, or as CSV with the conicity at 3 mm alone."""
+    found = _computed(contact)
+    summary = found.summary.columns()
+    columns = {name: _rounded(values) for name, values in _columns(found.table).items()}
+    if not as_json:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow((*columns, *summary))
+        writer.writerows((*row, *summary.values()) for row in zip(*columns.values(), strict=True))
+        return text.getvalue()
+    curve = found.curve
     document = {
-        **_summary(contact, conicity, std).columns(),
-        **{name: _rounded(values) for name, values in _columns(_table(contact)).items()},
+        **summary,
+        **columns,
         "equivalent_conicity": {
             "amplitude_mm": _rounded(_AMPLITUDE_MM),
-            "value": _rounded(conicity),
-            "std": _rounded(std),
+            "value": _rounded(found.conicity),
+            "std": _rounded(found.std),
         },
-        "nonlinearity_parameter": _rounded(np.array([nonlinearity]))[0],
+        "nonlinearity_parameter": _rounded(np.array([nonlinearity_parameter(curve.displacement, curve.difference)]))[0],
         "contact_jumps_mm": _rounded(curve.jumps * 1e3),
         "profiles": {
             "left_wheel": _described(contact.shapes.left_wheel),
@@ -271,17 +280,6 @@ def _described(shape: SmoothedProfile) -> dict[str, object]:
         "points_left_out": len(shape.outliers),
         "design": None if shape.design is None else shape.design.name,
     }
-
-
-def _csv(contact: Contact) -> str:
-    found = {name: _rounded(values) for name, values in _columns(_table(contact)).items()}
-    summary = _summary(contact, _conicity(_curve(contact)), _std(contact)).columns()
-    columns = {**found, **{name: [value] * len(_DISPLACEMENT_MM) for name, value in summary.items()}}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
-    return text.getvalue()
 
 
 def _rounded(values: FloatArray) -> list[float | None]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -10,31 +10,33 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from estimation.alerts.rules.conicity_limit import ANY_CLASS, ConicityLimitRule
-from estimation.contact.geometry import ContactTable, WheelsetOnTrack
+from estimation.contact.geometry import ContactTable
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.arrays import FloatArray
+
+AMPLITUDE_MM = LIMIT_AMPLITUDE * 1e3
+COLUMNS = {
+    "conicity": "equivalent_conicity_at_3_mm_1",
+    "std": "equivalent_conicity_at_3_mm_std_1",
+    "limit": "limit_1",
+    "speed_km_h": "limit_speed_km_h",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class ContactSummary:
-    """Wheel, rail, gauge, and the equivalent conicity at 3 mm beside the shipped limit.
-
-    Args:
-        limit: Of the equivalent conicity at 3 mm, by the shipped rules, which the operator confirms; None where there
-            is none.
-    """
+    """Wheel, rail, gauge, and the equivalent conicity at 3 mm beside the limit of the shipped rules."""
 
     wheel_left: str
     wheel_right: str
     rail: str
-    inclination: str
+    inclination: str  # of the rails, as it was written
     gauge_mm: float
     method: str
-    conicity: float | None
+    conicity: float | None  # None where the contact gives none
     std: float | None
+    limit: float | None  # None where there is none
     speed_km_h: float
-    limit: float | None
 
     @property
     def title(self) -> str:
@@ -52,43 +54,7 @@ class ContactSummary:
 
     def columns(self) -> dict[str, str | float | None]:
         """Return it as columns that are the same in every row of a table."""
-        return {
-            "wheel_left": self.wheel_left,
-            "wheel_right": self.wheel_right,
-            "rail": self.rail,
-            "inclination": self.inclination,
-            "gauge_mm": self.gauge_mm,
-            "method": self.method,
-            "equivalent_conicity_at_3_mm_1": self.conicity,
-            "equivalent_conicity_at_3_mm_std_1": self.std,
-            "limit_1": self.limit,
-            "limit_speed_km_h": self.speed_km_h,
-        }
-
-
-def contact_summary(
-    wheelset: WheelsetOnTrack,
-    inclination: str,
-    method: str,
-    at_limit_amplitude: tuple[float | None, float | None],
-    speed_km_h: float,
-) -> ContactSummary:
-    """Return what a contact geometry is of."""
-    return ContactSummary(
-        wheel_left=wheelset.left_wheel.name,
-        wheel_right=wheelset.right_wheel.name,
-        rail=wheelset.left_rail.name,
-        inclination=inclination,
-        gauge_mm=round(wheelset.gauge * 1e3, 6),
-        method=method,
-        conicity=at_limit_amplitude[0],
-        std=at_limit_amplitude[1],
-        speed_km_h=speed_km_h,
-        limit=ConicityLimitRule().limit_at(ANY_CLASS, speed_km_h),
-    )
-
-
-AMPLITUDE_MM = LIMIT_AMPLITUDE * 1e3
+        return {COLUMNS.get(item.name, item.name): getattr(self, item.name) for item in fields(self)}
 
 
 INTERVAL = 1.96  # standard deviations
