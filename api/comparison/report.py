@@ -1,9 +1,9 @@
-"""The comparison as a table, as sentences computed from it, and as JSON."""
+"""The comparison as a table, as sentences computed from it, as JSON and as a picture."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +15,7 @@ from rich.table import Table
 from api.comparison.study import PairStudy, Score, TrackInformation
 from estimation.contact.conicity import equivalent_conicity
 from estimation.estimators.catalogue import SHIPPED, estimators
-from estimation.values.arrays import FloatArray
 from estimation.values.fields import JsonValue
-from estimation.values.geometry import WheelsetGeometry
 
 TRACKS = {
     TrackInformation.KNOWN: "known",
@@ -43,19 +41,8 @@ def table(studies: Sequence[PairStudy]) -> Table:
         title_justify="left",
     )  # fmt: skip
     for study in studies:
-        won = nearest(study)
-        for score in study.scores:
-            shown.add_row(
-                score.pair,
-                TRACKS[score.track],
-                score.estimator,
-                _figure(score.median),
-                _figure(score.p95),
-                str(won[score.track, score.estimator]),
-                _share(score.coverage),
-                _share(score.estimated / score.amplitudes if score.amplitudes else math.nan),
-                f"{score.seconds:.1f}",
-            )
+        for score, cells in _rows(study):
+            shown.add_row(score.pair, TRACKS[score.track], score.estimator, *cells)
         shown.add_section()
     return shown
 
@@ -68,17 +55,19 @@ def markdown(studies: Sequence[PairStudy]) -> str:
     )  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * 3 + " ---: |" * (len(head) - 3)]
     named = titles()
-    for study in studies:
-        won = nearest(study)
-        for score in study.scores:
-            estimated = score.estimated / score.amplitudes if score.amplitudes else math.nan
-            cells = (
-                score.pair, TRACKS[score.track], named[score.estimator], _figure(score.median), _figure(score.p95),
-                str(won[score.track, score.estimator]), _share(score.coverage), _share(estimated),
-                f"{score.seconds:.1f}",
-            )  # fmt: skip
-            lines.append("| " + " | ".join(cells) + " |")
+    for score, cells in (row for study in studies for row in _rows(study)):
+        lines.append("| " + " | ".join([score.pair, TRACKS[score.track], named[score.estimator], *cells]) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _rows(study: PairStudy) -> Iterator[tuple[Score, list[str]]]:
+    """Yield the scores with their figures as text."""
+    won = nearest(study)
+    for score in study.scores:
+        given = score.estimated / score.amplitudes if score.amplitudes else math.nan
+        errors = [f"{value:.4f}" if math.isfinite(value) else "-" for value in (score.median, score.p95)]
+        shares = [f"{value:.0%}" if math.isfinite(value) else "-" for value in (score.coverage, given)]
+        yield score, [*errors, str(won[score.track, score.estimator]), *shares, f"{score.seconds:.1f}"]
 
 
 def nearest(study: PairStudy) -> dict[tuple[TrackInformation, str], int]:
@@ -95,16 +84,14 @@ def nearest(study: PairStudy) -> dict[tuple[TrackInformation, str], int]:
 
 def sentences_of(studies: Sequence[PairStudy]) -> list[str]:
     """Return one sentence for each pair and information on the track: the most accurate estimator, by how much."""
-    sentences = []
-    for study in studies:
-        for track in TrackInformation:
-            if track in study.unestimated:
-                sentences.append(
-                    f"{study.pair}, track {TRACKS[track]}: nothing is estimated: {study.unestimated[track]}."
-                )
-                continue
-            sentences.append(_winner(study, track))
-    return sentences
+    nothing = "nothing is estimated"
+    return [
+        f"{study.pair}, track {TRACKS[track]}: {nothing}: {study.unestimated[track]}."
+        if track in study.unestimated
+        else _winner(study, track)
+        for study in studies
+        for track in TrackInformation
+    ]
 
 
 def as_json(studies: Sequence[PairStudy], scenario: str) -> dict[str, JsonValue]:
@@ -121,7 +108,7 @@ def as_json(studies: Sequence[PairStudy], scenario: str) -> dict[str, JsonValue]
             }
             for study in studies
         ],
-        "sentences": list(sentences_of(studies)),
+        "sentences": [*sentences_of(studies)],
     }
 
 
@@ -170,14 +157,6 @@ def _number(value: float) -> float | None:
     return round(value, 6) if math.isfinite(value) else None
 
 
-def _figure(value: float) -> str:
-    return f"{value:.4f}" if math.isfinite(value) else "-"
-
-
-def _share(value: float) -> str:
-    return f"{value:.0%}" if math.isfinite(value) else "-"
-
-
 _STYLES = (  # colour and marker, in the order of the catalogue
     ("#1f5fa8", "o"),
     ("#c2571a", "s"),
@@ -213,9 +192,7 @@ def save_comparison(studies: Sequence[PairStudy], path: Path) -> None:
 
 def _conicity(axes: Axes, study: PairStudy) -> None:
     """Conicity by amplitude of the example, on the alignment of the fleet, or on known track without one."""
-    track = TrackInformation.FLEET
-    if track in study.unestimated:
-        track = TrackInformation.KNOWN
+    track = TrackInformation.KNOWN if TrackInformation.FLEET in study.unestimated else TrackInformation.FLEET
     truth = study.example.truth
     true = equivalent_conicity(truth.displacement, truth.difference, _AMPLITUDES)
     axes.plot(_MM * _AMPLITUDES, true, color="black", linewidth=2.2, label="truth", zorder=5)
@@ -224,7 +201,8 @@ def _conicity(axes: Axes, study: PairStudy) -> None:
         if found is None:
             continue
         colour, marker = _style(order)
-        value, low, high = _arrays(found)
+        rows = [(np.nan,) * 3 if one.value is None else (one.value, one.low, one.high) for one in found.conicity]
+        value, low, high = np.array(rows, dtype=np.float64).T
         if name == SHIPPED:
             axes.fill_between(
                 _MM * found.amplitude, low, high, color=colour, alpha=0.2, linewidth=0,
@@ -243,14 +221,6 @@ def _conicity(axes: Axes, study: PairStudy) -> None:
 def _style(order: int) -> tuple[str, str]:
     """Return colour and marker of the estimator at a place of the catalogue."""
     return _STYLES[order % len(_STYLES)]
-
-
-def _arrays(found: WheelsetGeometry) -> tuple[FloatArray, FloatArray, FloatArray]:
-    rows = [
-        (np.nan, np.nan, np.nan) if item.value is None else (item.value, item.low, item.high) for item in found.conicity
-    ]
-    value, low, high = np.array(rows, dtype=np.float64).T
-    return value, low, high
 
 
 def draw_errors(axes: Axes, study: PairStudy) -> None:
