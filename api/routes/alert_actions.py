@@ -17,7 +17,7 @@ from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Request as Body
 from api.services import writer_slot
-from estimation.alerts.actions import acknowledge, link, shelve, unshelve
+from estimation.alerts.life_cycle import acknowledge, link, shelve, unshelve
 from estimation.values.alerts import Alert, Transition
 
 router = APIRouter(

@@ -65,31 +65,23 @@ def estimate_of_date(
         return EstimateOfDate(None, Reason(ReasonCode.IDENTITY_DOUBTFUL, text))
     containing = int((measurement.mileage_km - begin_km) // interval_km)
     chosen = next((one for one in same if one.interval == containing), None)
-    if chosen is None or not _has_conicity(chosen):
-        chosen = _nearest(measurement, same, interval_km) or chosen
-    if chosen is None:
-        least = min(abs(one.mileage_km - measurement.mileage_km) for one in same)
-        text = f"the nearest estimate of this profile is {least:.0f} km from the measurement"
-        return EstimateOfDate(None, Reason(ReasonCode.NO_ESTIMATE_NEAR, text))
-    return EstimateOfDate(chosen, None if _has_conicity(chosen) else _why_not(chosen))
 
-
-def _nearest(
-    measurement: MeasuredProfiles, records: Sequence[GeometryRecord], within_km: float
-) -> GeometryRecord | None:
     def apart(record: GeometryRecord) -> float:
         return abs(record.mileage_km - measurement.mileage_km)
 
-    near = [one for one in records if _has_conicity(one) and apart(one) <= within_km]
-    return min(near, key=apart, default=None)
+    if chosen is None or not _has_conicity(chosen):
+        near = [one for one in same if _has_conicity(one) and apart(one) <= interval_km]
+        chosen = min(near, key=apart, default=chosen)
+    if chosen is None:
+        text = f"the nearest estimate of this profile is {min(map(apart, same)):.0f} km from the measurement"
+        return EstimateOfDate(None, Reason(ReasonCode.NO_ESTIMATE_NEAR, text))
+    if _has_conicity(chosen):
+        return EstimateOfDate(chosen, None)
+    return EstimateOfDate(chosen, chosen.geometry.reason or chosen.geometry.equivalent_conicity.reason)
 
 
 def _has_conicity(record: GeometryRecord) -> bool:
     return any(one.status is Status.ESTIMATED for one in record.geometry.conicity)
-
-
-def _why_not(record: GeometryRecord) -> Reason | None:
-    return record.geometry.reason or record.geometry.equivalent_conicity.reason
 
 
 def _same_side(record: GeometryRecord, at_ns: int, change: IdentityChange | None) -> bool:
@@ -163,20 +155,15 @@ def compared(
         measured = dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(contact))
     else:
         measured = dict(zip(map(_key, contact.amplitude), contact.conicity, strict=True))
-    estimated = _estimated(estimate)
-    pairs = (ConicityPair(float(a), measured[_key(a)], estimated[_key(a)]) for a in AMPLITUDES)
+    pairs = (ConicityPair(a, measured[_key(a)], _estimated(estimate, a)) for a in AMPLITUDES.tolist())
     return Comparison(measurement, contact, estimate, independent, tuple(pairs))
 
 
-def _estimated(estimate: EstimateOfDate) -> Mapping[int, Estimate]:
-    """Return the estimated conicity at each amplitude; at that of limits it may be extrapolated."""
+def _estimated(estimate: EstimateOfDate, amplitude: float) -> Estimate:
+    """Return the estimated conicity at an amplitude; at that of limits it may be extrapolated."""
     if estimate.record is None:
-        return dict.fromkeys(map(_key, AMPLITUDES), Estimate.unknown(estimate.reason or _NO_ESTIMATE))
-    return {_key(a): _at(estimate.record, float(a)) for a in AMPLITUDES}
-
-
-def _at(record: GeometryRecord, amplitude: float) -> Estimate:
-    geometry = record.geometry
+        return Estimate.unknown(estimate.reason or _NO_ESTIMATE)
+    geometry = estimate.record.geometry
     if abs(amplitude - LIMIT_AMPLITUDE) < SAME_AMPLITUDE:
         return conicity_at_limit_amplitude(geometry)
     near = np.flatnonzero(np.abs(geometry.amplitude - amplitude) < SAME_AMPLITUDE)
