@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimation.trend.change_point import ChangePoint, Series, StepModel, newest_change
-from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE
+from estimation.trend.extrapolation import LIMIT_AMPLITUDE, SAME_AMPLITUDE, by_amplitude
 from estimation.trend.trend import NO_FORECAST
 from estimation.trend.wear_curve import POINTS_FOR_OUTLIERS
 from estimation.values.geometry import IntervalConicities, KnownConicity
@@ -32,7 +32,7 @@ def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
     a profile that was turned moves further than before.
     """
     model = StepModel()
-    covered = sorted(((r, _by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
+    covered = sorted(((r, by_amplitude(r)) for r in records), key=lambda one: (one[0].mileage_km, one[0].from_ns))
     amplitude = _amplitude([known for _, known in covered if known], 2 * model.least_points)
     having = [(r, known) for r, known in covered if amplitude in known]
     if len(having) < 2 * model.least_points:
@@ -93,10 +93,6 @@ def _shown_by(series: Series, found: ChangePoint, model: StepModel) -> int:
         if earlier is not None and earlier.first > found.last:
             return until - 1
     return min(k, found.first + LOOKED_BACK) - 1
-
-
-def _by_amplitude(record: IntervalConicities) -> dict[int, KnownConicity]:
-    return {round(one.amplitude / SAME_AMPLITUDE): one for one in record.known}
 
 
 def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> int:

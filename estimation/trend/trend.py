@@ -120,16 +120,14 @@ def refresh(
         trend = _estimated(columns, limit, params, quantity, note, shared_std)
     if note is not None and note.code is ReasonCode.AMPLITUDE_EXTRAPOLATED and trend.fitted.value is not None:
         trend = replace(trend, fitted=replace(trend.fitted, reason=note))
-    return trend if not_comparable is None else _without_limit(trend, not_comparable)
-
-
-def _without_limit(trend: WearTrend, reason: Reason) -> WearTrend:
+    if not_comparable is None:
+        return trend
     return replace(
         trend,
         distance_to_limit_km=NO_FORECAST,
         date_of_limit_ns=NO_FORECAST,
         probability_over_limit=None,
-        not_comparable=reason,
+        not_comparable=not_comparable,
     )
 
 
@@ -153,8 +151,9 @@ def _lacking(points: _Columns, params: TrendParameters) -> Reason | None:
     return None
 
 
-def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason) -> WearTrend:
-    unknown = Estimate.unknown(reason, len(points.value))
+def _unestimated(points: _Columns, limit: float, quantity: str, reason: Reason | None) -> WearTrend:
+    """Return a trend of which nothing is fitted; without a reason it is to be filled in."""
+    unknown = Estimate.unknown(reason or ONE_DATE, len(points.value))
     fitted, probability = unknown, None
     if len(points.value):
         fitted = with_interval(float(points.value[-1]), float(points.std[-1]))
@@ -190,21 +189,15 @@ def _estimated(
         last = int(points.measured_ns.max())
         date = Forecast(*(None if y is None else last + round(y * YEAR_NS) for y in (years.p10, years.p50, years.p90)))
     level = by_distance.level_now()
-    return WearTrend(
-        quantity=quantity,
-        mileage_km=points.mileage_km,
-        measured_ns=points.measured_ns,
-        value=points.value,
-        std=points.std,
+    return replace(
+        _unestimated(points, limit, quantity, note),
         slope_per_1000_km=by_distance.slope_now().estimate(count).scaled(1000.0),
         slope_per_year=slope_per_year,
         fitted=level.estimate(count),
-        limit=limit,
         distance_to_limit_km=_forecast(by_distance, limit, params.horizon_km),
         date_of_limit_ns=date,
         probability_over_limit=level.above(limit),
         status=Status.ESTIMATED,
-        reason=note,
         converged=by_distance.converged and (by_date is None or by_date.converged),
     )
 
