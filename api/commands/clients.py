@@ -142,7 +142,7 @@ def feed(
 
     import httpx
 
-    from api.feed_client.follower import Follower
+    from api.feed_client import Follower
     from api.terminal.feed import Lines, read_state
     from estimation.errors import ParameterError
 

@@ -28,7 +28,7 @@ from api.topic import publishing
 from estimation.errors import InputError, MigrationError, PassingFaultError, StoppedError, StorageError
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.keeping.scrub import ScrubFault, ScrubPlan, scrub
-from ingest.intake.decoding import DecodedChunks, decode_received
+from ingest.intake.backlog import DecodedChunks, decode_received
 from ingest.intake.drop_folder import DropFolder, DropSettings, held_folder
 from ingest.intake.store import ChunkStorage
 from ingest.live.backoff import Backoff

@@ -17,8 +17,7 @@ from rich.console import Console
 
 from api import factory, logs
 from api.factory import SystemClock, open_store
-from api.measures import counter, gauge
-from api.reference_measures import reference_measures
+from api.measures import counter, gauge, reference_measures
 from api.settings import Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.ingest import Outcome, load_and_say, print_outcomes

@@ -18,8 +18,7 @@ from estimation.values.fields import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.storage import SqlStorage
 from fleet_db.stores.registry_history import RecordKey
-from ingest.registry_entry.contents import Entry, RegistryRefusedError
-from ingest.registry_entry.contradiction import Rule
+from ingest.registry_entry.contents import Entry, RegistryRefusedError, Rule
 from ingest.registry_entry.enter import refuse_contradicted
 from ingest.registry_export import write_export
 from ingest.registry_file import load_registry

@@ -12,8 +12,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from estimation.adhesion.friction import FrictionParameters, section_adhesion
+from estimation.adhesion.friction import section_adhesion
 from estimation.adhesion.left_out import touched
+from estimation.adhesion.parameters import FrictionParameters
 from estimation.alerts.life_cycle import close, section_transition
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
 from estimation.dampers.pooled import DamperParameters, gear_damper

@@ -19,10 +19,10 @@ from prometheus_client.parser import text_string_to_metric_families
 from running_service import Service
 
 from api.factory import open_store
+from api.metrics import webhook_measures
 from api.settings import Settings
 from api.terminal.health_server import registry_of
 from api.terminal.live import live_measures
-from api.webhooks.measures import webhook_measures
 from estimation.values.registry import FleetRecord
 from estimation.values.windows import WindowState
 from fleet_db.migrate import upgrade

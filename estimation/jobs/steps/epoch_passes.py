@@ -12,8 +12,7 @@ from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
-from estimation.motion.checks import gate
-from estimation.motion.usable_samples import straight_part
+from estimation.motion.checks import gate, straight_part
 from estimation.track.gridded_pass import resampled
 from estimation.track.partition import Entry
 from estimation.track.passes import Pass, examine, following, joined
