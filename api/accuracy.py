@@ -60,7 +60,9 @@ def _of_wheelset(
         at_ns = comparison.measurement.at_ns
         sections = () if record is None else tuple(sorted(record.track_versions))
         vehicle = _vehicle_at(mountings, at_ns)
-        of_class = None if vehicle is None else _class_of(unit, vehicle, classes)
+        if vehicle is not None and vehicle not in classes:
+            classes[vehicle] = unit.registry.vehicle(vehicle).vehicle_class
+        of_class = None if vehicle is None else classes[vehicle]
         yield at_ns, PlacedComparison(comparison, of_class, sections)
 
 
@@ -68,12 +70,6 @@ def _vehicle_at(mountings: Sequence[Mounting], at_ns: int) -> str | None:
     """Return the vehicle that a wheelset was mounted on, or had been last: profiles are measured in the depot too."""
     before = [one for one in mountings if one.from_ns <= at_ns]
     return max(before, key=lambda one: one.from_ns).vehicle if before else None
-
-
-def _class_of(unit: SqlUnitOfWork, vehicle: str, known: dict[str, str]) -> str:
-    if vehicle not in known:
-        known[vehicle] = unit.registry.vehicle(vehicle).vehicle_class
-    return known[vehicle]
 
 
 MOST_KEPT = 2048

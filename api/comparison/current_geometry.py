@@ -23,7 +23,7 @@ from estimation.values.geometry import WheelsetGeometry
 from estimation.values.reasons import Reason
 from estimation.values.roll_up import Member
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
-from estimation.values.windows import Motion, WindowPosition, WindowRecord
+from estimation.values.windows import Motion
 
 
 def replayed(
@@ -45,7 +45,9 @@ def replayed(
 
     for member in members:
         record, section = member.window.record, member.window.record.track_section
-        position = _position(unit, record)
+        position = unit.tracks.position(record.wheelset, record.start_ns)
+        if position is not None and position.content_digest != record.content_digest:
+            position = None  # found from other content
         mounting = unit.registry.mounting_at(record.vehicle, record.axle, record.start_ns)
         try:
             window = load_window(unit, record, parameters.vehicle_class)
@@ -64,12 +66,6 @@ def replayed(
         )
         if not isinstance(moved, Reason):
             yield member, moved
-
-
-def _position(unit: UnitOfWork, record: WindowRecord) -> WindowPosition | None:
-    """Return where the window was, unless that was found from other content."""
-    position = unit.tracks.position(record.wheelset, record.start_ns)
-    return position if position is not None and position.content_digest == record.content_digest else None
 
 
 def geometry_by(storage: Storage, context: JobContext, serial: str, estimator: str) -> WheelsetGeometry | None:

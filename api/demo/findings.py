@@ -161,7 +161,7 @@ def tables(found: list[WheelsetLine], console: Console) -> list[Table]:
     """Return one table where the console is wide enough for it, else one each of estimates, outlook and alerts."""
     parts = [
         (TITLE, ESTIMATE, [_estimate_cells(line) for line in found]),
-        ("and what it leads to", OUTLOOK, [_outlook_cells(line) for line in found]),
+        ("and what it leads to", OUTLOOK, [[line.slope_per_100000_km, line.distance] for line in found]),
         ("and what was raised", ALERTS, [[line.alerts] for line in found]),
     ]
     heads = [name for _, head, _ in parts for name in head]
@@ -190,10 +190,6 @@ def _estimate_cells(line: WheelsetLine) -> list[str]:
         f"{line.value:.3f} [{line.low:.3f}, {line.high:.3f}]" if known else "unknown",
         {True: "yes", False: "[red]no[/red]", None: ""}[line.covers],
     ]
-
-
-def _outlook_cells(line: WheelsetLine) -> list[str]:
-    return [line.slope_per_100000_km, line.distance]
 
 
 AMPLITUDE_MM = 3.0  # of the conicity by signatures

@@ -70,7 +70,8 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
         for one in contents:
             _register(storage, one, clock.now_ns())
         context = replace(job_context(settings, storage), clock=clock)
-        receiver = _receiver(settings, storage, clock)
+        length_s = settings.window_length_s
+        receiver = Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=length_s)
         receiver.reassembler.work_off()  # the registry is new, and there is no recording yet
         campaigns = [(end, received) for fleet in fleets for end, received in _by_campaign(fleet)]
         task = progress.add_task("", total=len(campaigns), what="")
@@ -133,10 +134,6 @@ class _Tally:
 SHOWN = ("frames", "samples_lost", "invalid_values", "emergencies")
 
 
-def _receiver(settings: Settings, storage: SqlStorage, clock: ReplayClock) -> Receiver:
-    return Receiver(storage, raw_store(settings), default_catalogue(), clock, window_length_s=settings.window_length_s)
-
-
 def _register(storage: SqlStorage, contents: RegistryContents, known_since_ns: int) -> None:
     """Store what was known from the beginning."""
     with storage.write() as unit:
@@ -171,10 +168,8 @@ def _by_campaign(fleet: Simulated) -> list[tuple[int, list[Recording]]]:
     campaigns: defaultdict[int, list[Recording]] = defaultdict(list)
     for recording in fleet.report.recordings:
         campaigns[recording.campaign].append(recording)
-    return [(_end_of_day(fleet.scenario, campaign), campaigns[campaign]) for campaign in sorted(campaigns)]
-
-
-def _end_of_day(scenario: Scenario, campaign: int) -> int:
-    """Return the time at which a campaign (from 1) of every vehicle has come in."""
-    last = max(scenario.start_ns(vehicle, campaign - 1) for vehicle in scenario.vehicles)
-    return last + round(scenario.sessions.duration * 1e9) + HOUR_NS
+    scenario, found = fleet.scenario, []
+    for campaign in sorted(campaigns):  # from 1
+        last_ns = max(scenario.start_ns(vehicle, campaign - 1) for vehicle in scenario.vehicles)
+        found.append((last_ns + round(scenario.sessions.duration * 1e9) + HOUR_NS, campaigns[campaign]))
+    return found

@@ -100,11 +100,11 @@ def _truth(table: ContactTable, edges: FloatArray) -> tuple[dict[str, FloatArray
     x = table.lateral_displacement
     centre = 0.5 * (edges[:-1] + edges[1:])
     truth = {name: np.interp(centre, x, getattr(table, name)[:, nominal]) for name in COMBINATIONS}
-    step = np.where(table.jump[:-1, nominal] & table.jump[1:, nominal], np.abs(np.diff(_difference(table, nominal))), 0)
+    step = np.where(
+        table.jump[:-1, nominal] & table.jump[1:, nominal],
+        np.abs(np.diff(table.rolling_radius_difference[:, nominal])),
+        0,
+    )
     at = 0.5 * (x[:-1] + x[1:])
     jump = np.array([step[(at >= a) & (at < b)].max(initial=0.0) for a, b in pairwise(edges)])
     return truth, jump
-
-
-def _difference(table: ContactTable, column: int) -> FloatArray:
-    return np.asarray(table.rolling_radius_difference[:, column])

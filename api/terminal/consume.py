@@ -96,11 +96,15 @@ class _Work:
         from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
 
         delays = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S)
-        decoder = receiver(self._settings, self._storage, SystemClock())
+        raw, clock = raw_store(self._settings), SystemClock()
+        decoding = Decoding(self._storage, receiver(self._settings, self._storage, clock), process_name())
+        patient = replace(self._storage, patience_s=RECEIPT_PATIENCE_S)
+        backlog = backlog_watch(self._settings, self._storage, raw)
+        taking = ReferenceTaking(patient, raw, clock, backlog, f"topic {self._topic.name}")
         while True:
             with closing(reader):
                 try:
-                    self._consuming(reader, Decoding(self._storage, decoder, process_name())).run()
+                    Consuming(reader, taking, decoding, self._status, self._stopping.is_set).run()
                 except KafkaException as error:
                     _log.warning("the consumer begins again: %s", error)
                 else:
@@ -108,14 +112,6 @@ class _Work:
             if self._stopping.wait(delays.failed()):
                 return
             reader = TopicReader(self._topic, self._status)
-
-    def _consuming(self, reader: TopicReader, decoding: Decoding) -> Consuming:
-        patient = replace(self._storage, patience_s=RECEIPT_PATIENCE_S)
-        raw = raw_store(self._settings)
-        backlog = backlog_watch(self._settings, self._storage, raw)
-        sender = f"topic {self._topic.name}"
-        taking = ReferenceTaking(patient, raw, SystemClock(), backlog, sender)
-        return Consuming(reader, taking, decoding, self._status, self._stopping.is_set)
 
 
 def _health(status: ConsumerStatus) -> Answer:

@@ -27,7 +27,6 @@ from estimation.errors import StorageError
 from estimation.jobs.scheduler import serve_jobs
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.migrate import upgrade
-from ingest.simulator.scenario import Scenario
 from ingest.simulator.scenario_file import load_scenario
 
 START_S = 30.0
@@ -119,10 +118,16 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
     settings = with_rules(settings, plans[0].name, folder)
     settings = settings.model_copy(update={"docs": "open"})  # on this machine alone, and a browser sends no key there
     logs.configure(settings)
-    fleets = [_simulated(plan, folder / "recordings" / plan.fleet_code, console) for plan in plans]
+    fleets = []
+    for plan in plans:
+        console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
+        report = simulate_with_progress(plan, folder / "recordings" / plan.fleet_code, console)
+        fleets.append(Simulated(plan, report))
     upgrade(settings.url)
     console.print(replay(settings, fleets, console))
-    key = _own_key(settings)
+    key = None  # access is open
+    if settings.access == "keys":
+        _, key = make_stored_key(settings, Wanted("demo", EVERYTHING, None, None))
     # chosen only now: another process may have taken the port during the minutes before
     with serving(settings.model_copy(update={"port": free_port(settings.host, port)})) as url:
         service = ServiceAddress(url, key)
@@ -142,11 +147,6 @@ def run_demo(scenario: str, folder: Path, port: int, *, keep_serving: bool) -> N
             stopping = threading.Event()
             stop_on_signals(stopping)
             stopping.wait()
-
-
-def _simulated(plan: Scenario, out: Path, console: Console) -> Simulated:
-    console.print(f"[bold]{plan.name}[/bold]: {plan.description}", highlight=False)
-    return Simulated(plan, simulate_with_progress(plan, out, console))
 
 
 def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], console: Console) -> list[bool]:
@@ -177,14 +177,6 @@ def _recreate(folder: Path) -> None:
         shutil.rmtree(folder)
     folder.mkdir(parents=True)
     (folder / MARKER).touch()
-
-
-def _own_key(settings: Settings) -> str | None:
-    """Return a key of the demo's own for everything; None where access is open."""
-    if settings.access != "keys":
-        return None
-    _, secret = make_stored_key(settings, Wanted("demo", EVERYTHING, None, None))
-    return secret
 
 
 def _print_urls(service: ServiceAddress, console: Console) -> None:

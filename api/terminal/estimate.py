@@ -30,7 +30,11 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
     """Run every job, or one, print what the runs did, and return whether all succeeded."""
     logs.configure(settings)
     start_tracing()
-    jobs = _chosen(settings, name)
+    scheduled = scheduled_jobs(settings)
+    jobs = [job for job in scheduled if name in {None, job.name}]
+    if not jobs:
+        known = ", ".join(job.name for job in scheduled)
+        raise ParameterError(f"no job {name!r}; there are {known}", field="--job")
     console = Console(stderr=True)
     stopping = threading.Event()
     stop_on_signals(stopping)
@@ -46,15 +50,6 @@ def run_jobs_once(name: str | None, settings: Settings) -> bool:
     for line in without:
         typer.echo(line)
     return all(run.outcome is JobOutcome.SUCCEEDED for run in runs)
-
-
-def _chosen(settings: Settings, name: str | None) -> Sequence[Job]:
-    jobs = scheduled_jobs(settings)
-    chosen = [job for job in jobs if name in {None, job.name}]
-    if not chosen:
-        known = ", ".join(job.name for job in jobs)
-        raise ParameterError(f"no job {name!r}; there are {known}", field="--job")
-    return chosen
 
 
 def run_in_order(

@@ -61,7 +61,12 @@ def ingest_and_report(
         receiver = factory.receiver(
             settings, storage, SystemClock(), catalogues, deleted_taken_by=taken_by, announce=announce
         )
-        outcomes = _unfinished(receiver, console)
+        outcomes: list[Outcome] = []
+        for outcome in receiver.decode_stored():  # what an earlier run stored but did not decode
+            if isinstance(outcome, ChunkReceipt):
+                outcomes.append((Path(outcome.record.digest), outcome))
+            else:
+                print_line(console, f"stored earlier, not decoded: {outcome}")
         _work_off(receiver, console)
         for path in exchanges:
             try:
@@ -72,8 +77,10 @@ def ingest_and_report(
             recordings, unnamed = recordings_of(places, vehicle)
             _say_left_out(places, console)
             outcomes += [*receive_with_progress(receiver, recordings, console), *unnamed]
-        waiting = _waiting(storage, outcomes)
-    print_outcomes(outcomes, console, waiting)
+        vehicles = {outcome.record.vehicle for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)}
+        with storage.read() as unit:
+            reasons = WindowReasons(unit).waiting(vehicles=sorted(vehicles)) if vehicles else ()
+    print_outcomes(outcomes, console, [line_of(one) for one in reasons])
 
 
 def print_outcomes(outcomes: Sequence[Outcome], console: Console, waiting: Sequence[str] = ()) -> None:
@@ -168,15 +175,6 @@ def summary(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def _waiting(storage: SqlStorage, outcomes: Sequence[Outcome]) -> list[str]:
-    """Return what the windows of the vehicles wait for of which something was received."""
-    vehicles = {outcome.record.vehicle for _, outcome in outcomes if isinstance(outcome, ChunkReceipt)}
-    if not vehicles:
-        return []
-    with storage.read() as unit:
-        return [line_of(one) for one in WindowReasons(unit).waiting(vehicles=sorted(vehicles))]
-
-
 def registry_lines(loaded: LoadedRegistry) -> list[str]:
     """Return what people must know of a registry that was loaded: what is estimated again, and what is not at all."""
     lines = []
@@ -201,17 +199,6 @@ def load_and_say(registry: Path, storage: SqlStorage, console: Console) -> None:
         loaded = load_registry(registry, unit, now_ns, Entry(Decision(recorded_ns=now_ns), now_ns))
     for line in registry_lines(loaded):
         print_line(console, line)
-
-
-def _unfinished(receiver: Receiver, console: Console) -> list[Outcome]:
-    """Decode what an earlier run stored but did not decode; what cannot be decoded yet stays stored."""
-    outcomes: list[Outcome] = []
-    for outcome in receiver.decode_stored():
-        if isinstance(outcome, ChunkReceipt):
-            outcomes.append((Path(outcome.record.digest), outcome))
-        else:
-            print_line(console, f"stored earlier, not decoded: {outcome}")
-    return outcomes
 
 
 def _work_off(receiver: Receiver, console: Console) -> None:

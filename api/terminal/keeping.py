@@ -13,7 +13,7 @@ from api.factory import SystemClock, open_store, raw_store, retention_of
 from api.progress import counted
 from api.settings import load_settings
 from fleet_db.keeping.backup import BackupPlan, back_up
-from fleet_db.keeping.deep_check import DeepCheck, check_deep
+from fleet_db.keeping.deep_check import check_deep
 from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
 from fleet_db.keeping.stored_bytes import StoredBytes, StoredKind, stored_bytes
@@ -57,7 +57,9 @@ def check_and_report() -> None:
     raw = raw_store(settings)
     with closing(open_store(settings)) as storage, counted("reading files") as progress:
         found = check_deep(storage, raw, progress)
-    typer.echo(f"read {found.files:,} files and {found.rows:,} packed values: {_verdict(found)}")
+    harmful = sum(not finding.harmless for finding in found.findings)
+    verdict = f"{harmful:,} damaged or lost, {len(found.findings) - harmful:,} files that nothing refers to"
+    typer.echo(f"read {found.files:,} files and {found.rows:,} packed values: {verdict}")
     lines = [f"{finding.kind}: {finding.subject}: {finding.detail}" for finding in found.findings]
     for line in lines[:LISTED]:
         typer.echo(line)
@@ -75,12 +77,6 @@ def purge_and_report() -> None:
     for one in done:
         size = f", {one.item_bytes:,} bytes" if one.item_bytes else ""
         typer.echo(f"{one.kind.value.replace('_', ' ')}: {one.items:,} deleted{size}")
-
-
-def _verdict(found: DeepCheck) -> str:
-    harmful = sum(not finding.harmless for finding in found.findings)
-    orphans = len(found.findings) - harmful
-    return f"{harmful:,} damaged or lost, {orphans:,} files that nothing refers to"
 
 
 def _list(what: str, lines: tuple[str, ...]) -> None:

@@ -216,14 +216,10 @@ def _readiness(statuses: Mapping[str, LiveStatus]) -> Answer:
     """Whether frames reach their receipts and can be used; a silent bus is no fault, a vehicle may be switched off."""
     faults = {vehicle: status.faults for vehicle, status in statuses.items()}
     alive = all(status.alive for status in statuses.values())
-    silent_s = {vehicle: _silent_s(status) for vehicle, status in statuses.items()}
+    since_s = {vehicle: status.silent_since_s for vehicle, status in statuses.items()}
+    silent_s = {v: None if s is None else round(max(0.0, time.time() - s), 1) for v, s in since_s.items()}
     bad = {vehicle: found for vehicle, found in faults.items() if found}
     return json_answer(alive and not bad, {"faults": bad, "silent_for_s": silent_s})
-
-
-def _silent_s(status: LiveStatus) -> float | None:
-    since_s = status.silent_since_s
-    return None if since_s is None else round(max(0.0, time.time() - since_s), 1)
 
 
 def live_measures(statuses: Mapping[str, LiveStatus]) -> Iterator[Metric]:

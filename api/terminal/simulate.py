@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from api.progress import bar
+from api.terminal.store import print_line
 from estimation.errors import ParameterError
 from estimation.jobs.stop_signals import stop_on_signals
 from ingest.bus import open_bus
@@ -24,25 +25,19 @@ def load(scenario: str, seed: int | None) -> Scenario:
     return plan if seed is None else with_seed(plan, seed)
 
 
-def list_scenarios() -> None:
-    """Print the built-in scenarios."""
-    Console().print(scenario_table())
-
-
 def write_registry(scenario: Scenario, out: Path) -> None:
     """Write registry and track of a scenario into the folder ``out``."""
-    Console(stderr=True).print(f"wrote {prepare(scenario, out)}", highlight=False, soft_wrap=True)
+    print_line(Console(stderr=True), f"wrote {prepare(scenario, out)}")
 
 
 def write_recordings(scenario: Scenario, out: Path, vehicles: list[str] | None, workers: int | None) -> None:
     """Simulate a scenario, or some of its ``vehicles``, into a folder; None is all, and as many processes as cores."""
     console = Console(stderr=True)
     report = simulate_with_progress(scenario, out, console, vehicles=vehicles, workers=workers)
-    console.print(
+    print_line(
+        console,
         f"{len(report.recordings)} recordings, {report.frames:,} frames, {report.wheelset_seconds:,.0f} "
         f"wheelset-seconds in {out}; registry {report.registry.name}, truth {report.truth.name}",
-        highlight=False,
-        soft_wrap=True,
     )
 
 
@@ -62,8 +57,8 @@ def simulate_with_progress(
         return run_fleet(scenario, out, vehicles=vehicles, workers=workers, progress=show)
 
 
-def scenario_table() -> Table:
-    """Return the built-in scenarios with their size and description."""
+def list_scenarios() -> None:
+    """Print the built-in scenarios with their size and description."""
     table = Table("scenario", "vehicles", "wheelsets", "campaigns", "minutes each", "description")
     for name in builtin_scenarios():
         plan = load_scenario(name)
@@ -77,7 +72,7 @@ def scenario_table() -> Table:
             else f"{plan.sessions.duration / 60.0:g}",
             plan.description,
         )
-    return table
+    Console().print(table)
 
 
 def transmit_live(

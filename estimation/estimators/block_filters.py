@@ -249,7 +249,6 @@ class ExtendedKalman(BlockFilters):
 
 STEEPEST = 1.6  # of R per y - d that particles begin with: a conicity of 0.8
 OFFSET_STD = 1e-3  # m
-FEWEST = 16
 ROWS = 64  # of numbers drawn, used in turn
 SEED = 2003
 SMALLEST = 1e-9  # of the variance of the slope, relative to the prior's: particles that are all alike
@@ -271,10 +270,6 @@ class ParticleFilter(BlockFilters):
     particles: int = 48
     name: str = "particles"
     title: str = "Rao-Blackwellised particle filter"
-
-    def __post_init__(self) -> None:
-        if self.particles < FEWEST:
-            raise ParameterError(f"{self.particles} particles; at least {FEWEST} are needed", field="particles")
 
     def basis(self, x: FloatArray) -> FloatArray:
         """Return the constant and the line."""

@@ -44,10 +44,6 @@ class CubicFit(SeriesFit):
     name: str = "cubic"
     title: str = "piecewise cubic least squares"
 
-    def __post_init__(self) -> None:
-        if not 0 < self.piece <= REACH:
-            raise ParameterError(f"{self.piece!r} m is outside 0 to {REACH} m", field="piece")
-
     def basis(self, x: FloatArray) -> FloatArray:
         """Return the B-splines of the pieces."""
         pieces = int(np.ceil(2 * REACH / self.piece))

@@ -42,7 +42,7 @@ from estimation.estimators.series import GROUPS
 from estimation.geometry.conicity import too_few_blocks
 from estimation.geometry.sharpening import jumps_displaced
 from estimation.tables.bin_table import group_of
-from estimation.values.arrays import BoolArray, FloatArray, FrozenArrays, IntArray, frozen_array
+from estimation.values.arrays import FloatArray, FrozenArrays, IntArray, frozen_array
 from estimation.values.reasons import Reason
 from estimation.values.windows import Motion
 from estimation.vehicle.regressors import YAW_TARGETS, regression
@@ -207,10 +207,6 @@ class HiddenDisplacement:
     name: str = "hidden"
     title: str = "hidden slow displacement"
 
-    def __post_init__(self) -> None:
-        if self.rounds < 1:
-            raise ParameterError(f"{self.rounds} rounds give no curve", field="rounds")
-
     def init(self, parameters: EstimatorParameters) -> HiddenState:
         """Return the state without samples."""
         return HiddenState(parameters, (), np.zeros((CELLS, len(YAW_TARGETS) - 1)), np.zeros(CELLS), 0)
@@ -223,11 +219,13 @@ class HiddenDisplacement:
         equations = regression(motion, state.parameters.vehicle)
         R = equations.yaw_targets[keep] / equations.yaw[keep, -1:]
         x = motion.displacement[keep]
-        first = np.flatnonzero(_begins(motion, keep))
+        at, block = np.flatnonzero(keep), motion.block[keep]
+        # a run begins behind a gap, and with every block
+        first = np.flatnonzero(np.append(True, (np.diff(at) > 1) | (np.diff(block) != 0)))
         cell = np.floor((x + REACH) / (2 * REACH / CELLS)).astype(np.int64)
         derivatives = np.column_stack([np.bincount(cell, column, CELLS) for column in R[:, 1:].T])
         piece = HiddenPiece(
-            x, R[:, 0], np.append(first, len(x)), group_of(motion.block[keep][first], GROUPS),
+            x, R[:, 0], np.append(first, len(x)), group_of(block[first], GROUPS),
             _chunk(motion, state.parameters), weight,
         )  # fmt: skip
         return HiddenState(
@@ -256,7 +254,8 @@ class HiddenDisplacement:
         curve = total / number
         sharp = stepped(middles, curve)
         x, R = sharp.displacement, sharp.difference
-        changes = [_without(total - sums[g], number - counts[g], curve) - curve for g in present]
+        rest = number - counts[present]  # of all data where nothing else is left
+        changes = np.where(rest > 0, (total - sums[present]) / np.where(rest > 0, rest, 1.0), curve) - curve
         left_out = R + np.array([np.interp(x, middles, change) for change in changes])
         shifted = R + _systematic(x, R, state)
         return curve_estimate(Replicates(x, R, left_out, shifted, samples, state.stretches), state.parameters)
@@ -268,12 +267,6 @@ class HiddenDisplacement:
             for _ in range(self.rounds):
                 sums, counts = _expectation(state, _filled(sums.sum(axis=0), counts.sum(axis=0)))
         return sums, counts
-
-
-def _begins(motion: Motion, keep: BoolArray) -> BoolArray:
-    """Return at which of the samples that are kept a run begins: behind a gap, and with every block."""
-    at, block = np.flatnonzero(keep), motion.block[keep]
-    return np.append(True, (np.diff(at) > 1) | (np.diff(block) != 0))
 
 
 def _chunk(motion: Motion, parameters: EstimatorParameters) -> int:
@@ -322,11 +315,6 @@ def _run(counts: FloatArray, span: tuple[float, float]) -> slice:
     right = middle + int(np.argmin(np.append(enough[middle:], False)))
     left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
     return slice(left, right)
-
-
-def _without(sums: FloatArray, counts: FloatArray, curve: FloatArray) -> FloatArray:
-    """Return the curve without a group; that of all data where nothing else is left."""
-    return np.where(counts > 0, sums / np.where(counts > 0, counts, 1.0), curve)
 
 
 def _systematic(x: FloatArray, curve: FloatArray, state: HiddenState) -> FloatArray:

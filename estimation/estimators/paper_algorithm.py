@@ -17,7 +17,6 @@ import numpy as np
 
 from estimation.compiled import compiled
 from estimation.contact.conicity import zero_crossing
-from estimation.errors import ParameterError
 from estimation.estimators.interface import (
     CELLS,
     FEWEST_GROUPS,
@@ -124,14 +123,6 @@ class PaperAlgorithm:
     forgetting: float = 1.0
     name: str = "paper"
     title: str = "the paper's algorithm"
-
-    def __post_init__(self) -> None:
-        if not 0 < self.width < REACH:
-            raise ParameterError(f"{self.width!r} m is outside 0 to {REACH} m", field="width")
-        if self.threshold <= REGRESSORS:
-            raise ParameterError(f"{self.threshold} samples start no recursion", field="threshold")
-        if not 0 < self.forgetting <= 1:
-            raise ParameterError(f"{self.forgetting!r} is outside 0 to 1", field="forgetting")
 
     def init(self, parameters: EstimatorParameters) -> PaperState:
         """Return the state before any sample."""

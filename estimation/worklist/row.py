@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
@@ -30,7 +29,7 @@ from estimation.values.alerts import (
 )
 from estimation.values.geometry import GEOMETRY, GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason, ReasonCode, code_of
+from estimation.values.reasons import Reason, ReasonCode, code_of, utc_text
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.results import Facet
 from estimation.values.trend import TREND, TrendRecord
@@ -174,7 +173,7 @@ def _km(distance_km: float) -> str:
 def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[Urgency, Reason]:
     hides = HIDING.get(alert.kind)
     if alert.kind == NoDataRule.kind and hides is not None:
-        since = "ever" if last_ns is None else f"since {_day(last_ns)}"
+        since = "ever" if last_ns is None else f"since {utc_text(last_ns)[:10]}"
         text = f"no usable data {since}" if refused else f"no data {since}"
         return Urgency.UNKNOWN, Reason(hides.code, text)
     if hides is not None:
@@ -186,10 +185,6 @@ def _of_alert(alert: OpenAlert, last_ns: int | None, *, refused: bool) -> tuple[
     if alert.condition is Condition.UNKNOWN:
         text += ", not assessable any more"
     return urgency, Reason(ReasonCode.ALERT_OPEN, text)
-
-
-def _day(t_ns: int) -> str:
-    return f"{datetime.fromtimestamp(t_ns // 1_000_000_000, UTC):%Y-%m-%d}"
 
 
 NO_GEOMETRY = Reason(ReasonCode.NO_GEOMETRY, "there is no geometry yet")

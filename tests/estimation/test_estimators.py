@@ -126,19 +126,6 @@ def test_the_paper_in_stretches_is_the_paper_at_once() -> None:
     np.testing.assert_allclose(found.difference, plain.rolling_radius_difference[at], rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"width": 0.0}, {"width": 1.0}, {"threshold": 3}, {"forgetting": 0.0}, {"forgetting": 1.1}]
-)
-def test_impossible_paper_parameters_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ParameterError, match=next(iter(wrong))):
-        PaperAlgorithm(**wrong)
-
-
-def test_impossible_pieces_are_refused() -> None:
-    with pytest.raises(ParameterError, match="piece"):
-        CubicFit(piece=0.0)
-
-
 def test_splines_are_those_of_scipy() -> None:
     x = np.linspace(-3.0, 2.999, 500)
     knots = np.arange(-3 - 3, 3 + 3 + 1, dtype=float)

@@ -144,12 +144,6 @@ def test_without_the_interval_between_samples_a_filter_refuses(estimator: Estima
         estimator.update(estimator.init(CERTAIN), motion)
 
 
-def test_too_few_particles_are_refused() -> None:
-    with pytest.raises(ParameterError, match="particles"):
-        ParticleFilter(particles=15)
-    ParticleFilter(particles=16)
-
-
 @FILTERS
 def test_the_weight_of_a_block_is_that_of_its_copies(estimator: Estimator[object]) -> None:
     motion = ideal(run(120))

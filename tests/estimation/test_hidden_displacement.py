@@ -150,11 +150,6 @@ def test_a_window_costs_its_own_samples_alone() -> None:
     assert state.samples == sum(len(motion) for motion in motions)
 
 
-def test_no_round_is_refused() -> None:
-    with pytest.raises(ParameterError, match="rounds"):
-        HiddenDisplacement(rounds=0)
-
-
 def test_the_grid_reaches_three_times_as_far_as_the_slow_part() -> None:
     assert GRID[-1] == pytest.approx(3 * PRIOR_STD)
     assert np.diff(GRID) == pytest.approx(0.02e-3)

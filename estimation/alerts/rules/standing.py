@@ -177,7 +177,7 @@ class WindowsRule(AlertRule):
         now = self.find_in(ordered[-latest:], facts)
         if not any(self.is_suspect(window, facts) for window in ordered):
             return replace(now, stands=False)
-        mileages = [_mileage(one) for one in ordered]
+        mileages = [None if one.implausible is not None else one.mileage_km for one in ordered]
         first = len(ordered) - within_reach(mileages, LOOK_BACK * latest, reach_km(self.delays))
 
         def after(end: int) -> Finding:
@@ -229,10 +229,6 @@ class WindowShareRule(WindowsRule):
             clear_limit=self.clear_share,
             measured_ns=measured_until(windows, facts),
         )
-
-
-def _mileage(window: WindowRecord) -> float | None:
-    return window.mileage_km if window.implausible is None else None
 
 
 @dataclass(frozen=True, slots=True)
