@@ -20,15 +20,10 @@ from fleet_db.storage import SqlUnitOfWork
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """What was compared, and what could not be read.
-
-    Attributes:
-        rows: Measurements beside their estimates.
-        unreadable: By wheelset: why none of its measurements is among the rows.
-    """
+    """What was compared, and what could not be read."""
 
     rows: list[PlacedComparison]
-    unreadable: dict[str, Reason]
+    unreadable: dict[str, Reason]  # by wheelset: why none of its measurements is among the rows
 
 
 def placed_comparisons(unit: SqlUnitOfWork, reader: ComparisonReader, keys: Sequence[tuple[str, int]]) -> Placed:
@@ -72,8 +67,7 @@ def _vehicle_at(mountings: Sequence[Mounting], at_ns: int) -> str | None:
     return max(before, key=lambda one: one.from_ns).vehicle if before else None
 
 
-MOST_KEPT = 2048
-"""Each takes some 8 kB."""
+MOST_KEPT = 2048  # each takes some 8 kB
 
 
 @dataclass(frozen=True, slots=True)

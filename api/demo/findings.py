@@ -196,12 +196,7 @@ AMPLITUDE_MM = 3.0  # of the conicity by signatures
 NAMED = 3  # wheelsets of the library
 
 
-@dataclass(frozen=True, slots=True)
-class SecondOpinion:
-    """A sentence, and whether what it states is true; None where it states no interval."""
-
-    text: str
-    covers: bool | None
+SecondOpinion = tuple[str, bool | None]  # a sentence, and whether what it states is true; None: no interval
 
 
 def second_opinions(
@@ -214,7 +209,7 @@ def second_opinions(
             yield found
     for alert in get(service, "/v1/alerts?kind=low_adhesion&open=true&limit=1000")["items"]:
         if alert["track_section"] == scenario.section.code:
-            yield SecondOpinion(f"{_low(service, scenario.section.code)}; true {_true_friction(scenario)}", None)
+            yield (f"{_low(service, scenario.section.code)}; true {_true_friction(scenario)}", None)
 
 
 def _by_signature(
@@ -228,15 +223,15 @@ def _by_signature(
     reason = geometry["equivalent_conicity_1"]["reason"].rstrip(".")
     head = f"{serial}: no geometry ({reason})"
     if signature is None:
-        return SecondOpinion(f"{head}, and no signature yet", None)
+        return (f"{head}, and no signature yet", None)
     conicity = signature["equivalent_conicity_at_3_mm_1"]
     if conicity["value"] is None:
-        return SecondOpinion(f"{head}; its signature leaves it open: {conicity['reason']}", None)
+        return (f"{head}; its signature leaves it open: {conicity['reason']}", None)
     low, high = conicity["interval_95"]
     newest = true[serial][-1]
     truth = float(np.interp(AMPLITUDE_MM, newest["amplitude_mm"], newest["equivalent_conicity"]))
     named = ", ".join([*dict.fromkeys(entry["wheelset"] for entry in signature["used_entries"])][:NAMED])
-    return SecondOpinion(
+    return (
         f"{head}; its signature says {conicity['value']:.3f} [{low:.3f}, {high:.3f}], true {truth:.3f}, from"
         f" {signature['library_wheelsets']} wheelsets of known conicity, above all {named}",
         low <= truth <= high,

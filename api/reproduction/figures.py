@@ -155,22 +155,17 @@ def numbers(contact: ContactTable, cases: Mapping[str, Case], seed: int) -> dict
 
 
 def page(title: str, case: Case) -> str:
-    """Return a Markdown page of a figure, bin by bin."""
-    return f"# {title}\n\nWritten by `treadwatch reproduce`.\n\n{table(case)}"
-
-
-def table(case: Case) -> str:
-    """Return a Markdown table, estimate against truth per bin with enough samples."""
+    """Return a Markdown page of a figure: estimate against truth per bin with enough samples."""
     head = ["y-d (mm)", "samples"]
     for name in COMBINATIONS:
         head += [f"{SYMBOLS[name]} true", "bins", "paper"]
     lines = ["| " + " | ".join(head) + " |", "|" + " ---: |" * len(head)]
-    centre = _centre(case)
+    centre = case.estimate.bin_centres
     lines += [
         "| " + " | ".join([f"{1e3 * centre[b]:.2f}", f"{case.estimate.samples[b]:.0f}", *_cells(case, b)]) + " |"
         for b in np.flatnonzero(case.estimate.samples > LEAST_SAMPLES).tolist()
     ]
-    return "\n".join(lines) + "\n"
+    return "\n".join([f"# {title}", "", "Written by `treadwatch reproduce`.", "", *lines, ""])
 
 
 def _cells(case: Case, b: int) -> list[str]:
@@ -191,7 +186,7 @@ def _estimates(case: Case) -> dict[str, JsonValue]:
     printed = _printed_at(case)
     result: dict[str, JsonValue] = {
         "gauge_std_mm": 1e3 * case.gauge_std,
-        "lateral_displacement_mm": _list(1e3 * _centre(case)),
+        "lateral_displacement_mm": _list(1e3 * case.estimate.bin_centres),
         "samples": _list(case.estimate.samples),
         "contact_jump_inside_mm": _list(1e3 * case.jump),
     }
@@ -216,7 +211,7 @@ def _cloud(case: Case) -> dict[str, JsonValue]:
     met = [total[index == b] for b in range(len(edges) - 1)]
     quantiles = np.array([np.quantile(m, (0.05, 0.5, 0.95)) if len(m) else (np.nan,) * 3 for m in met])
     return {
-        "lateral_displacement_mm": _list(1e3 * _centre(case)),
+        "lateral_displacement_mm": _list(1e3 * case.estimate.bin_centres),
         **{
             f"rolling_radius_sum_{name}_mm": _list(1e3 * column)
             for name, column in zip(("p05", "p50", "p95"), quantiles.T, strict=True)
@@ -224,14 +219,10 @@ def _cloud(case: Case) -> dict[str, JsonValue]:
     }
 
 
-def _centre(case: Case) -> FloatArray:
-    return case.estimate.bin_centres
-
-
 def _printed_at(case: Case) -> dict[str, FloatArray]:
     """Return the paper's estimates at the bins of ours (the same width, both centred on zero)."""
     width = case.estimate.bin_edges[1] - case.estimate.bin_edges[0]
-    place = np.rint((_centre(case) - case.printed.centre[0]) / width).astype(np.int64)
+    place = np.rint((case.estimate.bin_centres - case.printed.centre[0]) / width).astype(np.int64)
     inside = (place >= 0) & (place < len(case.printed.centre))
     at = np.where(inside, place, 0)
     return {name: np.where(inside, getattr(case.printed, name)[at], np.nan) for name in COMBINATIONS}

@@ -69,11 +69,7 @@ def save_contact_figure(
     summary: ContactSummary,
     out: Path,
 ) -> None:
-    """Write radii, contact angles, contact positions and equivalent conicity of the table's first gauge as PNG.
-
-    Args:
-        amplitude, conicity, std: (k,) m, tan(gamma_e) and its standard deviation, which is drawn where it is not 0.
-    """
+    """Write radii, contact angles and positions, and conicity (k,) with its std, of the table's first gauge as PNG."""
     figure = Figure(figsize=(10.0, 7.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)

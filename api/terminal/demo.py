@@ -95,8 +95,7 @@ def with_rules(settings: Settings, name: str, folder: Path) -> Settings:
     return settings.model_copy(update={"rules_file": file})
 
 
-BESIDE = {"demo": ("demo_autumn",)}
-"""Scenarios that are shown beside a built-in one."""
+BESIDE = {"demo": ("demo_autumn",)}  # scenarios that are shown beside a built-in one
 MARKER = "made-by-treadwatch-demo"
 
 
@@ -159,9 +158,9 @@ def _print_findings(service: ServiceAddress, fleets: Sequence[Simulated], consol
             for table in tables(found, console):
                 console.print(table)
         covered += [line.covers for line in found if line.covers is not None]
-        for opinion in second_opinions(service, fleet.scenario, true_campaigns(truth)):
-            console.print(opinion.text, highlight=False)
-            covered += [] if opinion.covers is None else [opinion.covers]
+        for text, covers in second_opinions(service, fleet.scenario, true_campaigns(truth)):
+            console.print(text, highlight=False)
+            covered += [] if covers is None else [covers]
     for sentence in track_lines(service):
         console.print(sentence, highlight=False)
     return covered

@@ -20,8 +20,7 @@ from api.measures import Measured
 from estimation.errors import ParameterError
 
 REQUEST_TIMEOUT_S = 5.0
-CONNECTIONS = 16
-"""At a time; more are closed at once, so that nobody can use up the descriptors of the process."""
+CONNECTIONS = 16  # at a time; more are closed at once, so that nobody can use up the descriptors of the process
 
 Answer = tuple[HTTPStatus, str, bytes]
 

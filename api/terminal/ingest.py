@@ -32,8 +32,7 @@ from ingest.registry_entry.contents import Entry, LoadedRegistry
 from ingest.registry_file import load_registry
 from ingest.span_commit import SpanChanges
 
-SEPARATOR = "__"
-"""Between the vehicle and the time in the name of a recording."""
+SEPARATOR = "__"  # between the vehicle and the time in the name of a recording
 
 NOT_COUNTS = ("recorder_first_ns", "recorder_last_ns", "own_time")
 

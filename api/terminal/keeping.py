@@ -18,8 +18,7 @@ from fleet_db.keeping.purge import purge
 from fleet_db.keeping.restore import Installation, restore
 from fleet_db.keeping.stored_bytes import StoredBytes, StoredKind, stored_bytes
 
-LISTED = 50
-"""Findings that are printed; the rest is counted."""
+LISTED = 50  # findings that are printed; the rest is counted
 
 
 def back_up_and_report(folder: Path, *, windows: bool, recordings: bool | None) -> None:

@@ -34,8 +34,7 @@ from ingest.live.storing import Stores
 from ingest.receipts import to_nobody
 from ingest.receiver import ChunkReceipt, Receiver
 
-REMEMBERED = 1000
-"""Recordings that the summary at the end covers."""
+REMEMBERED = 1000  # recordings that the summary at the end covers
 
 MEGABYTE = 1_000_000
 

@@ -23,12 +23,10 @@ from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.window_counts import COUNTED
 from fleet_db.stores.worklist import WorklistFilter
 
-READ = 200_000
-"""Windows that are looked at for all wheelsets together."""
+READ = 200_000  # windows that are looked at for all wheelsets together
 
 FEWEST = 20
-NAMED = 8
-"""Reasons of all wheelsets together that are printed."""
+NAMED = 8  # reasons of all wheelsets together that are printed
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,17 +39,11 @@ class Unestimated:
 
 @dataclass(frozen=True, slots=True)
 class FleetReasons:
-    """Why wheelsets have no estimate.
+    """Why wheelsets have no estimate."""
 
-    Attributes:
-        mounted: Wheelsets that run under a vehicle.
-        most: Newest windows of each that were looked at, at most.
-        wheelsets: Those of them without an estimate, by serial.
-    """
-
-    mounted: int
-    most: int
-    wheelsets: tuple[Unestimated, ...]
+    mounted: int  # wheelsets that run under a vehicle
+    most: int  # newest windows of each that were looked at, at most
+    wheelsets: tuple[Unestimated, ...]  # by serial
 
 
 def fleet_reasons(unit: SqlUnitOfWork) -> FleetReasons:

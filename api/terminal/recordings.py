@@ -21,8 +21,7 @@ from fleet_db.stores.decoded_again import STAGE
 from ingest.corrections import Author, RecordingCorrections, receipt_of
 from ingest.receiver import ChunkReceipt, Receiver
 
-DIGITS = 12
-"""Of a digest, in lists: enough to name it."""
+DIGITS = 12  # of a digest, in lists: enough to name it
 
 MOST_LISTED = 10_000
 

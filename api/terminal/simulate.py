@@ -78,12 +78,7 @@ def list_scenarios() -> None:
 def transmit_live(
     scenario: Scenario, interface: str, channel: str | None, vehicles: list[str] | None, speed_up: float
 ) -> None:
-    """Transmit one vehicle of a scenario on a live bus until its last campaign ends or a signal comes.
-
-    Args:
-        vehicles: The one vehicle; may be left out where the scenario has only one.
-        speed_up: Simulated seconds per second.
-    """
+    """Transmit one vehicle of a scenario on a live bus until its last campaign ends or a signal comes."""
     console = Console(stderr=True)
     if channel is None:
         raise ParameterError("a live bus needs --channel", field="--channel")

@@ -32,16 +32,12 @@ from fleet_db.atomic_files import passing_faults
 from fleet_db.storage import SqlStorage
 from ingest.live.backoff import Backoff
 
-CONNECT_S = 10.0
-"""How long the scheduler may take to answer, s."""
-LOOK_S = 1.0
-"""How often it is asked which workers there are, s."""
-WITHOUT_WORKERS_S = 30.0
-"""So long units wait for workers, s; they may be starting again."""
+CONNECT_S = 10.0  # how long the scheduler may take to answer, s
+LOOK_S = 1.0  # how often it is asked which workers there are, s
+WITHOUT_WORKERS_S = 30.0  # so long units wait for workers, s; they may be starting again
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
 """Between attempts to reach a scheduler that is away; each is twice the one before."""
-STOP_LOOK_S = 0.2
-"""How often a stop is looked for, s."""
+STOP_LOOK_S = 0.2  # how often a stop is looked for, s
 Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
@@ -63,11 +59,7 @@ class DaskExecutor(WorkExecutor):
 
     @property
     def width(self) -> int:
-        """Number of threads of the workers that are fit.
-
-        Raises:
-            WorkFailedError: The scheduler does not answer, or has no such workers.
-        """
+        """Number of threads of the workers that are fit; raises where the scheduler has none or does not answer."""
         self.look()
         return max(1, self.threads())
 
@@ -96,11 +88,7 @@ class DaskExecutor(WorkExecutor):
             raise WorkFailedError(f"the Dask scheduler at {self._address} has no workers of this deployment{others}")
 
     def submit(self, work: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:  # noqa: ANN401 - of any work
-        """Return what will hold the result of ``work(context, *arguments)``; cancelled where all are gone.
-
-        Raises:
-            WorkFailedError: The scheduler does not answer, or has no workers.
-        """
+        """Return what will hold the result of ``work(context, *arguments)``; cancelled where all are gone."""
         self.look()
         fit = self._fit()
         # another call each time, and no attempt of Dask's own after an exception; workers that are gone it replaces

@@ -33,8 +33,7 @@ from estimation.jobs.catalogue import stage_named
 from estimation.jobs.claimed_work import claimed_work
 from estimation.jobs.job import JobContext, WorkExecutor, WorkUnit
 
-REST_S = 1.0
-"""A worker that cannot reach the database rests so long, so that the others get the units."""
+REST_S = 1.0  # a worker that cannot reach the database rests so long, so that the others get the units
 Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
@@ -47,11 +46,7 @@ def context_of(settings: Settings) -> JobContext:
 
 
 def in_worker(settings: Settings, work: Callable[..., Result], *arguments: Any) -> Result:  # noqa: ANN401 - of any work
-    """Return ``work(context, *arguments)`` with the context of this process.
-
-    Raises:
-        WorkFailedError: Whatever was raised, as its message: what fails is a fact of the unit, never the worker's end.
-    """
+    """Return ``work(context, *arguments)``; what is raised fails the unit, as its message, never the worker."""
     try:
         return work(context_of(settings), *arguments)
     except StorageError as error:
@@ -86,12 +81,9 @@ def _end_with_parent() -> None:
 
 RECYCLED_AFTER = 500
 """Units after which a worker is replaced, whatever its memory: fragments of memory are never given back otherwise."""
-LARGEST = 2.0
-"""A worker that has so many times the memory that it may have after a unit is ended during it."""
-START_S = 120.0
-"""A worker takes at most so long to start: it loads the numerics."""
-LOOK_S = 1.0
-"""How often a worker that is at work is looked at, s."""
+LARGEST = 2.0  # a worker that has so many times the memory that it may have after a unit is ended during it
+START_S = 120.0  # a worker takes at most so long to start: it loads the numerics
+LOOK_S = 1.0  # how often a worker that is at work is looked at, s
 
 
 class ProcessPool(WorkExecutor):
@@ -147,25 +139,16 @@ class ProcessPool(WorkExecutor):
 
 @dataclass(slots=True)
 class _Worker:
-    """One process after the other, each behind a pool that has no other.
-
-    Attributes:
-        until_s: When the pool is closed, on the monotonic clock.
-        units: How many the process has done.
-    """
+    """One process after the other, each behind a pool that has no other."""
 
     settings: Settings
-    until_s: float = float("inf")
+    until_s: float = float("inf")  # when the pool is closed, on the monotonic clock
     pool: ProcessPoolExecutor | None = None
     pid: int = 0
-    units: int = 0
+    units: int = 0  # that the process has done
 
     def done(self, work: Callable[..., Result], arguments: tuple[Any, ...]) -> Result:
-        """Return what comes of a unit.
-
-        Raises:
-            BrokenExecutor: The process has ended, or is to be killed; says why.
-        """
+        """Return what comes of a unit; a process that has ended, or is to be killed, is a broken executor."""
         pool = self.pool or self._started()
         future = pool.submit(in_worker, self.settings, work, *arguments)
         begun_s = time.monotonic()

@@ -50,9 +50,6 @@ def estimate_of_date(
     It is that of the mileage interval which contains the measurement, since the last reprofiling before it and with no
     data of after the next. Where that interval has no conicity it is the nearest one that has, if its mileage is
     within an interval of the measurement: in that distance a profile hardly wears.
-
-    Args:
-        change: Its last identity change: estimates of the other side are of another wheelset.
     """
     baseline, begin_km = baseline_at(wheelset, measurement.at_ns)
     own = [one for one in intervals if one.baseline == baseline and one.interval is not None and one.geometry.windows]
@@ -328,9 +325,6 @@ def curve_origin(
     The estimated curve has its origin at the mean of both: it may be anywhere along the known curve, with its own R
     zero on average. The place where it fits best is taken; a wheelset of unlike wheels runs nearer to the track centre
     than its zero crossing is.
-
-    Args:
-        displacement, difference: (n,) m, the known curve.
     """
     centre, R = found.bin_centres, found.rolling_radius_difference
     known = np.isfinite(R.value)

@@ -68,11 +68,7 @@ class WheelContact(FrozenArrays):
 
 
 def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact | Reason:
-    """Return the contact geometry of two wheels on rails, or why there is none.
-
-    Args:
-        rails: Rails with the share of the running on each; shares need not add up to one.
-    """
+    """Return the contact geometry of two wheels on rails, or why there is none."""
     if not rails:
         return Reason(ReasonCode.SECTION_UNKNOWN, "no section is on file on whose rails the wheels could be looked at")
     try:
@@ -106,9 +102,6 @@ def conicity_of(x: FloatArray, curve: FloatArray, amplitude: FloatArray, std: fl
     by the largest change per standard deviation within a 95 % interval, for a contact jump may be passed far out only.
 
     Args:
-        x: (n,) lateral displacement, m, increasing.
-        curve: (n,) rL - rR, m.
-        amplitude: (k,) m.
         std: Of the displacement at a rolling radius difference, m.
     """
     here = equivalent_conicity(x, curve, amplitude)

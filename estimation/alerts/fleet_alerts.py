@@ -37,12 +37,7 @@ class FleetAlertEvidence(Evidence):
 
 
 def in_flood(opened_ns: Sequence[int], rule: AlarmFloodRule) -> list[bool]:
-    """Return of each alert whether it is one of too many.
-
-    Returns:
-        list of bool: In the order given: true where some span of ``within_hours`` (both ends included) holds the alert
-            and more than ``more_than`` altogether.
-    """
+    """Return of each alert whether some span of ``within_hours`` (both ends included) holds it and too many others."""
     order = sorted(range(len(opened_ns)), key=lambda i: opened_ns[i])
     within_ns = round(rule.within_hours * HOUR_NS)
     flooding = [False] * len(opened_ns)

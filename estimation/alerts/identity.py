@@ -162,13 +162,9 @@ class IdentityEvent:
 
 @dataclass(frozen=True, slots=True)
 class IdentityJump:
-    """A wheelset whose geometry jumps, so that it must be compared with those of the others.
+    """A wheelset whose geometry jumps, so that it must be compared with those of the others."""
 
-    Attributes:
-        shown: Digest of the geometries in which it jumps.
-    """
-
-    shown: str
+    shown: str  # digest of the geometries in which it jumps
 
 
 JUMP = ResultKind("identity_jump", SubjectKind.WHEELSET, IdentityJump, history=History.NEWEST)

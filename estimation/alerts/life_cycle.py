@@ -59,7 +59,6 @@ def transition(
     """Return what a finding does to the open alert of its wheelset and kind.
 
     Args:
-        now_ns: Our time; only acknowledgements that have run out depend on it.
         delays: Delays of the rule, for a new alert; an open alert keeps those that it was raised with.
 
     Returns:

@@ -51,11 +51,7 @@ class CubicFit(SeriesFit):
 
 
 def b_splines(x: FloatArray, first: float, piece: float, pieces: int) -> FloatArray:
-    """Return the uniform cubic B-splines (n, pieces + 3) at ``x``.
-
-    Args:
-        x: (n,) m, where to evaluate them; beyond the pieces the outermost are continued.
-    """
+    """Return the uniform cubic B-splines (n, pieces + 3) at ``x`` (n,); beyond the pieces the outermost continue."""
     position = (x - first) / piece
     cell = np.clip(np.floor(position), 0, pieces - 1).astype(np.int64)
     u = position - cell

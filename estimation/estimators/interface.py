@@ -105,11 +105,7 @@ def usable(motion: Motion) -> BoolArray:
 
 
 def counted(displacement: FloatArray, values: FloatArray | None = None) -> FloatArray:
-    """Return the number of samples, or the sum of values, (CELLS,) in each cell of ``WIDTH`` over +-``REACH``.
-
-    Args:
-        values: (n,) of any unit; None to count.
-    """
+    """Return the number of samples, or the sum of values (n,), (CELLS,) in each cell of ``WIDTH`` over +-``REACH``."""
     cell = np.floor((displacement + REACH) / WIDTH).astype(np.int64)
     return np.bincount(cell, values, minlength=CELLS).astype(np.float64)
 
@@ -214,11 +210,7 @@ def curve_estimate(curve: Replicates, parameters: EstimatorParameters) -> CurveE
 
 
 def with_scales(curve: Replicates, parameters: EstimatorParameters) -> FloatArray:
-    """Return what is uncertain of a curve (p + 2, n), m, with R and y - d larger by one std of their scales.
-
-    Args:
-        parameters: Stds of the scales; that of y - d holds what integration and alignment leave unknown.
-    """
+    """Return what is uncertain of a curve (p + 2, n), m, with R and y - d larger by one std of their scales."""
     x, R, unknown = curve.displacement, curve.all_data, parameters.uncertainty
     stretch = np.hypot(SCALE_UNCERTAINTY if parameters.band_limited else 0.0, unknown.displacement)
     return np.vstack([curve.shifted, R * (1.0 + unknown.scale), np.interp(x / (1.0 + stretch), x, R)])
@@ -264,11 +256,7 @@ def geometry_from_motion(
     motions: Iterable[tuple[float, Motion]],
     bins: PublishedBins,
 ) -> WheelsetGeometry:
-    """Return the geometry that ``estimator`` finds.
-
-    Args:
-        motions: Weight (at most 1) and motion of each window, oldest first.
-    """
+    """Return the geometry that ``estimator`` finds from weight (at most 1) and motion of each window, oldest first."""
     state = estimator.init(parameters)
     samples = np.zeros(len(bins.edges) - 1)
     for weight, motion in motions:
@@ -284,9 +272,6 @@ def geometry_from_curve(
 
     Of the four combinations only rL - rR is estimated: at the centres of the bins, by linear interpolation of the curve
     inside its range. The others are marked ``UNOBSERVABLE``.
-
-    Args:
-        samples: (b,) effective number of samples in each bin.
     """
     best, amplitude = at_reference_amplitude(curve.amplitude, curve.conicity, parameters.curve)
     if best.reason == NO_AMPLITUDE and curve.reason is not None:  # why there is no curve at all

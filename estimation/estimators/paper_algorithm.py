@@ -225,9 +225,6 @@ def jumps_elsewhere(x: FloatArray, curve: FloatArray, std: float) -> FloatArray:
     """Return a curve with its contact jumps further out and nearer by one std, each with half of the variance (2, n).
 
     A bin has one value: where in it a jump is remains unknown.
-
-    Args:
-        x, curve: (n,) m, increasing displacement, and its rolling radius difference.
     """
     middle = zero_crossing(x, curve)
     if not np.isfinite(middle):

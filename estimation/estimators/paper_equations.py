@@ -43,11 +43,7 @@ class PaperGeometry:
 
 
 def estimate(motion: Motion, parameters: PaperParameters) -> PaperGeometry:
-    """Run the algorithm over ``motion`` in the order of its samples.
-
-    Args:
-        motion: Ideal signals with y - d known; the mean speed is the paper's V.
-    """
+    """Run the algorithm over ideal signals in the order of their samples; the mean speed is the paper's V."""
     p = parameters.vehicle
     keep = motion.valid
     V = float(motion.speed[keep].mean())
@@ -81,11 +77,7 @@ def _lateral(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) ->
 
 
 def yaw_output(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) -> FloatArray:
-    """Return psi'' - Omega2 (k,), rad/s^2 (Eq. 17); the frame of a bogie moves the other end of the yaw spring.
-
-    Args:
-        keep: (n,) which samples count; k of them.
-    """
+    """Return psi'' - Omega2 (k,), rad/s^2 (Eq. 17); the frame of a bogie moves the other end of the yaw spring."""
     damping = 2 * p.half_contact_distance**2 * p.longitudinal_creep_coefficient / V + 2 * p.spin_creep_coefficient / V
     known = (
         (2 * p.lateral_spin_creep_coefficient / V) * motion.lateral_velocity
@@ -102,8 +94,6 @@ def recursion_in_bins(
     """Run Eq. 10-14 in every bin; return theta (b, 3), NaN below the threshold, and the counts (b,).
 
     Args:
-        features: (n, 3) regressors.
-        output: (n,) measured minus known part.
         index: (n,) bin of each sample, 0..bins-1.
     """
     count = np.bincount(index, minlength=bins).astype(np.int64)

@@ -121,11 +121,7 @@ def not_comparable(amplitude: float) -> Reason:
 
 
 def extrapolated(known: Sequence[KnownConicity], family: WornFamily | None = None) -> Extrapolation | None:
-    """Return the conicity at the limit's amplitude from those at smaller ones; None where it cannot be known.
-
-    Args:
-        family: Curves of wheelsets like it; by default the new and worn design pairs.
-    """
+    """Return the conicity at the limit's amplitude from those at smaller ones; None where it cannot be known."""
     return _of_design_pairs(tuple(known)) if family is None else _extrapolated(tuple(known), family)
 
 

@@ -35,8 +35,7 @@ from estimation.values.results import Facet
 from estimation.values.trend import TREND, TrendRecord
 from estimation.vehicle.vehicle_class import AXLES_OF_A_BOGIE, VehicleClass
 
-FORM = 1
-"""Grows with every change of what a row says, so that all rows are made again."""
+FORM = 1  # grows with every change of what a row says, so that all rows are made again
 STAGE = "worklist"
 FACETS = (Facet.REGISTRY, Facet.WINDOWS, Facet.ALERTS, GEOMETRY.stage, TREND.stage)
 """What a row is made from: whoever raises one of these makes it again in the same transaction."""

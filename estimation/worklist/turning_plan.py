@@ -104,11 +104,7 @@ _MM = 1e3
 def turning_plan(
     candidates: Sequence[Candidate], limits: DiameterLimits, now_ns: int, horizon_ns: int, together_ns: int
 ) -> list[PlanLine]:
-    """Return the plan, the earliest visit first; what cannot be assessed comes last.
-
-    Args:
-        together_ns: What becomes due within this time of a visit is turned in it, ns.
-    """
+    """Return the plan, the earliest visit first; what cannot be assessed comes last."""
     lines: list[PlanLine] = []
     ordered = sorted(candidates, key=lambda one: (one.vehicle, one.axle))
     for _, of_vehicle in groupby(ordered, key=lambda one: one.vehicle):

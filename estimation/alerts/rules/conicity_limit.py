@@ -241,11 +241,7 @@ def conicity_limit_finding(
     current: Estimate | None = None,
     not_assessable_reason: Reason | None = None,
 ) -> Finding:
-    """Return the finding on the limit by the conicity.
-
-    Args:
-        current: That of the current geometry, where the conicity is of the trend.
-    """
+    """Return the finding on the limit by the conicity."""
     against = state.against(limit)
     reason = not_assessable_reason or too_few_windows(windows, rule.minimum_windows)
     if reason is None and against is None:

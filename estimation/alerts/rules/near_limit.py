@@ -82,11 +82,7 @@ class MeasureRule(IntervalsRule):
 
 
 def measure_finding(rule: MeasureRule, state: LimitState, decided: Finding, limit: float, *, measured: bool) -> Finding:
-    """Return whether the profiles are to be measured.
-
-    Args:
-        decided: The finding of the limit's own rule, which goes before.
-    """
+    """Return whether the profiles are to be measured."""
     at_limit, at_reached = state.at_limit(limit), state.at_reached(limit)
     over = max((one.probability for one in (at_limit, at_reached) if one is not None), default=0.0)
     needed = rule.extrapolated_probability if state.extrapolated else rule.raise_probability

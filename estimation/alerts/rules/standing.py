@@ -131,11 +131,7 @@ def reach_km(delays: AlertDelays) -> float:
 
 
 def within_reach(mileages_km: Sequence[float | None], count: int, reach: float) -> int:
-    """Return how many of the newest data count: at least ``count``, and those of the last kilometres.
-
-    Args:
-        reach: Kilometres; 0 where none count.
-    """
+    """Return how many of the newest data count: at least ``count``, and those of the last kilometres."""
     known = [at for at in mileages_km if at is not None]
     if reach <= 0.0 or not known:
         return min(count, len(mileages_km))
