@@ -108,8 +108,7 @@ def estimate(
 ) -> None:
     """Run every job once, now, in the order in which one hands its results to the next; say what has no estimate."""
     from api.settings import load_settings
-    from api.terminal.estimate import run_jobs_once
-    from api.terminal.reasons import print_each
+    from api.terminal.estimate import print_each, run_jobs_once
 
     if reasons:
         if job is not None:

@@ -231,11 +231,11 @@ def _by_signature(
     newest = true[serial][-1]
     truth = float(np.interp(AMPLITUDE_MM, newest["amplitude_mm"], newest["equivalent_conicity"]))
     named = ", ".join([*dict.fromkeys(entry["wheelset"] for entry in signature["used_entries"])][:NAMED])
-    return (
+    text = (
         f"{head}; its signature says {conicity['value']:.3f} [{low:.3f}, {high:.3f}], true {truth:.3f}, from"
-        f" {signature['library_wheelsets']} wheelsets of known conicity, above all {named}",
-        low <= truth <= high,
+        f" {signature['library_wheelsets']} wheelsets of known conicity, above all {named}"
     )
+    return text, low <= truth <= high
 
 
 def _true_friction(scenario: Scenario) -> str:

@@ -16,7 +16,7 @@ from api import factory, logs
 from api.factory import SystemClock, open_store
 from api.progress import bar
 from api.settings import load_settings
-from api.terminal.reasons import line_of
+from api.terminal.estimate import line_of
 from api.terminal.store import print_line, user_name
 from api.times import to_rfc3339
 from api.topic import publishing
