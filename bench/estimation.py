@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from api import reproduction
 from bench.mems import conicity_errors
 from bench.report import BenchRow
 from estimation.values.geometry import COMBINATIONS, BinStatus
