@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 from contextlib import ExitStack, closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
@@ -71,22 +71,20 @@ def consume(health: HealthAddress | None) -> None:
         raise work.failure
 
 
+@dataclass(slots=True)
 class _Work:
     """The thread of a consumer, with the store that it owns."""
 
-    def __init__(
-        self, settings: Settings, storage: SqlStorage, topic: Topic, status: ConsumerStatus, stopping: threading.Event
-    ) -> None:
-        self._settings = settings
-        self._storage = storage
-        self._topic = topic
-        self._status = status
-        self._stopping = stopping
-        self.failure: Exception | None = None
+    settings: Settings
+    storage: SqlStorage
+    topic: Topic
+    status: ConsumerStatus
+    stopping: threading.Event
+    failure: Exception | None = None
 
     def run(self, reader: TopicReader) -> None:
         """Consume until a stop; a client that refuses everything from now on is replaced."""
-        with closing(self._storage):
+        with closing(self.storage):
             try:
                 self._consume(reader)
             except Exception as error:  # noqa: BLE001 - raised by the main thread
@@ -96,22 +94,22 @@ class _Work:
         from confluent_kafka import KafkaException  # noqa: PLC0415 - an extra, imported where it is used
 
         delays = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S)
-        raw, clock = raw_store(self._settings), SystemClock()
-        decoding = Decoding(self._storage, receiver(self._settings, self._storage, clock), process_name())
-        patient = replace(self._storage, patience_s=RECEIPT_PATIENCE_S)
-        backlog = backlog_watch(self._settings, self._storage, raw)
-        taking = ReferenceTaking(patient, raw, clock, backlog, f"topic {self._topic.name}")
+        raw, clock = raw_store(self.settings), SystemClock()
+        decoding = Decoding(self.storage, receiver(self.settings, self.storage, clock), process_name())
+        patient = replace(self.storage, patience_s=RECEIPT_PATIENCE_S)
+        backlog = backlog_watch(self.settings, self.storage, raw)
+        taking = ReferenceTaking(patient, raw, clock, backlog, f"topic {self.topic.name}")
         while True:
             with closing(reader):
                 try:
-                    Consuming(reader, taking, decoding, self._status, self._stopping.is_set).run()
+                    Consuming(reader, taking, decoding, self.status, self.stopping.is_set).run()
                 except KafkaException as error:
                     _log.warning("the consumer begins again: %s", error)
                 else:
                     return
-            if self._stopping.wait(delays.failed()):
+            if self.stopping.wait(delays.failed()):
                 return
-            reader = TopicReader(self._topic, self._status)
+            reader = TopicReader(self.topic, self.status)
 
 
 def _health(status: ConsumerStatus) -> Answer:

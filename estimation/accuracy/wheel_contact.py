@@ -83,12 +83,14 @@ def wheel_contact(wheels: WheelPair, rails: Sequence[RailShare]) -> WheelContact
     )
     x = np.array(table.lateral_displacement)
     curve_x, curve = _mean_curve([curve for _, curve in found], share)
+    # by how much rL - rR changes where the displacement is a standard deviation off
+    middle, below, above = (np.interp(x + shift, curve_x, curve) for shift in (0.0, -wheels.std, wheels.std))
     return WheelContact(
         tuple(rails),
         x,
         share @ sums,
         share @ differences,
-        _difference_std(x, curve_x, curve, wheels.std),
+        np.maximum(np.abs(above - middle), np.abs(below - middle)),
         AMPLITUDES,
         conicity_of(curve_x, curve, AMPLITUDES, wheels.std),
         zero_crossing(curve_x, curve),
@@ -147,9 +149,3 @@ def _mean_curve(curves: Sequence[RadiusDifferenceCurve], share: FloatArray) -> t
     x = np.unique(np.concatenate([one.displacement for one in curves]))
     x = x[(x >= low) & (x <= high)]
     return x, share @ np.array([np.interp(x, one.displacement, one.difference) for one in curves])
-
-
-def _difference_std(x: FloatArray, curve_x: FloatArray, curve: FloatArray, std: float) -> FloatArray:
-    """Return by how much rL - rR (n,) changes where the displacement is a standard deviation off."""
-    middle, below, above = (np.interp(x + shift, curve_x, curve) for shift in (0.0, -std, std))
-    return np.asarray(np.maximum(np.abs(above - middle), np.abs(below - middle)))

@@ -160,6 +160,7 @@ def add_expected(
 
 CELL = 0.04e-3  # m of y - d
 FINE = round(2 * REACH / CELL)
+MIDDLES = frozen_array((np.arange(FINE) + 0.5) * CELL - REACH, (FINE,), name="middles")  # m
 LEAST_IN_CELL = 20.0  # samples
 GRID = frozen_array(0.02e-3 * np.arange(-15.0, 16.0), (31,), name="grid")  # m, values of the hidden displacement
 PRIOR_STD = 0.1e-3  # m, of the hidden displacement
@@ -247,7 +248,7 @@ class HiddenDisplacement:
             return nothing(too_few_blocks(groups), state.parameters, samples, state.stretches)
         sums, counts = self._expected(state)
         inside = _run(counts.sum(axis=0), span)
-        middles = _middles()[inside]
+        middles = MIDDLES[inside]
         sums, counts = sums[:, inside], counts[:, inside]
         total, number = sums.sum(axis=0), counts.sum(axis=0)
         present = np.flatnonzero(counts.any(axis=1))
@@ -296,22 +297,16 @@ def _expectation(state: HiddenState, curve: FloatArray | None) -> tuple[FloatArr
     return sums, counts
 
 
-def _middles() -> FloatArray:
-    return np.asarray((np.arange(FINE) + 0.5) * CELL - REACH)
-
-
 def _filled(sums: FloatArray, counts: FloatArray) -> FloatArray:
     """Return the mean (FINE,) of every cell, interpolated where there are too few samples."""
     known = counts >= min(LEAST_IN_CELL, counts.max())
-    x = _middles()
-    return np.asarray(np.interp(x, x[known], sums[known] / counts[known]))
+    return np.asarray(np.interp(MIDDLES, MIDDLES[known], sums[known] / counts[known]))
 
 
 def _run(counts: FloatArray, span: tuple[float, float]) -> slice:
     """Return the cells around the centre, without a break inside ``span``, that have enough samples."""
-    x = _middles()
+    x, middle = MIDDLES, FINE // 2
     enough = (counts >= LEAST_IN_CELL) & (x > span[0]) & (x < span[1])
-    middle = FINE // 2
     right = middle + int(np.argmin(np.append(enough[middle:], False)))
     left = middle - int(np.argmin(np.append(enough[:middle][::-1], False)))
     return slice(left, right)

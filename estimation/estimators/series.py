@@ -121,7 +121,12 @@ def solved(state: SeriesState, basis: Basis, ridge: float) -> CurveEstimate:
     left_out = [np.linalg.solve(gram - state.gram[g] + small, cross[:, 0] - state.cross[g, :, 0]) for g in present]
     functions = basis(x)
     value = functions @ theta
-    own = functions @ np.linalg.cholesky(_own_covariance(state, theta, gram + small))
+    # of least squares that takes every residual for independent
+    squares = max(float(state.squares - theta @ cross[:, 0]), 0.0)
+    count = max(float(state.counts.sum()) - len(theta), 1.0)
+    inverse = np.linalg.inv(gram + small)
+    covariance = 0.5 * (inverse + inverse.T) * max(squares / count, SMALLEST_VARIANCE)
+    own = functions @ np.linalg.cholesky(covariance)
     return curve_estimate(
         Replicates(
             x,
@@ -173,15 +178,6 @@ def misfit(state: SeriesState, x: FloatArray, value: FloatArray) -> FloatArray:
 
 def _small(gram: FloatArray, ridge: float) -> FloatArray:
     return np.asarray(ridge * np.trace(gram) / len(gram) * np.eye(len(gram)))
-
-
-def _own_covariance(state: SeriesState, theta: FloatArray, gram: FloatArray) -> FloatArray:
-    """Return the covariance (m, m) of least squares that takes every residual for independent."""
-    cross = state.cross.sum(axis=0)[:, 0]
-    squares = max(float(state.squares - theta @ cross), 0.0)
-    count = max(float(state.counts.sum()) - len(theta), 1.0)
-    inverse = np.linalg.inv(gram)
-    return np.asarray(0.5 * (inverse + inverse.T) * max(squares / count, SMALLEST_VARIANCE))
 
 
 UNKNOWNS = 3  # f11, f11 R0 and f11 2 lambda, in N, N mm and N

@@ -71,14 +71,6 @@ class Extrapolation:
         return NormalMixture(np.full(count, 1.0 / count), self.value + around, np.full(count, rest))
 
 
-def _estimates(geometry: WheelsetGeometry) -> list[tuple[float, Estimate]]:
-    """Return the amplitudes (m) of a geometry with the conicity at each, where that is estimated; increasing."""
-    pairs = list(zip((float(a) for a in geometry.amplitude), geometry.conicity, strict=True))
-    if np.isfinite(geometry.reported_amplitude):
-        pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
-    return sorted(((a, e) for a, e in pairs if e.status is Status.ESTIMATED), key=lambda pair: pair[0])
-
-
 def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
     """Return the conicity that a limit is compared with: that at 3 mm.
 
@@ -86,7 +78,10 @@ def conicity_at_limit_amplitude(geometry: WheelsetGeometry) -> Estimate:
         Estimate: As the geometry has it; where the motion does not cover 3 mm extrapolated, with the reason
             ``amplitude_extrapolated``; unknown where neither is possible.
     """
-    known = _estimates(geometry)
+    pairs = list(zip(geometry.amplitude.tolist(), geometry.conicity, strict=True))
+    if np.isfinite(geometry.reported_amplitude):
+        pairs.append((geometry.reported_amplitude, geometry.equivalent_conicity))
+    known = sorted(((a, e) for a, e in pairs if e.status is Status.ESTIMATED), key=lambda pair: pair[0])
     covered = [e for a, e in known if abs(a - LIMIT_AMPLITUDE) < SAME_AMPLITUDE]
     if covered:
         return covered[-1]

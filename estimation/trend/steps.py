@@ -37,7 +37,12 @@ def newest_step(records: Sequence[IntervalConicities]) -> TrendStep | None:
     having = [(r, known) for r, known in covered if amplitude in known]
     if len(having) < 2 * model.least_points:
         return None
-    series = _series(having, amplitude)
+    series = Series(
+        np.array([r.mileage_km for r, _ in having], dtype=np.float64),
+        np.array([0.5 * (r.from_ns + r.to_ns) for r, _ in having], dtype=np.float64),
+        np.array([known[amplitude].value for _, known in having], dtype=np.float64),
+        np.maximum([known[amplitude].std for _, known in having], SMALLEST_STD),
+    )
     found = newest_change(series, model)
     if found is None:
         return None
@@ -108,15 +113,6 @@ def _amplitude(covered: Sequence[Mapping[int, KnownConicity]], newest: int) -> i
     return max(enough, key=lambda key: (sum(key in one for one in covered[-newest:]), key), default=0)
 
 
-def _series(having: Sequence[_Covered], amplitude: int) -> Series:
-    return Series(
-        np.array([r.mileage_km for r, _ in having], dtype=np.float64),
-        np.array([0.5 * (r.from_ns + r.to_ns) for r, _ in having], dtype=np.float64),
-        np.array([known[amplitude].value for _, known in having], dtype=np.float64),
-        np.maximum([known[amplitude].std for _, known in having], SMALLEST_STD),
-    )
-
-
 USUAL = {
     StepCause.TURNED: 0.4,
     StepCause.EXCHANGED: 0.35,
@@ -146,7 +142,13 @@ class StepSurroundings:
 
 
 def explanations(step: TrendStep, around: StepSurroundings) -> tuple[StepExplanation, ...]:
-    """Return the causes, the likeliest first."""
+    """Return the causes, the likeliest first.
+
+    A cause predicts the conicity behind the step: turned wheels have that of their design, a wheelset that was turned
+    end for end keeps its own, a sensor of another scale changes all wheelsets of its node by one factor, damage only
+    raises it, and another wheelset may have any. Causes are weighed by the density of what was found under each, and by
+    how often each happens.
+    """
     size, std = step.size.value or 0.0, step.size.std or 1.0
     found = {
         StepCause.TURNED: _turned(step, std, around),

@@ -181,9 +181,11 @@ def _estimated(
 ) -> WearTrend:
     by_distance = fit_recent(points.mileage_km, points.value, points.std).shifted(shared_std)
     count = float(by_distance.share.sum())
-    by_date = _fit_by_date(points, shared_std)
+    order = np.argsort(points.measured_ns, kind="stable")
+    since, by_date = points.measured_ns[order] - points.measured_ns.max(), None
     slope_per_year, date = Estimate.unknown(ONE_DATE, count), NO_FORECAST
-    if by_date is not None:
+    if since[0] != 0:
+        by_date = fit_recent(since / YEAR_NS, points.value[order], points.std[order]).shifted(shared_std)
         slope_per_year = by_date.slope_now().estimate(count)
         years = _forecast(by_date, limit, params.horizon_years)
         last = int(points.measured_ns.max())
@@ -200,14 +202,6 @@ def _estimated(
         status=Status.ESTIMATED,
         converged=by_distance.converged and (by_date is None or by_date.converged),
     )
-
-
-def _fit_by_date(points: _Columns, shared_std: float) -> WearCurve | None:
-    order = np.argsort(points.measured_ns, kind="stable")
-    since = points.measured_ns[order] - points.measured_ns.max()
-    if since[0] == 0:
-        return None
-    return fit_recent(since / YEAR_NS, points.value[order], points.std[order]).shifted(shared_std)
 
 
 def _forecast(curve: WearCurve, limit: float, horizon: float) -> Forecast:
