@@ -304,7 +304,6 @@ def _estimates(case: Case) -> dict[str, JsonValue]:
 
 
 def _cloud(case: Case) -> dict[str, JsonValue]:
-    """Return the spread of rL + rR met in each bin when the gauge varies."""
     edges = case.estimate.bin_edges
     total = case.motion.rolling_radius_left + case.motion.rolling_radius_right
     index = np.digitize(case.motion.relative_displacement, edges) - 1

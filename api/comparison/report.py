@@ -61,7 +61,6 @@ def markdown(studies: Sequence[PairStudy]) -> str:
 
 
 def _rows(study: PairStudy) -> Iterator[tuple[Score, list[str]]]:
-    """Yield the scores with their figures as text."""
     won = nearest(study)
     for score in study.scores:
         given = score.estimated / score.amplitudes if score.amplitudes else math.nan
@@ -219,7 +218,6 @@ def _conicity(axes: Axes, study: PairStudy) -> None:
 
 
 def _style(order: int) -> tuple[str, str]:
-    """Return colour and marker of the estimator at a place of the catalogue."""
     return _STYLES[order % len(_STYLES)]
 
 

@@ -125,7 +125,6 @@ def _standing(alert: dict[str, Any]) -> str:
 
 
 def _true(campaigns: list[dict[str, Any]], geometry: dict[str, Any]) -> float:
-    """Return the true conicity at the amplitude of the estimate, in the campaign nearest to its mileage."""
     seen = min(campaigns, key=lambda c: abs(c["mileage_km"] - geometry["mileage_km"]))
     amplitude = geometry["equivalent_conicity_amplitude_mm"]
     return float(np.interp(amplitude, seen["amplitude_mm"], seen["equivalent_conicity"]))

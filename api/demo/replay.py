@@ -91,8 +91,6 @@ def replay(settings: Settings, fleets: Sequence[Simulated], console: Console) ->
 
 
 class _Tally:
-    """What was done, added up."""
-
     def __init__(self) -> None:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
@@ -164,7 +162,6 @@ def _reprofile(storage: SqlStorage, contents: RegistryContents, until_ns: int) -
 
 
 def _by_campaign(fleet: Simulated) -> list[tuple[int, list[Recording]]]:
-    """Return when each campaign has come in, and its recordings, in order."""
     campaigns: defaultdict[int, list[Recording]] = defaultdict(list)
     for recording in fleet.report.recordings:
         campaigns[recording.campaign].append(recording)

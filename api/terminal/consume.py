@@ -113,7 +113,6 @@ class _Work:
 
 
 def _health(status: ConsumerStatus) -> Answer:
-    """Whether its thread runs."""
     return json_answer(status.alive, {"thread": status.alive})
 
 

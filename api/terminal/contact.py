@@ -331,7 +331,6 @@ def _computed(contact: Contact) -> _Computed:
 
 
 def _columns(table: ContactTable) -> dict[str, FloatArray]:
-    """Return the columns of the first gauge; NaN where both wheels have no contact."""
     exists = table.exists[:, 0]
     columns = {
         "rolling_radius_difference_mm": table.rolling_radius_difference[:, 0] * 1e3,

@@ -179,7 +179,6 @@ def _recreate(folder: Path) -> None:
 
 
 def _print_urls(service: ServiceAddress, console: Console) -> None:
-    """Print where to look first: the page with its key, a wheelset with an alert, its track, and the feed."""
     url = service.url
     if service.key is not None:
         console.print(f"  {url}/#key={service.key}", highlight=False, soft_wrap=True)

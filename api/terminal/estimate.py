@@ -118,7 +118,6 @@ def line_of(one: WindowsOfReason) -> str:
 
 
 def _together(wheelsets: Iterable[Unestimated]) -> list[WindowsOfReason]:
-    """Return the windows of wheelsets by reason, the most frequent first."""
     found: dict[object, WindowsOfReason] = {}
     for one in (one for item in wheelsets for one in item.why.windows):
         same = same_reason(one.state, one.reason)

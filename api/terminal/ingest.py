@@ -121,7 +121,6 @@ def recordings_of(places: Iterable[Path], vehicle: str | None) -> tuple[list[tup
 
 
 def _say_left_out(places: Iterable[Path], console: Console) -> None:
-    """Print how many files of the folders are no recordings by their suffix."""
     inside = (path for place in places if place.is_dir() for path in place.rglob("*") if not path.is_dir())
     left_out = Counter(path.suffix or "none" for path in inside if path.suffix.lower() not in SUFFIXES)
     if left_out:

@@ -92,8 +92,6 @@ def receive_and_report(
 
 
 class _Stores:
-    """Database and raw store, opened when they are there."""
-
     def __init__(self, settings: Settings, catalogues: Sequence[Path], registry: Path | None, console: Console) -> None:
         self._settings = settings
         self._catalogues = catalogues
@@ -203,7 +201,6 @@ def serving_health(
 
 
 def _health(statuses: Mapping[str, LiveStatus]) -> Answer:
-    """Whether every thread runs."""
     alive = all(status.alive for status in statuses.values())
     threads = {
         vehicle: {thread.name: thread.is_alive() for thread in status.threads} for vehicle, status in statuses.items()

@@ -114,7 +114,6 @@ def retry_and_report(kind: SubjectKind | None, key: str | None) -> None:
 
 
 def _decode(receiver: Receiver, digests: Iterable[str]) -> list[str]:
-    """Decode recordings; return why any could not be."""
     failed = []
     for digest in digests:
         for outcome in receiver.decode_stored(digest):

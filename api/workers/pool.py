@@ -206,6 +206,5 @@ class _Worker:
 
 
 def _memory_mb(pid: int) -> float:
-    """Return how much memory a process has, MB; 0 where the system does not say."""
     pages = Path(f"/proc/{pid}/statm")
     return int(pages.read_text("ascii").split()[1]) * resource.getpagesize() / 1e6 if pages.exists() else 0.0

@@ -287,7 +287,6 @@ def fleet_accuracy(rows: Sequence[PlacedComparison]) -> FleetAccuracy:
 
 
 def _count(rows: Iterable[PlacedComparison], index: int | None = None) -> CoveragePair:
-    """Return the counts at an amplitude, or at that of limits."""
     found = [row.comparison for row in rows]
     outcomes = [(one.at_limit if index is None else one.conicity[index]).covered for one in found]
     alone = [outcome for one, outcome in zip(found, outcomes, strict=True) if one.independent]

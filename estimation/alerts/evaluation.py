@@ -65,7 +65,6 @@ def findings(facts: WheelsetFacts, book: RuleBook, now_ns: int) -> list[Finding]
 
 
 def _not_assessable_reason(facts: WheelsetFacts, found: list[tuple[AlertRule, Finding | None]]) -> Reason | None:
-    """Return why the data do not show the present profile; None where they do."""
     baseline = len(facts.wheelset.reprofilings)
     mounting, geometry = facts.wheelset.mounting, facts.geometry
     if geometry is None or geometry.baseline < baseline:

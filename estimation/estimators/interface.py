@@ -299,7 +299,6 @@ def geometry_from_curve(
 
 
 def _difference(curve: CurveEstimate, edges: FloatArray) -> BinValues:
-    """Return rL - rR at the bin centres that lie within the curve."""
     centres = bin_centres(edges)
     known = np.isfinite(curve.difference) & np.isfinite(curve.difference_std)
     if not known.any():

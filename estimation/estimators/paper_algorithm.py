@@ -93,7 +93,6 @@ def estimate(motion: Motion, parameters: PaperParameters) -> PaperGeometry:
 
 
 def _lateral(motion: Motion, p: VehicleParameters, V: float, keep: BoolArray) -> FloatArray:
-    """Return y'' - Omega1 (Eq. 15)."""
     known = (
         -(2 * p.lateral_creep_coefficient / V) * motion.lateral_velocity
         + p.lateral_damping * motion.suspension_deflection_rate

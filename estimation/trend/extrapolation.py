@@ -169,7 +169,6 @@ def _at(family: WornFamily, amplitude: float) -> FloatArray:
 
 
 def _covariance(shown: Sequence[KnownConicity]) -> FloatArray:
-    """Return the covariance (n, n) of the errors of the conicities."""
     amplitude, std = (np.array([getattr(one, name) for one in shown]) for name in ("amplitude", "std"))
     near = np.exp(-np.abs(np.subtract.outer(amplitude, amplitude)) / NEAR)
     return np.asarray(np.outer(std, std) * (SHARED + (1.0 - SHARED) * near))

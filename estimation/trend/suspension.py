@@ -132,7 +132,6 @@ class _Section:
 
 
 def _by_section(by_vehicle: Mapping[str, _Series]) -> dict[str, _Section]:
-    """Return the sections that vehicles with a past have run on."""
     rows: dict[str, list[tuple[int, int, str, float]]] = {}
     for code, series in by_vehicle.items():
         if series.past == 0:

@@ -132,7 +132,6 @@ def distance_key(state: WorklistState) -> float | None:
 
 
 def _of_limit(ahead: Ahead, alerts: Sequence[OpenAlert]) -> list[tuple[Urgency, Reason]]:
-    """Return what the limit makes urgent, one reason."""
     exceeded = next((alert for alert in alerts if alert.kind == ConicityLimitRule.kind), None)
     forecast = next((alert for alert in alerts if alert.kind == LimitForecastRule.kind), None)
     probability, distance = ahead.probability_over_limit, ahead.distance_km
@@ -253,7 +252,6 @@ def _state(inputs: WorklistInputs) -> WorklistState:
 
 
 def _conicity(inputs: WorklistInputs) -> Estimate:
-    """Return the conicity at 3 mm of the profile that the wheelset has now."""
     geometry = inputs.geometry
     if inputs.failure is not None:
         return Estimate.unknown(inputs.failure, status=Status.INVALID)
@@ -275,7 +273,6 @@ def _with_refusals(reason: Reason, inputs: WorklistInputs) -> Reason:
 
 
 def _ahead(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate) -> Ahead:
-    """Return how far the limit is from where the wheelset is now."""
     unknown = _why_unknown(inputs, trend, conicity)
     if trend is None or unknown is not None:
         return Ahead(NOWHERE, None, unknown or NO_TREND)
@@ -290,7 +287,6 @@ def _ahead(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate
 
 
 def _why_unknown(inputs: WorklistInputs, trend: TrendRecord | None, conicity: Estimate) -> Reason | None:
-    """Return why nothing is known of the limit; None where something is."""
     if inputs.failure is not None:
         return inputs.failure
     if code_of(conicity.reason) in WITHOUT_GEOMETRY or conicity.status is Status.MODEL_MISMATCH:

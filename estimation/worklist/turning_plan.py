@@ -134,7 +134,6 @@ def turning_plan(
 def _visits(
     wheelsets: Sequence[Candidate], now_ns: int, horizon_ns: int, together_ns: int
 ) -> list[tuple[int, list[Candidate]]]:
-    """Return the visits of a vehicle: when, and what is due then."""
     due = [
         (now_ns if one.over_limit else max(one.due_ns or now_ns, now_ns), one)
         for one in wheelsets

@@ -71,7 +71,6 @@ def no_geometry_yet(last_run: JobRun | None, failed: Quarantined | None) -> Reas
 
 
 def _looked(section: SectionFacts) -> str:
-    """Return what the last look at the passes of a section has found."""
     if section.failed is not None:
         return f"{ALIGNMENT} failed at it: {section.failed.error}; {_again(section.failed)}"
     if section.found is not None:

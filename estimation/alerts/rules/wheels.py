@@ -279,7 +279,6 @@ def _cleared(over_clear: Mapping[Indicator, float | None], blamed: Sequence[str]
 
 
 def _beyond(value: Estimate, limit_mm: float) -> float | None:
-    """Return the probability that the size of the true value is above the limit."""
     if value.value is None or value.std is None:
         return None
     if value.std <= 0.0:
