@@ -26,7 +26,7 @@ from estimation.motion.rolling_radius_difference import sample_smoothed
 from estimation.motion.rolling_sums import ROWS, Equation, add_spectra, write_pieces
 from estimation.motion.track_lookup import evaluate
 from estimation.tables.bin_table import BinParameters, fill_cells, group_of
-from estimation.track.panel.normal_equations import add_filtered_hats
+from estimation.track.panel.basis import add_filtered_hats
 from estimation.track.screening.agreement import cross_products, own_products
 from estimation.values.arrays import FloatArray, frozen_array
 from estimation.values.windows import Motion
