@@ -69,11 +69,7 @@ def work(*, once: bool) -> None:
 
 
 def scrub_and_report(mb_per_s: float | None, *, resume: bool) -> None:
-    """Read every raw file again and print what is damaged or missing.
-
-    Raises:
-        typer.Exit: Code 1: something is damaged or missing.
-    """
+    """Read every raw file again, print what is damaged or missing, and exit 1 where anything is."""
 
     def print_fault(found: ScrubFault) -> None:
         typer.echo(f"recording {found.file.digest[:12]} of vehicle {found.file.vehicle}: {found.fault}")

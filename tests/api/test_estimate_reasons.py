@@ -11,8 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from api.cli import build
-from api.terminal.estimate import summary
-from api.terminal.reasons import fleet_reasons, summary_lines
+from api.terminal.estimate import fleet_reasons, summary, summary_lines
 from estimation.errors import ParameterError
 from estimation.jobs.steps.refusals import refusals_text
 from estimation.values.reasons import Reason, ReasonCode
