@@ -18,10 +18,8 @@ from api.schemas.common import Body
 from estimation.errors import InputError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
-from ingest.bounded_file import MEBIBYTE
-from ingest.input_file import Location, dotted
-from ingest.registry_entry.contents import Entry, RegistryContents
-from ingest.registry_entry.contradiction import Rule
+from ingest.input_file import MEBIBYTE, Location, dotted
+from ingest.registry_entry.contents import Entry, RegistryContents, Rule
 from ingest.registry_entry.enter import enter
 
 TEXT = r"^[^\x00-\x08\x0b-\x1f\x7f]*$"

@@ -11,8 +11,7 @@ from estimation.track.update import NOT_USED
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.runs import TRIED_AGAIN, JobRun, Quarantined, QuarantineState, SubjectKind
-from estimation.values.window_reasons import WindowsOfReason, WithoutEstimate, remedies
-from estimation.values.windows import WindowKey, WindowRecord, WindowState
+from estimation.values.windows import WindowKey, WindowRecord, WindowsOfReason, WindowState, WithoutEstimate, remedies
 from estimation.worklist.waiting import (
     ALIGNMENT,
     ESTIMATION,

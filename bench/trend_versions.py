@@ -14,7 +14,8 @@ from sqlalchemy import insert, select
 from api.factory import job_context, open_store
 from api.settings import Settings
 from bench.report import BenchRow
-from bench.wheelset_year import SERIAL, WheelsetYear, recorded
+from bench.wheelset_recording import recorded
+from bench.wheelset_year import SERIAL, WheelsetYear
 from estimation.values.trend import TREND
 from fleet_db.migrate import upgrade
 from fleet_db.rows import table_of

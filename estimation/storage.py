@@ -10,9 +10,7 @@ from contextlib import AbstractContextManager
 from typing import Any, Protocol, TypeVar
 
 from estimation.contact.profiles import MeasuredProfiles
-from estimation.values.adhesion import SectionAdhesion, WindowAdhesion
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, Condition
-from estimation.values.dampers import GEAR, GearDamper, WindowDamper
 from estimation.values.geometry import (
     BinTable,
     FilledCells,
@@ -22,10 +20,11 @@ from estimation.values.geometry import (
     TableKey,
     WindowTable,
 )
+from estimation.values.opinions import GEAR, GearDamper, SectionAdhesion, WindowAdhesion, WindowDamper
 from estimation.values.rails import RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, VehicleRecord, WheelsetRecord
-from estimation.values.results import AnyResult, Result, ResultKind
+from estimation.values.results import AnyResult, Due, Look, Mark, Result, ResultKind, StageInputs
 from estimation.values.roll_up import (
     RolledPart,
     RollingSums,
@@ -36,7 +35,6 @@ from estimation.values.roll_up import (
 )
 from estimation.values.runs import Claimed, JobOutcome, JobRun, JobTrigger, Quarantined
 from estimation.values.signatures import MadeOf, StoredSignatures, WindowSignatures
-from estimation.values.subjects import Due, Look, Mark, StageInputs
 from estimation.values.track import (
     AlignmentRecord,
     EpochMember,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from estimation.values.served import Served
+from estimation.values.fields import Served
 
 
 @dataclass(frozen=True, slots=True)

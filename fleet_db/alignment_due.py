@@ -12,8 +12,8 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Select, and_, bindparam, select, tuple_, update
 
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.windows import DueStage, WindowKey
 from fleet_db.due import BATCH, list_due
 from fleet_db.rows import table_of

@@ -32,11 +32,11 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.adhesion import CREEP
+from estimation.values.opinions import CREEP
 from estimation.values.quantities import Status
+from estimation.values.results import Due, Mark, StageInputs
 from estimation.values.runs import FAILED
 from estimation.values.signatures import OF_OTHERS, SIGNATURES
-from estimation.values.subjects import Due, Mark, StageInputs
 from estimation.values.track import AlignmentSource
 from estimation.values.windows import DueStage, WindowKey, WindowState, key_of_text, text_of_key
 from fleet_db.read_once import ReadOnce

@@ -22,7 +22,7 @@ import numpy.typing as npt
 import zstandard
 
 from estimation.errors import DamagedError, StorageError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 
 MAGIC = b"TWPK"
 FORMAT = 1

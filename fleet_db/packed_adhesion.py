@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from estimation.values.adhesion import FrictionSums, SectionAdhesion, WindowAdhesion
+from estimation.values.opinions import FrictionSums, SectionAdhesion, WindowAdhesion
 from fleet_db.fields import fields_of, pack, unpack, value_of
 
 VERSION = 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from estimation.values.dampers import DamperSums, WindowDamper
+from estimation.values.opinions import DamperSums, WindowDamper
 from fleet_db.fields import fields_of, pack, unpack, value_of
 
 VERSION = 1

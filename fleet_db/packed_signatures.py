@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.signatures import AxlePosition, Place, Signature
 from fleet_db.fields import pack, unpack
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from estimation.contact.profiles import Profile
 from estimation.values.arrays import BoolArray
+from estimation.values.fields import JsonValue
 from estimation.values.geometry import COMBINATIONS, BinStatus, BinTable, BinValues, FilledCells, WheelsetGeometry
-from estimation.values.json_value import JsonValue
 from estimation.values.roll_up import RollingSums
 from estimation.values.track import GaugeShift, TrackAlignment, TrackFindings, TrackLayout
 from fleet_db.fields import Array, fields_of, pack, to_json, unpack, value_of

@@ -14,9 +14,9 @@ from functools import cache
 from sqlalchemy import ColumnElement, Connection, Insert, bindparam, exists, func, select
 from sqlalchemy.dialects import postgresql, sqlite
 
-from estimation.values.dampers import GEAR_DAMPERS
+from estimation.values.opinions import GEAR_DAMPERS
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.trend import SUSPENSION, TREND
 from estimation.worklist.row import FACETS as SHOWN
 from fleet_db.rows import table_of

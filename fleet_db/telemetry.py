@@ -22,7 +22,7 @@ import numpy.typing as npt
 from estimation.compiled import compiled
 from estimation.errors import DamagedError, StorageError
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.windows import ACCELERATIONS, NO_BLOWS, NOT_HUNTING, Hunting, TurnBlows, Window, WindowQuality
 from fleet_db.atomic_files import passing_fault, passing_faults, write_atomically
 from fleet_db.fields import Array, from_json, pack, to_json, unpack

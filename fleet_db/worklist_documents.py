@@ -7,19 +7,20 @@ from typing import Any
 
 import orjson
 
-from estimation.values.alerts import Condition, Severity
-from estimation.values.quantities import Estimate, Forecast, Status
-from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
-from estimation.values.worklist import (
+from estimation.values.alerts import (
     AxlePosition,
     BogiePlace,
+    Condition,
     MileageNow,
     OpenAlert,
+    Severity,
     Urgency,
     WorklistRow,
     WorklistState,
 )
+from estimation.values.quantities import Estimate, Forecast, Status
+from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.registry import Mounting, Reprofiling, WheelsetRecord
 
 
 def to_document(row: WorklistRow) -> str:

@@ -11,7 +11,7 @@ from estimation.jobs.job import Job, JobContext
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.held import HeldRecordings, missing
-from ingest.intake.decoding import decode_received
+from ingest.intake.backlog import decode_received
 from ingest.receiver import ChunkReceipt, Receiver
 
 NAME = "assemble_windows"

@@ -13,11 +13,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from estimation.errors import PassingFaultError, TreadwatchError
-from estimation.failures import after_failure
 from estimation.jobs.isolation import fails_alone
 from estimation.storage import Clock
 from estimation.values.reasons import Reason
-from estimation.values.runs import Quarantined, SubjectKind, resolved
+from estimation.values.runs import Quarantined, SubjectKind, after_failure, resolved
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
@@ -64,7 +63,6 @@ class HeldRecordings:
         return [record for record, early in self._held() if not early and record.state is ChunkState.STORED]
 
     def _held(self) -> list[tuple[ChunkRecord, bool]]:
-        """Return the recordings in quarantine, and whether it is too early for another attempt."""
         now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
             found = [(unit.chunks.get(item.key), item) for item in unit.quarantine.held(STAGE)]
@@ -72,13 +70,17 @@ class HeldRecordings:
 
     def release(self, digest: str) -> None:
         """End the quarantine of a recording, if it was in one."""
-        release_recording(self.storage, digest, STAGE)
+        release(self.storage, (SubjectKind.RECORDING, digest, STAGE))
 
 
-def release_recording(storage: SqlStorage, digest: str, stage: str) -> None:
-    """End the quarantine of a recording in a stage, if it was in one."""
+Subject = tuple[SubjectKind, str, str]
+"""Kind, key and stage of what is in quarantine."""
+
+
+def release(storage: SqlStorage, subject: Subject) -> None:
+    """End the quarantine of a subject, if it was in one."""
     with storage.read() as unit:
-        item = unit.quarantine.get(SubjectKind.RECORDING, digest, stage)
+        item = unit.quarantine.get(*subject)
     if item is not None and item != resolved(item):
         with storage.write() as unit:
             unit.quarantine.put(resolved(item))
@@ -108,10 +110,7 @@ class HeldVehicles:
 
     def release(self, vehicle: str) -> None:
         """End the quarantine of a vehicle, if it was in one."""
-        item = self._item(vehicle)
-        if item is not None and item != resolved(item):
-            with self.storage.write() as unit:
-                unit.quarantine.put(resolved(item))
+        release(self.storage, (SubjectKind.VEHICLE, vehicle, ASSEMBLY))
 
     def _item(self, vehicle: str) -> Quarantined | None:
         with self.storage.read() as unit:
@@ -174,7 +173,6 @@ class LostRecordings:
                         _hold(unit, record, fault, now_ns)
 
     def _resolve(self, item: Quarantined, *found: ChunkRecord) -> None:
-        """End the quarantine of a recording, and let the windows of one that was found be made again."""
         with self.storage.write() as unit:
             for record in found:
                 for from_ns, to_ns in extent(record):

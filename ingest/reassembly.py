@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from estimation.errors import NotFoundError, StoppedError, StorageError, TreadwatchError
-from estimation.failures import first_line
 from estimation.jobs.isolation import fails_alone
 from estimation.storage import Clock
+from estimation.values.runs import first_line
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import decode_again
 from fleet_db.stores.stale_spans import StaleSpan

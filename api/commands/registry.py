@@ -9,7 +9,7 @@ import typer
 
 from estimation.errors import ParameterError
 from fleet_db.registry_events import RecordAction, RecordKind
-from ingest.registry_entry.contradiction import CONFIRMABLE, Rule
+from ingest.registry_entry.contents import CONFIRMABLE, Rule
 
 _DOUBTS = ", ".join(sorted(CONFIRMABLE))
 

@@ -18,9 +18,8 @@ from api.csv_tables import columns_of, item_of
 from api.openapi.words import describe_properties
 from api.problems import PROBLEM_MEDIA_TYPE, TYPES, Problem
 from api.schemas.common import Uncertain
-from estimation.values.alerts import CloseReason
+from estimation.values.alerts import CloseReason, Urgency
 from estimation.values.reasons import ReasonCode
-from estimation.values.worklist import Urgency
 
 RESPONSE_HEADERS: Mapping[str, str] = {
     "Allow": "The methods of this path.",

@@ -30,11 +30,11 @@ from api.services import writer_slot
 from api.times import Moment
 from estimation.contact.profiles import MeasuredProfiles, Profile
 from estimation.errors import ConflictError, ProfileError
+from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, Reprofiling, SensorChange, SensorWork
-from estimation.values.utc_text import utc_text
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlUnitOfWork
-from ingest.profiles.wheel_profile import wheel_profile_of
+from ingest.profiles.files import wheel_profile_of
 from ingest.registry_entry.contents import RegistryContents
 
 

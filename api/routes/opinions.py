@@ -19,9 +19,9 @@ from api.schemas.registry import segment
 from api.times import Moment, Timestamp
 from estimation.errors import NotFoundError
 from estimation.signatures.answer import most_likely
-from estimation.values.adhesion import CellFriction, LeftOut, WindowAdhesion
-from estimation.values.adhesion import SectionAdhesion as FrictionValue
 from estimation.values.geometry import GeometryRecord
+from estimation.values.opinions import CellFriction, LeftOut, WindowAdhesion
+from estimation.values.opinions import SectionAdhesion as FrictionValue
 from estimation.values.quantities import Estimate, Status
 from estimation.values.rails import (
     SECTION_RAILS,

@@ -18,8 +18,8 @@ from api.services import ServicesDep
 from api.times import Timestamp, to_rfc3339
 from api.visible_objects import require_known
 from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
+from estimation.values.alerts import Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.worklist import Urgency, WorklistRow, WorklistState
 from fleet_db.stores.worklist import WorklistFilter
 from fleet_db.worklist_documents import from_document
 

@@ -17,9 +17,8 @@ from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.times import Timestamp, to_rfc3339
 from estimation.errors import NotFoundError
-from estimation.track.convergence import Iterated
 from estimation.values.reasons import ReasonCode
-from estimation.values.track import AlignmentRecord, TrackAlignment, TrackReport, TrackSectionRecord
+from estimation.values.track import AlignmentRecord, Iterated, TrackAlignment, TrackReport, TrackSectionRecord
 from fleet_db.storage import SqlUnitOfWork
 
 MM = 1000.0

@@ -20,7 +20,7 @@ from api.times import Timestamp, to_rfc3339
 from api.visible_objects import require_known
 from estimation.errors import NotFoundError
 from estimation.trend.suspension import SuspensionParameters, suspension_changes
-from estimation.values.dampers import GearDamper
+from estimation.values.opinions import GearDamper
 from estimation.values.trend import SuspensionChange, SuspensionFinding
 from estimation.vehicle.equations_of_motion import VehicleParameters
 from estimation.vehicle.vehicle_class import (

@@ -22,10 +22,9 @@ from api.schemas.trend import DateForecast, DistanceForecast, date_forecast, dis
 from api.services import ServicesDep
 from api.times import Timestamp, to_rfc3339
 from api.visible_objects import require_known
-from estimation.values.alerts import Severity
+from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
-from estimation.values.worklist import AxlePosition, OpenAlert, Urgency, WorklistRow, WorklistState
 from fleet_db.stores.worklist import WorklistEntry, WorklistFilter, WorklistOrder, WorklistPlace
 from fleet_db.worklist_documents import from_document
 

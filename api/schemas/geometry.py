@@ -13,7 +13,6 @@ from api.schemas.registry import segment
 from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
-from estimation.values import window_reasons
 from estimation.values.geometry import (
     COMBINATIONS,
     LEFT_OUT,
@@ -25,8 +24,8 @@ from estimation.values.geometry import (
 )
 from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.window_reasons import WithoutEstimate
-from estimation.values.windows import WindowState
+from estimation.values.windows import WindowsOfReason as ReasonOfWindows
+from estimation.values.windows import WindowState, WithoutEstimate
 from fleet_db.stores.window_counts import WindowCounts
 
 MM = 1000.0
@@ -284,7 +283,7 @@ def interval(record: GeometryRecord) -> Interval:
     )
 
 
-def data_quality(serial: str, found: WindowCounts, waiting: Sequence[window_reasons.WindowsOfReason]) -> DataQuality:
+def data_quality(serial: str, found: WindowCounts, waiting: Sequence[ReasonOfWindows]) -> DataQuality:
     """Return the representation of the windows of a wheelset over time."""
     stretches: dict[int, dict[tuple[WindowState, ReasonCode | None], int]] = {}
     total: dict[tuple[WindowState, ReasonCode | None], int] = {}

@@ -20,7 +20,7 @@ from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.trend import TrendRecord, WearTrend
-from estimation.values.window_reasons import WithoutEstimate
+from estimation.values.windows import WithoutEstimate
 
 BEYOND = Reason(ReasonCode.BEYOND_HORIZON, "not reached within the forecast horizon")
 _NO_CURRENT = Estimate.unknown(

@@ -11,8 +11,7 @@ from api.schemas.derived import Derived
 from api.times import Timestamp, to_rfc3339
 from estimation.values import windows as values
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
-from estimation.values.window_reasons import WindowsOfReason, WithoutEstimate
-from estimation.values.windows import WindowState
+from estimation.values.windows import WindowsOfReason, WindowState, WithoutEstimate
 
 
 class WindowQuality(Derived, of=values.WindowQuality, without=("hunting", "blows")):

@@ -18,7 +18,7 @@ from estimation.errors import StoppedError, StorageError
 from estimation.jobs.stop_signals import stop_on_signals
 from fleet_db.keeping.scrub import ScrubFault, ScrubPlan, scrub
 from fleet_db.stores.raw_scrubs import RawScrub
-from ingest.intake.decoding import DecodedChunks, decode_received
+from ingest.intake.backlog import DecodedChunks, decode_received
 
 LOOK_EVERY_S = 1.0
 MEGABYTE = 1_000_000

@@ -32,7 +32,7 @@ from ingest.live.backoff import Backoff
 from ingest.topic.client import Topic
 from ingest.topic.consuming import Consuming, Decoding
 from ingest.topic.reading import TopicReader
-from ingest.topic.status import ConsumerStatus
+from ingest.topic.reference import ConsumerStatus
 from ingest.topic.taking import ReferenceTaking
 
 WATCH_EVERY_S = 0.2

@@ -11,8 +11,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 
 from api.measures import Measured, counter, gauge
 from api.terminal.health_server import Answer, Health, HealthAddress, json_answer, served
-from ingest.topic.reference import Outcome
-from ingest.topic.status import ConsumerStatus
+from ingest.topic.reference import ConsumerStatus, Outcome
 
 PREFIX = "treadwatch_consumer_"
 

@@ -17,7 +17,7 @@ from api.times import from_rfc3339, to_rfc3339
 from api.window_reasons import SHOWN, WindowReasons, same_reason
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.window_reasons import WindowsOfReason, WithoutEstimate
+from estimation.values.windows import WindowsOfReason, WithoutEstimate
 from estimation.worklist.row import WITHOUT_GEOMETRY
 from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.window_reasons import COUNTED

@@ -10,7 +10,7 @@ from api.factory import SystemClock
 from api.terminal.store import reading, user_name, writing
 from api.times import from_rfc3339, to_rfc3339
 from estimation.errors import ParameterError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.stores.registry_history import RecordKey
 from ingest.registry_entry.enter import refuse_contradicted

@@ -16,8 +16,7 @@ from api.terminal.store import reading, user_name, writing
 from estimation.errors import InputError, TreadwatchError
 from fleet_db.registry_events import Decision
 from fleet_db.storage import SqlStorage
-from ingest.registry_entry.contents import Entry, RegistryRefusedError
-from ingest.registry_entry.contradiction import Rule
+from ingest.registry_entry.contents import Entry, RegistryRefusedError, Rule
 from ingest.registry_export import write_export
 from ingest.registry_file import load_registry
 

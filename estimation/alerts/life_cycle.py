@@ -21,8 +21,7 @@ from typing import Annotated
 from estimation.alerts.rules.rule import AlertDelays
 from estimation.errors import ConflictError
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Condition, Finding, Severity, Transition
-from estimation.values.json_value import JsonValue
-from estimation.values.served import Served
+from estimation.values.fields import JsonValue, Served
 
 DELAYS = "delays"
 RUN_FROM = "run_from_km"  # among them: mileage of the first of the findings on end that are counted

@@ -13,7 +13,7 @@ from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.storage import UnitOfWork
 from estimation.trend.suspension import SuspensionParameters, suspension_histories
 from estimation.values.alerts import Finding
-from estimation.values.subjects import EVERYTHING, Facet
+from estimation.values.results import EVERYTHING, Facet
 from estimation.values.trend import SUSPENSION, SuspensionChange, SuspensionFinding, SuspensionShown
 
 

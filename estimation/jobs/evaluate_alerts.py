@@ -28,8 +28,8 @@ from estimation.jobs.worklist_rows import WORKLIST
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, CloseReason, Finding, Transition
 from estimation.values.geometry import GEOMETRY
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.trend import TREND
 
 BEFORE: tuple[AnyStage, ...] = (WORKLIST, JUMPS, IDENTITIES, SUSPENSIONS)

@@ -23,9 +23,8 @@ from estimation.jobs.stage import AnyStage, Outcome, Part
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import BinStatus, BinValues
 from estimation.values.quantities import Estimate, Status
-from estimation.values.results import AnyResult, Result
+from estimation.values.results import AnyResult, Due, Mark, Result, StageInputs
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Due, Mark, StageInputs
 
 CLAIMED_TOGETHER = 4
 """Batches of subjects that are claimed together."""

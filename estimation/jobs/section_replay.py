@@ -16,8 +16,8 @@ from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_findin
 from estimation.alerts.section_alerts import section_transition
 from estimation.jobs.steps.pooled_friction import friction_parameters, pool_ends, pooled_ns, section_length
 from estimation.storage import UnitOfWork
-from estimation.values.adhesion import SectionAdhesion
 from estimation.values.alerts import Alert, CloseReason, Condition
+from estimation.values.opinions import SectionAdhesion
 
 
 def section_replayed(unit: UnitOfWork, section: str, book: RuleBook, span: tuple[int, int]) -> list[Alert]:

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from estimation.errors import PassingFaultError
-from estimation.failures import after_failure
-from estimation.values.runs import SubjectKind, resolved
+from estimation.values.runs import SubjectKind, after_failure, resolved
 from fleet_db.raw import RawStore
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkState

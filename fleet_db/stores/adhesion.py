@@ -8,7 +8,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, and_, delete, func, select, tuple_
 
-from estimation.values.adhesion import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
+from estimation.values.opinions import CREEP, FRICTION, SectionAdhesion, WindowAdhesion
 from estimation.values.runs import SubjectKind
 from estimation.values.windows import WindowKey
 from fleet_db.due import NOT_LOOKED_AT, list_due

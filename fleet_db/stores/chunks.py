@@ -24,8 +24,8 @@ from sqlalchemy import (
 
 from estimation.errors import NotFoundError
 from estimation.values.reasons import ReasonCode
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.rows import insert_new, reason_columns, stored_reason, table_of

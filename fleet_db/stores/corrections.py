@@ -13,7 +13,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, delete, insert, select
 
 from estimation.errors import ConflictError, NotFoundError, ParameterError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.values.registry import Mounting, Reprofiling
 from estimation.values.track import TrackSectionRecord
 from estimation.vehicle.vehicle_class import (

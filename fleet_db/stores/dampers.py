@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection, and_, delete, select
 
-from estimation.values.dampers import GEAR, GEAR_DAMPERS, GearDamper, WindowDamper
+from estimation.values.opinions import GEAR, GEAR_DAMPERS, GearDamper, WindowDamper
 from fleet_db.packed_dampers import pack_window_damper, unpack_window_damper
 from fleet_db.rows import insert_all_new, replace_all, table_of
 from fleet_db.stores.results import ResultStore

@@ -9,8 +9,8 @@ from typing import Any
 from sqlalchemy import Connection, Row, and_, delete, or_, select
 
 from estimation.errors import ConflictError, ParameterError
+from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting
-from estimation.values.utc_text import utc_text
 from fleet_db.rows import table_of, upsert
 from fleet_db.tables import MountingRow
 

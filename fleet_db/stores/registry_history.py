@@ -21,7 +21,7 @@ from sqlalchemy import (
     select,
 )
 
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from fleet_db.registry_events import Decision, RecordAction, RecordKind, RegistryEvent
 from fleet_db.rows import table_of
 from fleet_db.subjects import Subjects

@@ -9,8 +9,8 @@ from typing import Any
 from sqlalchemy import Connection, delete, func, select
 
 from estimation.errors import ConflictError, ParameterError
+from estimation.values.reasons import utc_text
 from estimation.values.registry import SensorChange, SensorWork
-from estimation.values.utc_text import utc_text
 from fleet_db.locks import Subject, serialise
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.rows import table_of, upsert

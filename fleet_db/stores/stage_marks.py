@@ -27,8 +27,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.dialects import postgresql, sqlite
 
+from estimation.values.results import EVERYTHING, Due, Look, Mark, StageInputs
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import EVERYTHING, Due, Look, Mark, StageInputs
 from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import table_of
 from fleet_db.subjects import VERSIONS, Subjects

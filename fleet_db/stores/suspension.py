@@ -9,8 +9,8 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, delete, func, select
 from sqlalchemy.sql.base import ReadOnlyColumnCollection
 
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.trend import SuspensionFinding
 from fleet_db.rows import table_of, upsert
 from fleet_db.subjects import Subjects

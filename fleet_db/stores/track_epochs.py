@@ -26,8 +26,8 @@ from sqlalchemy import (
 )
 
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
 from fleet_db import alignment_due

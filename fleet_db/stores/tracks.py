@@ -13,8 +13,8 @@ from sqlalchemy import Connection, Select, and_, delete, exists, func, insert, s
 
 from estimation.errors import ConflictError, NotFoundError
 from estimation.values.quantities import Status
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.track import (
     AlignmentRecord,
     AlignmentSource,

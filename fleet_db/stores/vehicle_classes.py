@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, func, insert, select
 
 from estimation.errors import DamagedError, ParameterError
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue
 from estimation.vehicle.vehicle_class import ClassOnFile, VehicleClass, class_digest, class_document, class_of_document
 from fleet_db.registry_events import RecordKind
 from fleet_db.rows import table_of

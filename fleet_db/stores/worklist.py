@@ -16,12 +16,11 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, Row, Select, delete, exists, insert, select, tuple_
 
 from estimation.errors import NotFoundError
-from estimation.failures import code_of_error, first_line
-from estimation.values.alerts import Severity
+from estimation.values.alerts import Severity, Urgency, WorklistRow
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
-from estimation.values.subjects import EVERYTHING
-from estimation.values.worklist import Urgency, WorklistRow
+from estimation.values.results import EVERYTHING
+from estimation.values.runs import code_of_error, first_line
 from estimation.worklist.row import FORM, STAGE, WorklistInputs, distance_key, urgency_key, worklist_row
 from fleet_db.rows import insert_new, replace_all, table_of
 from fleet_db.stores.stage_marks import MARKS

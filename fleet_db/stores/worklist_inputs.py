@@ -9,13 +9,12 @@ from typing import TypeVar
 from sqlalchemy import Column, ColumnElement, Connection, ScalarSelect, select
 
 from estimation.errors import DamagedError
-from estimation.failures import code_of_error, first_line
-from estimation.values.alerts import Condition, Severity
+from estimation.values.alerts import Condition, MileageNow, OpenAlert, Severity
 from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
+from estimation.values.runs import code_of_error, first_line
 from estimation.values.windows import WindowState
-from estimation.values.worklist import MileageNow, OpenAlert
 from estimation.vehicle.vehicle_class import VehicleClass
 from estimation.worklist.row import WorklistInputs
 from fleet_db.registry_events import RecordKind

@@ -5,9 +5,8 @@ from __future__ import annotations
 from sqlalchemy import ForeignKey, Index, String, Text, text
 from sqlalchemy.orm import Mapped, mapped_column
 
-from estimation.values.alerts import Severity
+from estimation.values.alerts import Severity, Urgency
 from estimation.values.quantities import Status
-from estimation.values.worklist import Urgency
 from fleet_db.tables.base import (
     Base,
     Code,

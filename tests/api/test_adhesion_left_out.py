@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from api.routes.opinions import section_adhesion
-from estimation.values.adhesion import LeftOut, SectionAdhesion
+from estimation.values.opinions import LeftOut, SectionAdhesion
 from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.packed_adhesion import pack_section_adhesion, unpack_section_adhesion
 

@@ -35,9 +35,8 @@ from estimation.alerts.rules.weak_damper import WeakDamperRule, weak_damper_find
 from estimation.alerts.rules.wheel_asymmetry import Asymmetry, WheelAsymmetryRule, wheel_asymmetry_finding
 from estimation.alerts.rules.wheel_flat import WheelFlatRule, wheel_flat_finding
 from estimation.alerts.step_causes import StepSurroundings
-from estimation.values.adhesion import CellFriction, SectionAdhesion
 from estimation.values.alerts import AlertEventKind, Finding
-from estimation.values.dampers import GearDamper
+from estimation.values.opinions import CellFriction, GearDamper, SectionAdhesion
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.trend import SuspensionChange, TrendStep, WearTrend

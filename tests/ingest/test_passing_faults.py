@@ -28,8 +28,7 @@ from fleet_db.storage import SqlStorage
 from fleet_db.stores.chunks import ChosenChunks
 from fleet_db.tables import ChunkRow, WindowRow
 from ingest.assemble_windows import assemble_windows
-from ingest.canopen import TIME_ID
-from ingest.catalogue import default_catalogue
+from ingest.catalogue import TIME_ID, default_catalogue
 from ingest.frames import from_owned_arrays, take
 from ingest.logs import write_blf
 from ingest.logs.processes import stop_server

@@ -18,10 +18,10 @@ from estimation.alerts.rules.limit_state import Against, LimitState, limit_state
 from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount, too_few_windows
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE, QUANTITY, conicity_at_limit_amplitude
 from estimation.values.alerts import Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import Reason
 from estimation.values.registry import VehicleRecord
-from estimation.values.served import Served
 
 ANY_CLASS = "*"
 SPEED_DIGITS = 6  # of km/h: 120 km/h in m/s and back is 120.00000000000001, which belongs to the band up to 120

@@ -20,9 +20,8 @@ from estimation.alerts.rules.rule import (
 )
 from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue, Served
 from estimation.values.reasons import ReasonCode
-from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
 
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from typing import Annotated
 
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue, Served
 from estimation.values.quantities import Estimate, Forecast
 from estimation.values.reasons import Reason, code_of, text_of
-from estimation.values.served import Served
 
 SECOND_NS = 1_000_000_000
 MOST_NS = 2.0**63 - SECOND_NS  # so that the rounded time is within 64 bits

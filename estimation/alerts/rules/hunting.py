@@ -21,8 +21,8 @@ from estimation.alerts.rules.rule import (
 )
 from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.reasons import Reason
-from estimation.values.served import Served
 from estimation.values.windows import HUNTING_SHARE, WindowRecord
 
 

@@ -10,9 +10,9 @@ from estimation.alerts.identity import IdentityEvent, IdentityParameters, Mistak
 from estimation.alerts.rules.evidence import Evidence, number_evidence
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.values.alerts import Alert, Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
-from estimation.values.served import Served
 from estimation.values.trend import IDENTITY
 
 MOUNTED = "mounted"

@@ -17,9 +17,9 @@ from estimation.alerts.rules.intervals import with_standing
 from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
 from estimation.trend.trend import probability_within
 from estimation.values.alerts import Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.served import Served
 from estimation.values.trend import WearTrend
 
 PROBABLY_OVER = 0.5

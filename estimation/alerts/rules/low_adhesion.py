@@ -9,10 +9,10 @@ from annotated_types import Interval
 
 from estimation.alerts.rules.evidence import Evidence
 from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
-from estimation.values.adhesion import CellFriction, SectionAdhesion
 from estimation.values.alerts import Finding, Severity
+from estimation.values.fields import Served
+from estimation.values.opinions import CellFriction, SectionAdhesion
 from estimation.values.quantities import Estimate
-from estimation.values.served import Served
 
 Friction = Annotated[float, Interval(ge=0.02, le=0.6)]
 Hours = Annotated[float, Interval(ge=0.1, le=720.0)]

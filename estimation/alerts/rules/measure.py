@@ -20,9 +20,9 @@ from estimation.alerts.rules.limit_state import LimitState, limit_state
 from estimation.alerts.rules.rule import AlertRule, Kilometres, WheelsetFacts
 from estimation.trend.extrapolation import QUANTITY
 from estimation.values.alerts import Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import code_of
-from estimation.values.served import Served
 
 ANY_PROBABILITY = Interval(ge=0.01, le=0.9)
 

@@ -10,9 +10,8 @@ from typing import Annotated, ClassVar
 from estimation.alerts.rules.evidence import Evidence
 from estimation.alerts.rules.rule import AlertDelays, AlertRule, Days, WheelsetFacts, newest_windows
 from estimation.values.alerts import Finding, Severity
-from estimation.values.json_value import JsonValue
+from estimation.values.fields import JsonValue, Served
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
 
 DAY_NS = 86_400_000_000_000

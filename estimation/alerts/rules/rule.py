@@ -14,8 +14,8 @@ from estimation.alerts.rules.evidence import Evidence
 from estimation.alerts.step_causes import StepSurroundings
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, Finding
-from estimation.values.dampers import GearDamper
 from estimation.values.geometry import GeometryRecord, IntervalConicities, interval_conicities
+from estimation.values.opinions import GearDamper
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import SuspensionShown, TrendRecord

@@ -13,8 +13,8 @@ from estimation.alerts.rules.evidence import Evidence, number_evidence
 from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts
 from estimation.trend.suspension import SuspensionParameters
 from estimation.values.alerts import Alert, Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate, with_interval
-from estimation.values.served import Served
 from estimation.values.trend import SuspensionChange
 
 Change = Annotated[float, Interval(ge=0.01, le=10.0)]

@@ -11,9 +11,9 @@ from estimation.alerts.rules.evidence import Evidence, number_evidence
 from estimation.alerts.rules.rule import AlertRule, WheelsetFacts
 from estimation.alerts.step_causes import StepSurroundings, explanations
 from estimation.values.alerts import Alert, Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.quantities import Estimate
 from estimation.values.reasons import ReasonCode
-from estimation.values.served import Served
 from estimation.values.trend import UNREGISTERED_CHANGE, StepCause, StepExplanation, TrendStep
 
 DAY_NS = 86_400 * 10**9

@@ -16,9 +16,9 @@ from estimation.alerts.rules.evidence import (
 )
 from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, WindowCount, too_few_windows
 from estimation.values.alerts import Finding, Severity
-from estimation.values.dampers import GearDamper
+from estimation.values.fields import Served
+from estimation.values.opinions import GearDamper
 from estimation.values.quantities import NORMAL_95, Estimate
-from estimation.values.served import Served
 
 DampingShare = Annotated[float, Interval(ge=0.05, le=1.5)]
 

@@ -25,11 +25,10 @@ from estimation.alerts.rules.rule import AlertRule, Probability, WheelsetFacts, 
 from estimation.alerts.rules.standing import Standing
 from estimation.values.alerts import Alert, Finding, Severity
 from estimation.values.arrays import BoolArray, FloatArray
+from estimation.values.fields import JsonValue, Served
 from estimation.values.geometry import GeometryRecord, WheelsetGeometry
-from estimation.values.json_value import JsonValue
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.served import Served
 
 Indicator = Literal["offset", "shape"]
 INSIDE = 1.0e-3  # m: the reference

@@ -24,8 +24,8 @@ from estimation.alerts.rules.rule import (
 )
 from estimation.alerts.rules.standing import of_windows
 from estimation.values.alerts import Finding, Severity
+from estimation.values.fields import Served
 from estimation.values.registry import WheelsetRecord
-from estimation.values.served import Served
 from estimation.values.windows import WindowRecord
 
 MOST_APART = 0.1  # relative, of the turn from that of the wheel: worn wheels, and speeds by wheels of another radius

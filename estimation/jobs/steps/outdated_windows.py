@@ -17,8 +17,8 @@ from estimation.motion.window_motion import NO_ALIGNMENT
 from estimation.storage import UnitOfWork
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
+from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
-from estimation.values.subjects import Facet
 from estimation.values.windows import WindowKey, WindowMark, WindowState
 
 

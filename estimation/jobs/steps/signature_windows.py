@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 from estimation.errors import DamagedError, PurgedError, TreadwatchError
-from estimation.failures import code_of_error, first_line
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import JobContext
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
@@ -20,9 +19,9 @@ from estimation.signatures.parameters import SignatureParameters
 from estimation.signatures.window_signatures import window_signatures
 from estimation.storage import UnitOfWork
 from estimation.values.reasons import Reason, ReasonCode
-from estimation.values.runs import SubjectKind
+from estimation.values.results import Facet
+from estimation.values.runs import SubjectKind, code_of_error, first_line
 from estimation.values.signatures import SIGNATURES, KnownSignatures, Signature, WindowSignatures
-from estimation.values.subjects import Facet
 from estimation.values.track import TrackLayout
 from estimation.values.windows import Window, WindowRecord, key_of_text, text_of_key
 

@@ -23,8 +23,8 @@ from estimation.jobs.steps.trend_steps import rails_of, step_of, surroundings
 from estimation.storage import UnitOfWork
 from estimation.trend.steps import behind_step
 from estimation.values.alerts import Alert
-from estimation.values.dampers import GearDamper
 from estimation.values.geometry import GeometryRecord, IntervalConicities
+from estimation.values.opinions import GearDamper
 from estimation.values.registry import VehicleRecord, WheelsetRecord
 from estimation.values.trend import (
     SUSPENSION,

@@ -22,15 +22,14 @@ from estimation.jobs.stage import AnyStage
 from estimation.jobs.stages import ALL_STAGES
 from estimation.storage import Storage, UnitOfWork
 from estimation.trend.trend import TrendParameters
-from estimation.values.adhesion import CREEP, FRICTION
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
 from estimation.values.geometry import GEOMETRY
+from estimation.values.opinions import CREEP, FRICTION
 from estimation.values.quantities import with_interval
 from estimation.values.rails import CELLS
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
-from estimation.values.results import Result
+from estimation.values.results import EVERYTHING, Facet, Mark, Result
 from estimation.values.signatures import ANSWERS, SIGNATURES
-from estimation.values.subjects import EVERYTHING, Facet, Mark
 from estimation.values.track import TrackSectionRecord
 from estimation.values.trend import (
     AFTER,

@@ -18,9 +18,8 @@ from estimation.jobs.made_from import made_from
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
 from estimation.storage import Storage, UnitOfWork
-from estimation.values.adhesion import CREEP
 from estimation.values.alerts import Alert, Condition
-from estimation.values.dampers import GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear
+from estimation.values.opinions import CREEP, GEAR_DAMPERS, GearDamper, WindowDamper, part_of_gear
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting
