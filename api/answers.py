@@ -10,21 +10,18 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from http import HTTPMethod, HTTPStatus
 from threading import Lock
-from typing import Annotated, TypeVar
+from typing import Annotated
 from urllib.parse import quote, urlencode
 
 import orjson
 from fastapi import Header, Query, Request, Response
-from pydantic import BaseModel, SerializeAsAny
+from pydantic import BaseModel
 
-from api import cursors
 from api.contract import CSV, JSON
 from api.csv_tables import ITEMS, item_of, table
 from api.problems import ProblemError
-from api.schemas.common import Page
 
-RecordT = TypeVar("RecordT")
-ItemT = TypeVar("ItemT", bound=BaseModel)
+Table = tuple[Sequence[str], Iterable[Sequence[object]]]
 
 Limit = Annotated[int, Query(ge=1, le=1000, description="How many items at most.")]
 Cursor = Annotated[str | None, Query(description="`next_cursor` of the page before, with the same filter.")]
@@ -82,19 +79,14 @@ def answer(request: Request, body: BaseModel, *, status: int = 200, headers: Map
     """Return a representation with its ETag: as JSON, or a list as the table that the client asked for."""
     item = item_of(request.scope["route"].response_model) if wants_table(request) else None
     if item is not None:
-        return _answer_csv(request, table(item, getattr(body, ITEMS)), headers)
+        rows = csv_text(*table(item, getattr(body, ITEMS)))
+        return answer_bytes(request, rows, media_type=_CSV_TYPE, headers=headers)
     return answer_bytes(request, payload_of(body), status=status, headers=headers)
 
 
 def wants_table(request: Request) -> bool:
     """Return whether the client asked for CSV, and the operation offers it."""
     return getattr(request.state, "media_type", JSON) == CSV
-
-
-def _answer_csv(
-    request: Request, rows: tuple[Sequence[str], Iterable[Sequence[object]]], headers: Mapping[str, str] = {}
-) -> Response:
-    return answer_bytes(request, csv_text(*rows), media_type=_CSV_TYPE, headers=headers)
 
 
 def _cell(value: object) -> object:
@@ -117,7 +109,7 @@ def csv_text(header: Sequence[str], rows: Iterable[Sequence[object]]) -> bytes:
     return text.getvalue().encode()
 
 
-def table_payload(body: BaseModel, media_type: str, rows: tuple[Sequence[str], Iterable[Sequence[object]]]) -> bytes:
+def table_payload(body: BaseModel, media_type: str, rows: Table) -> bytes:
     """Return a representation as JSON, or its table as CSV."""
     return csv_text(*rows) if media_type == CSV else payload_of(body)
 
@@ -133,61 +125,14 @@ def next_path(request: Request, name: str, cursor: str) -> str:
     return f"{quote(request.scope['path'])}?{urlencode([*kept, (name, cursor)])}"
 
 
-def answer_page(
-    request: Request,
-    filters: Mapping[str, object],
-    limit: int,
-    rows: Sequence[RecordT],
-    key: Callable[[RecordT], cursors.Key],
-    represent: Callable[[RecordT], ItemT],
-) -> Response:
-    """Return one page of a list, as JSON or as a table.
-
-    Args:
-        rows: Up to ``limit + 1`` records behind the cursor; one more than shown means that there is a next page.
-    """
-    shown, cursor, path = _shown(request, filters, limit, rows, key)
-    return answer(
-        request,
-        Page[SerializeAsAny[BaseModel]](items=[represent(row) for row in shown], next_cursor=cursor, next=path),
-        headers=_link(path),
-    )
-
-
-def answer_payloads(
-    request: Request,
-    filters: Mapping[str, object],
-    limit: int,
-    rows: Sequence[RecordT],
-    key: Callable[[RecordT], cursors.Key],
-    payload: Callable[[RecordT], bytes],
-    represent: Callable[[RecordT], ItemT],
-) -> Response:
-    """Return one page of a list whose items are kept as JSON, for long lists that are read often."""
-    if wants_table(request):
-        return answer_page(request, filters, limit, rows, key, represent)
-    shown, cursor, path = _shown(request, filters, limit, rows, key)
+def answer_items(request: Request, items: Iterable[bytes], cursor: str | None, path: str | None) -> Response:
+    """Return one page of a list whose items are JSON already."""
     rest = orjson.dumps({"next_cursor": cursor, "next": path})
-    body = b'{"items":[' + b",".join(payload(row) for row in shown) + b"]," + rest[1:]
-    return answer_bytes(request, body, headers=_link(path))
+    return answer_bytes(request, b'{"items":[' + b",".join(items) + b"]," + rest[1:], headers=link(path))
 
 
-def _shown(
-    request: Request,
-    filters: Mapping[str, object],
-    limit: int,
-    rows: Sequence[RecordT],
-    key: Callable[[RecordT], cursors.Key],
-) -> tuple[Sequence[RecordT], str | None, str | None]:
-    """Return the records of a page, the cursor of the next and its path; None where this is the last."""
-    shown = rows[:limit]
-    if len(rows) <= limit:
-        return shown, None, None
-    cursor = cursors.encode(operation(request), filters, key(shown[-1]))
-    return shown, cursor, next_path(request, "cursor", cursor)
-
-
-def _link(path: str | None) -> Mapping[str, str]:
+def link(path: str | None) -> Mapping[str, str]:
+    """Return the header that names the next page."""
     return {} if path is None else {"Link": f'<{path}>; rel="next"'}
 
 

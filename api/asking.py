@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from http import HTTPStatus
 from typing import Annotated, TypeVar
 
+import orjson
 from fastapi import Depends, Request, Response
-from pydantic import BaseModel
+from pydantic import BaseModel, SerializeAsAny
 
 from api import cursors
-from api.access.caller import Caller, CallerDep
+from api.access.caller import Caller, CallerDep, known_caller
 from api.answers import (
     DEFAULT_LIMIT,
     Cursor,
@@ -20,11 +23,55 @@ from api.answers import (
     IfNoneMatch,
     Limit,
     answer,
-    answer_page,
+    answer_bytes,
+    answer_items,
+    link,
+    next_path,
     operation,
+    payload_of,
+    wants_table,
 )
+from api.problems import ProblemError
+from api.schemas.common import Page
 from api.services import Services, ServicesDep
 from fleet_db.storage import SqlUnitOfWork
+
+
+@dataclass(frozen=True, slots=True)
+class IdempotentPost:
+    """One POST with its key; without a key every request is a new one."""
+
+    key: str | None
+    request_digest: str
+
+    def earlier(self, request: Request, unit: SqlUnitOfWork) -> Response | None:
+        """Return the answer that was already given under this key."""
+        known = None if self.key is None else unit.idempotency.get(self.key)
+        if known is None:
+            return None
+        digest, status, body = known
+        if digest != self.request_digest:
+            detail = "this Idempotency-Key was used for another request; use a new one"
+            raise ProblemError(422, "idempotency-key-reused", detail)
+        headers = {"Idempotency-Replayed": "true"}
+        if status == HTTPStatus.ACCEPTED:
+            headers["Location"] = orjson.loads(body)["links"]["self"]
+        return answer_bytes(request, body.encode(), status=status, headers=headers)
+
+    def remember(self, unit: SqlUnitOfWork, status: int, body: BaseModel, now_ns: int) -> None:
+        """Keep the answer, in the transaction of the change itself."""
+        if self.key is not None:
+            unit.idempotency.put(self.key, self.request_digest, status, payload_of(body).decode(), now_ns)
+
+
+def idempotent_post(request: Request, key: str | None, body: BaseModel | None = None) -> IdempotentPost:
+    """Return this POST's identity: its key, and a digest of what it asks for."""
+    request_parts = [request.method, request.scope["path"], None if body is None else body.model_dump(mode="json")]
+    identity = None if (caller := known_caller(request.scope)) is None else caller.identity
+    if key is not None and identity is not None:  # another key's answers are not for this caller
+        key = f"{hashlib.sha256(identity.encode()).hexdigest()[:32]} {hashlib.sha256(key.encode()).hexdigest()}"
+    return IdempotentPost(key, hashlib.sha256(orjson.dumps(request_parts)).hexdigest())
+
 
 RecordT = TypeVar("RecordT")
 Filters = Mapping[str, object]
@@ -72,8 +119,35 @@ class AskedList(Asked):
         key: Callable[[RecordT], cursors.Key],
         represent: Callable[[RecordT], BaseModel],
     ) -> Response:
-        """Return a page: up to ``limit + 1`` records behind the cursor, as ``answer_page`` does."""
-        return answer_page(self.request, filters, self.limit, rows, key, represent)
+        """Return a page, as JSON or as a table, of up to ``limit + 1`` records behind the cursor."""
+        shown, cursor, path = self._shown(filters, rows, key)
+        items = [represent(row) for row in shown]
+        body = Page[SerializeAsAny[BaseModel]](items=items, next_cursor=cursor, next=path)
+        return answer(self.request, body, headers=link(path))
+
+    def payloads(
+        self,
+        filters: Filters,
+        rows: Sequence[RecordT],
+        key: Callable[[RecordT], cursors.Key],
+        payload: Callable[[RecordT], bytes],
+        represent: Callable[[RecordT], BaseModel],
+    ) -> Response:
+        """Return a page whose items are kept as JSON, for long lists that are read often."""
+        if wants_table(self.request):
+            return self.page(filters, rows, key, represent)
+        shown, cursor, path = self._shown(filters, rows, key)
+        return answer_items(self.request, map(payload, shown), cursor, path)
+
+    def _shown(
+        self, filters: Filters, rows: Sequence[RecordT], key: Callable[[RecordT], cursors.Key]
+    ) -> tuple[Sequence[RecordT], str | None, str | None]:
+        """Return the records of a page, the cursor of the next and its path; None where this is the last."""
+        shown = rows[: self.limit]
+        if len(rows) <= self.limit:
+            return shown, None, None
+        cursor = cursors.encode(operation(self.request), filters, key(shown[-1]))
+        return shown, cursor, next_path(self.request, "cursor", cursor)
 
     def numbered(
         self,
@@ -88,10 +162,7 @@ class AskedList(Asked):
         return self.page(filters, rows[: self.limit + 1], key, represent)
 
     def named(
-        self,
-        found: Iterable[RecordT],
-        key: Callable[[RecordT], str],
-        represent: Callable[[RecordT], BaseModel],
+        self, found: Iterable[RecordT], key: Callable[[RecordT], str], represent: Callable[[RecordT], BaseModel]
     ) -> Response:
         """Return a page of all records, in the order of their names."""
         after = self.after_text({})
@@ -106,6 +177,19 @@ class AskedChange(Asked):
     caller: Caller
     if_match: str | None = None
     key: str | None = None
+
+    def once(
+        self, body: BaseModel, apply: Callable[[SqlUnitOfWork, int], BaseModel], status: HTTPStatus = HTTPStatus.OK
+    ) -> Response:
+        """Change something in one transaction; the same request again changes nothing and gets the same answer."""
+        post, now_ns = idempotent_post(self.request, self.key, body), self.services.clock.now_ns()
+        with self.services.storage.write() as unit:
+            earlier = post.earlier(self.request, unit)
+            if earlier is not None:
+                return earlier
+            done = apply(unit, now_ns)
+            post.remember(unit, status, done, now_ns)
+        return answer(self.request, done, status=status)
 
 
 async def _asked(request: Request, services: ServicesDep, _held: IfNoneMatch = None) -> Asked:

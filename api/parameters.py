@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import Path, Query
 
-from api.problems import ProblemError, ProblemItem
+from api.problems import ProblemError, invalid
 from api.times import Moment, to_rfc3339
 
 CODE = r"^[^\x00-\x1f\x7f]{1,64}$"
@@ -29,15 +29,13 @@ MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured be
 def require_order(from_ns: int | None, to_ns: int | None, begin: str = "from", end: str = "to") -> None:
     """Refuse (422) a range that ends before it begins; an empty one, `[t, t)`, is allowed; None is open."""
     if from_ns is not None and to_ns is not None and from_ns > to_ns:
-        item = ProblemItem(part="query", pointer=f"#/{begin}", detail=f"is after `{end}`")
-        raise ProblemError(422, "invalid-request", f"{begin} is after {end}", [item])
+        raise invalid(f"#/{begin}", f"is after `{end}`", f"{begin} is after {end}", "query")
 
 
 def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
     """Refuse (422) a time in the future."""
     if as_of_ns is not None and as_of_ns > now_ns:
-        item = ProblemItem(part="query", pointer="#/as_of", detail="is in the future")
-        raise ProblemError(422, "invalid-request", "as_of is in the future", [item])
+        raise invalid("#/as_of", "is in the future", "as_of is in the future", "query")
 
 
 def not_purged(as_of_ns: int | None, purged_before_ns: int | None) -> None:

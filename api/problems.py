@@ -56,8 +56,8 @@ class ProblemItem(BaseModel):
     """One thing that does not validate: a JSON Pointer into the part of the request that is named by ``in``."""
 
     part: str = Field(serialization_alias="in", examples=["query"])
-    pointer: str = Field(examples=["#/limit"])
-    detail: str = Field(examples=["Input should be less than or equal to 1000"])
+    pointer: str = Field(description="JSON Pointer into that part.", examples=["#/limit"])
+    detail: str = Field(description="What is wrong there.", examples=["Input should be less than or equal to 1000"])
 
 
 class ContradictedRecord(BaseModel):
@@ -72,10 +72,10 @@ class Problem(BaseModel):
     """What went wrong, as in RFC 9457."""
 
     type: str = Field(examples=["urn:treadwatch:problem:not-found"])
-    title: str = Field(examples=["No such resource"])
-    status: int = Field(ge=400, le=599, examples=[404])
+    title: str = Field(description="What kind of problem it is.", examples=["No such resource"])
+    status: int = Field(ge=400, le=599, description="HTTP status.", examples=[404])
     detail: str | None = Field(default=None, examples=["no wheelset 'WS-9999'"])
-    instance: str | None = Field(default=None, examples=["/v1/wheelsets/WS-9999"])
+    instance: str | None = Field(default=None, description="Path of the request.", examples=["/v1/wheelsets/WS-9999"])
     errors: list[ProblemItem] | None = None
     contradicts: list[ContradictedRecord] | None = Field(
         default=None, description="The records on file that what was sent contradicts."
@@ -155,10 +155,14 @@ def _invalid(error: RequestValidationError) -> ProblemError:
     return ProblemError(422, "invalid-request", first, items)
 
 
+def invalid(place: str, detail: str, said: str | None = None, part: str = "body") -> ProblemError:
+    """Return the refusal (422) of one value, by its JSON Pointer; ``said`` in place of the sentence that names it."""
+    item = ProblemItem(part=part, pointer=place, detail=detail)
+    return ProblemError(422, "invalid-request", said or f"{part} {place}: {detail}", [item])
+
+
 def _bad_input(error: InputError) -> ProblemError:
-    place = [error.field] if error.field else []
-    item = ProblemItem(part="body", pointer=pointer(place), detail=error.reason)
-    return ProblemError(422, "invalid-request", error.reason, [item])
+    return invalid(pointer([error.field] if error.field else []), error.reason, error.reason)
 
 
 def _refused_record(error: RegistryRefusedError) -> ProblemError:
@@ -181,26 +185,14 @@ def _refused_record(error: RegistryRefusedError) -> ProblemError:
 
 def _plain(error: HTTPException) -> ProblemError:
     if error.status_code == HTTPStatus.BAD_REQUEST:  # the framework could not even decode the body
-        item = ProblemItem(part="body", pointer=pointer([]), detail="is no JSON in UTF-8")
-        return ProblemError(422, "invalid-request", "the body is no JSON in UTF-8", [item])
+        return invalid(pointer([]), "is no JSON in UTF-8", "the body is no JSON in UTF-8")
     return ProblemError(
         error.status_code, _KIND_OF_STATUS.get(error.status_code, ""), str(error.detail), headers=error.headers or {}
     )
 
 
-def _unavailable(_error: StorageError) -> ProblemError:
-    return ProblemError(503, "not-ready", "the storage is not available", headers={"Retry-After": "5"})
-
-
-def _busy(_error: BusyError) -> ProblemError:
-    detail = "the database is being written to; nothing was changed, try again"
-    return ProblemError(503, "not-ready", detail, headers={"Retry-After": "2"})
-
-
-def _unexpected(_error: Exception) -> ProblemError:
-    return ProblemError(500, "internal-error", "the failure has been logged")
-
-
+_BUSY = "the database is being written to; nothing was changed, try again"
+_AWAY = "the storage is not available"
 # The first line whose class fits; errors that are not ours are answered without their message.
 _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
     (ProblemError, lambda error: error),
@@ -211,9 +203,9 @@ _TABLE: tuple[tuple[type[Exception], Callable[[Any], ProblemError]], ...] = (
     (RegistryRefusedError, _refused_record),
     (InputError, _bad_input),
     (MigrationError, lambda error: ProblemError(503, "not-ready", str(error))),
-    (BusyError, _busy),
-    (StorageError, _unavailable),
-    (Exception, _unexpected),
+    (BusyError, lambda _: ProblemError(503, "not-ready", _BUSY, headers={"Retry-After": "2"})),
+    (StorageError, lambda _: ProblemError(503, "not-ready", _AWAY, headers={"Retry-After": "5"})),
+    (Exception, lambda _: ProblemError(500, "internal-error", "the failure has been logged")),
 )
 
 

@@ -12,7 +12,7 @@ from fastapi import Depends, Request
 from fastapi.routing import APIRoute
 from starlette import types
 
-from api.problems import ProblemError, ProblemItem
+from api.problems import ProblemError, invalid
 
 EVERYTHING = frozenset({"read", "act", "ingest", "admin"})
 NOBODY_NAMED = "anyone"
@@ -54,8 +54,7 @@ class Caller:
             wrong = (
                 "is required where access is open" if self.name is None else f"is not the key's owner, {self.name!r}"
             )
-            item = ProblemItem(part="body", pointer="#/by", detail=wrong)
-            raise ProblemError(422, "invalid-request", f"body #/by: {wrong}", [item])
+            raise invalid("#/by", wrong)
         return self.name
 
 

@@ -41,13 +41,14 @@ def _type_of(described: Any) -> Any:  # noqa: ANN401 - JSON, and a type of numba
     import numba
     import numpy as np
 
+    types: Any = numba.types
     if isinstance(described, dict):
         ((name, parts),) = described.items()
-        return numba.types.BaseTuple.from_types([_type_of(part) for part in parts], pyclass=_named(name))
+        return types.BaseTuple.from_types([_type_of(part) for part in parts], pyclass=_named(name))
     if isinstance(described, list):
-        return numba.types.BaseTuple.from_types([_type_of(part) for part in described])
+        return types.BaseTuple.from_types([_type_of(part) for part in described])
     kind, *dimensions = described.split()
     scalar = numba.from_dtype(np.dtype(kind))
     if not dimensions:
         return scalar
-    return numba.types.Array(scalar, int(dimensions[0]), "C", readonly="readonly" in dimensions)
+    return types.Array(scalar, int(dimensions[0]), "C", readonly="readonly" in dimensions)

@@ -122,7 +122,7 @@ def cursor_of(narrowed: FeedFilter, cursor: str | None) -> FeedCursor | None:
         return None
     form = _FORM.fullmatch(key) if isinstance(key, str) else None
     if form is None or int(form["sequence"]) >= cursors.INT64:
-        raise cursors.refused("this is no cursor of this list")
+        raise cursors.refused()
     return FeedCursor(int(form["sequence"]), form["identity"], form["check"])
 
 

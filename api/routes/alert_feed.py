@@ -7,13 +7,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Annotated, cast
 
-import orjson
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.access.caller import CallerDep
 from api.access.gate import require_still_good, still_good
-from api.answers import DEFAULT_LIMIT, Limit, answer, answer_bytes, next_path, wants_table
+from api.answers import DEFAULT_LIMIT, Limit, answer, answer_items, link, next_path, wants_table
 from api.feed.pages import FeedFilter, FeedFilterDep, FeedPage, PageT, opened, read_kept, read_page
 from api.feed.streams import CATCH_UP, EVENT_STREAM, EventStream, FeedStream, WaitingPlaces, Waits
 from api.feed.watch import FeedWatch
@@ -84,13 +83,11 @@ async def poll_alert_feed(
         after = page.end.cursor
         page = await run_in_threadpool(where, after, kept)
     path = next_path(request, "after", page.end.cursor)
-    headers = {"Link": f'<{path}>; rel="next"'}
     if wants_table(request):
         events = (await run_in_threadpool(where, after, partial(read_page, limit=len(page.items)))).events
         shown = [alerts.event(event) for event, _ in events]
-        return answer(request, alerts.Feed(items=shown, next_cursor=page.end.cursor, next=path), headers=headers)
-    rest = orjson.dumps({"next_cursor": page.end.cursor, "next": path})
-    return answer_bytes(request, b'{"items":[' + b",".join(page.items) + b"]," + rest[1:], headers=headers)
+        return answer(request, alerts.Feed(items=shown, next_cursor=page.end.cursor, next=path), headers=link(path))
+    return answer_items(request, page.items, page.end.cursor, path)
 
 
 @router.get(

@@ -59,9 +59,9 @@ class TurningPlan(Representation):
     """Visits to the lathe, the earliest first; wheelsets of which nothing is known come last."""
 
     made_at: Timestamp = Field(description="Our time that the plan counts from.")
-    horizon_days: float
-    together_days: float
-    limits: TurningLimits
+    horizon_days: float = Field(description="How far ahead was planned.")
+    together_days: float = Field(description="What becomes due so soon after a visit is turned in it.")
+    limits: TurningLimits = Field(description="The limits of the operator.")
     items: list[TurningPlanLine]
     links: Links
 

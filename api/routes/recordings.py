@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from http import HTTPStatus
 from typing import Annotated, Any
 
@@ -12,8 +13,7 @@ from pydantic import Field
 from api import cursors
 from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import answer
-from api.asking import AskedChange, AskedDep, AskedListDep, NewDep
-from api.idempotency import idempotent_post
+from api.asking import AskedChange, AskedDep, AskedListDep, NewDep, idempotent_post
 from api.parameters import CODE, FleetFilter, MeasuredFrom, MeasuredTo, require_order
 from api.problems import described
 from api.schemas.common import Body, Links, Page, Representation, without_folders
@@ -190,7 +190,7 @@ def list_recordings(
     require_order(from_, to)
     require_order(received_from, received_to, "received_from", "received_to")
     chosen = ChosenChunks(state, vehicle, fleet, reason_code, received_from, received_to, from_, to)
-    filters = {name: getattr(chosen, name) for name in ChosenChunks.__dataclass_fields__}
+    filters = asdict(chosen)
     before = _place(asked.after_text(filters))
     with asked.read() as unit:
         rows = unit.chunks.page(chosen, asked.limit + 1, before)
@@ -231,7 +231,7 @@ def _place(key: str | None) -> tuple[int, str] | None:
         or not received.removeprefix("-").isdecimal()
         or not -cursors.INT64 <= int(received) < cursors.INT64
     ):
-        raise cursors.refused("this is no cursor of this list")
+        raise cursors.refused()
     return int(received), digest
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from http import HTTPStatus
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Response
 from pydantic import Field
@@ -14,7 +14,7 @@ from pydantic import Field
 from api.access.caller import Scope, requires
 from api.asking import NewDep, PutDep
 from api.parameters import Code, Serial
-from api.problems import ProblemError, ProblemItem, described
+from api.problems import ProblemError, described, invalid
 from api.registry_changes import (
     MOST_TEXT,
     TEXT,
@@ -191,9 +191,9 @@ def _entered_wheelset(
 def _vehicle(code: str, body: VehicleChange) -> VehicleRecord:
     """Return the vehicle; its speed is one that a registry file can give, in km/h, to the last bit."""
     if len(body.axle_offsets_m) != body.axles:
-        _wrong("axle_offsets_m", f"{len(body.axle_offsets_m)} offsets for {body.axles} axles")
+        raise _wrong("axle_offsets_m", f"{len(body.axle_offsets_m)} offsets for {body.axles} axles")
     if len(set(body.axle_offsets_m)) < body.axles:
-        _wrong("axle_offsets_m", "two axles are at one place")
+        raise _wrong("axle_offsets_m", "two axles are at one place")
     speed = SPEED_IN_FILES.read(SPEED_IN_FILES.write(body.max_speed_m_s))
     return VehicleRecord(code, body.fleet, body.vehicle_class, body.axles, speed, tuple(body.axle_offsets_m))
 
@@ -206,12 +206,7 @@ def _class(text: str) -> VehicleClass:
     try:
         return parse_vehicle_class(parse_toml(text, Path("text")))
     except InputError as error:
-        _wrong("text", str(error))
-
-
-def _wrong(field: str, detail: str) -> NoReturn:
-    item = ProblemItem(part="body", pointer=f"#/{field}", detail=detail)
-    raise ProblemError(422, "invalid-request", f"{field}: {detail}", [item])
+        raise _wrong("text", str(error)) from None
 
 
 def _fleet(unit: SqlUnitOfWork, code: str) -> None:
@@ -226,3 +221,7 @@ def _refuse_known(look_up: Callable[[str], object], kind: str, key: str) -> None
     except NotFoundError:
         return
     raise ConflictError(f"{kind} {key!r} is on file, or was and is voided", kind=kind, key=key)
+
+
+def _wrong(field: str, detail: str) -> ProblemError:
+    return invalid(f"#/{field}", detail, f"{field}: {detail}")

@@ -27,9 +27,9 @@ MM = 1000.0
 class LinePoint(Representation):
     """A point of a section's line."""
 
-    distance_m: float
-    latitude_deg: float
-    longitude_deg: float
+    distance_m: float = Field(description="Distance along the section.")
+    latitude_deg: float = Field(description="Latitude (WGS84).")
+    longitude_deg: float = Field(description="Longitude (WGS84).")
 
 
 class TrackSection(
@@ -54,11 +54,11 @@ class Journey(Representation):
     vehicle: str
     measured_from: Timestamp
     passes: int
-    offset_m: float | None
-    scale_1: float | None
+    offset_m: float | None = Field(description="Correction of its positions; null where there is none.")
+    scale_1: float | None = Field(description="Relative correction of its distances; null where there is none.")
     middle_m: float | None
     residual_rms_mm: float | None
-    used: bool
+    used: bool = Field(description="Whether the alignment was estimated with it.")
     reason: str | None
     reason_code: ReasonCode | None
 
@@ -66,8 +66,8 @@ class Journey(Representation):
 class Convergence(Representation):
     """How the iteration of one quantity ended."""
 
-    of: Iterated
-    converged: bool
+    of: Iterated = Field(description="The quantity that was iterated.")
+    converged: bool = Field(description="Whether the iteration stopped changing.")
     rounds: int
     change_m: float | None = Field(description="By the last round, of positions and gauge.")
     change_1: float | None = Field(description="By the last round, of stiffness ratios.")
@@ -106,7 +106,7 @@ class AlignmentVersion(Derived, of=AlignmentRecord, without=("alignment_std_m", 
 class Alignment(AlignmentVersion):
     """Lateral alignment and gauge deviation along a section, column by column; null where not known."""
 
-    position_m: list[float]
+    position_m: list[float] = Field(description="Position along the section, of each value.")
     alignment_mm: list[float | None] = Field(description="Positive to the left.")
     alignment_std_mm: list[float | None]
     gauge_deviation_mm: list[float | None] = Field(

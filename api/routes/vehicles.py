@@ -56,9 +56,9 @@ class Parameter(Representation):
     """A parameter of the class; `std` is what is not known of it."""
 
     name: str = Field(examples=["yaw_stiffness"])
-    value: float = Field(examples=[2.5e6])
-    std: float = Field(examples=[125e3])
-    unit: str = Field(examples=["N m/rad"])
+    value: float = Field(description="Value, in `unit`.", examples=[2.5e6])
+    std: float = Field(description="Standard deviation: how well the value is known.", examples=[125e3])
+    unit: str = Field(description="Unit of the values beside it.", examples=["N m/rad"])
 
 
 class Sensor(Representation):
@@ -66,17 +66,17 @@ class Sensor(Representation):
 
     name: str = Field(examples=["lateral"])
     unit: str = Field(description="Of `limit`; of `noise_density` per root hertz.", examples=["m/s2"])
-    noise_density: float = Field(examples=[0.001])
+    noise_density: float = Field(description="Noise density, in `unit` per root hertz.", examples=[0.001])
     scale_std_1: float = Field(description="Relative std of its scale.", examples=[0.01])
-    limit: float | None = Field(examples=[50.0])
+    limit: float | None = Field(description="Range in which it measures; null is none.", examples=[50.0])
 
 
 class Sensors(Representation):
     """The sensors of each node."""
 
-    rate_hz: float = Field(examples=[250.0])
+    rate_hz: float = Field(description="Samples per second.", examples=[250.0])
     measures_gravity: bool = Field(description="A lateral accelerometer that rolls measures part of gravity.")
-    channels: list[Sensor]
+    channels: list[Sensor] = Field(description="The sensors, one by one.")
 
 
 class VehicleClassRepresentation(Representation):
@@ -85,7 +85,7 @@ class VehicleClassRepresentation(Representation):
     code: str = Field(examples=["coach"])
     name: str = Field(examples=["Passenger coach"])
     source: str = Field(description="Where the numbers come from.", examples=["Manchester benchmarks, vehicle 1"])
-    arrangement: Arrangement
+    arrangement: Arrangement = Field(description="How the axles are arranged: as single wheelsets or in bogies.")
     version: int | None = Field(description="As registered, from 1; null for a class of the package.", examples=[1])
     recorded_at: Timestamp | None = Field(description="When this version was registered.")
     digest: str = Field(description="Of the whole value; estimates name it.", examples=["0" * 64])
@@ -190,7 +190,7 @@ class Suspension(Representation):
     """All findings of a vehicle, oldest first, and the change; null while too little is known."""
 
     vehicle: str
-    findings: list[SuspensionResult]
+    findings: list[SuspensionResult] = Field(description="What was found, oldest first.")
     change: SuspensionShift | None
     links: Links
 

@@ -43,9 +43,9 @@ class Page(Representation, Generic[ItemT]):
 class Uncertain(Representation):
     """A number with its uncertainty; null means unknown, and `reason` and `reason_code` explain why."""
 
-    value: float | None
-    std: float | None
-    interval_95: tuple[float, float] | None
+    value: float | None = Field(description="The value; null means unknown.")
+    std: float | None = Field(description="Standard deviation; null where the value is unknown.")
+    interval_95: tuple[float, float] | None = Field(description="95 % interval; null where the value is unknown.")
     n_windows: float = Field(description="Effective number of windows behind the value.")
     status: Status
     reason: str | None

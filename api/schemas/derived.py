@@ -1,8 +1,8 @@
 """Models derived from frozen values: the class of a value says how its fields are served, see ``Served``.
 
 ``class Row(Derived, of=Value)`` has a field for each of ``Value``, under the name and in the unit that its metadata
-say, and ``Row.made(value)`` fills them in. Fields that the body of ``Row`` describes
-itself are its own; a bare annotation there tells type checkers of a derived one.
+say, and ``Row.made(value)`` fills them in. Fields that the body of ``Row`` describes itself keep these words; a bare
+annotation there tells type checkers of a derived one.
 """
 
 from __future__ import annotations
@@ -145,12 +145,12 @@ class Derived(Representation):
             return
         own, derived, makers = inspect.get_annotations(cls), {}, dict(cls.makers)
         for field in _served_fields(of, without, also):
+            kind, convert = (str, text_of) if field.hint is Reason else served_type(field)
+            makers[field.name] = field.key, convert
             if field.name in own and hasattr(cls, field.name):
                 continue
-            kind, convert = (str, text_of) if field.hint is Reason else served_type(field)
             is_nullable = field.nullable or not field.served.finite or field.hint is Reason
             derived[field.name] = kind | None if is_nullable else kind
-            makers[field.name] = field.key, convert
             setattr(cls, field.name, field.words)
             if field.hint is Reason:
                 derived[f"{field.name}_code"] = ReasonCode | None

@@ -34,16 +34,16 @@ MM = 1000.0
 class BinColumn(Representation):
     """One combination over the bins; null where its status is not `estimated`."""
 
-    value: list[float | None]
-    std: list[float | None]
-    status: list[BinStatus]
+    value: list[float | None] = Field(description="Value in each bin; null where it is not estimated.")
+    std: list[float | None] = Field(description="Standard deviation in each bin; null where it is not estimated.")
+    status: list[BinStatus] = Field(description="Of each bin; only an estimated one has a value.")
 
 
 class Bins(Representation):
     """The bin table, column by column; bins of lateral displacement of the wheelset, positive to the left."""
 
-    lower_mm: list[float]
-    upper_mm: list[float]
+    lower_mm: list[float] = Field(description="Lower edge of each bin.")
+    upper_mm: list[float] = Field(description="Upper edge of each bin.")
     samples_1: list[float | None] = Field(description="Effective number of samples.")
     rolling_radius_sum_mm: BinColumn = Field(description="rL + rR.")
     rolling_radius_difference_mm: BinColumn = Field(description="rL - rR.")
@@ -55,7 +55,7 @@ class ConicityAtAmplitude(Representation):
     """Equivalent conicity tan(gamma_e) at one amplitude of the wheelset's motion (EN 15302)."""
 
     amplitude_mm: float
-    equivalent_conicity_1: Uncertain
+    equivalent_conicity_1: Uncertain = Field(description="Equivalent conicity at this amplitude.")
 
 
 class ConicityCentre(Derived, of=Centre):
