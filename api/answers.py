@@ -150,8 +150,7 @@ def require_match(header: str | None, current: BaseModel) -> None:
         raise ProblemError(412, "precondition-failed", "the resource has changed; read it again", headers={"ETag": tag})
 
 
-CACHED_BYTES = 64 << 20
-"""Size of the representations that one process keeps, in bytes."""
+CACHED_BYTES = 64 << 20  # size of the representations that one process keeps, in bytes
 
 
 @dataclass(slots=True)

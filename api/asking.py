@@ -142,7 +142,6 @@ class AskedList(Asked):
     def _shown(
         self, filters: Filters, rows: Sequence[RecordT], key: Callable[[RecordT], cursors.Key]
     ) -> tuple[Sequence[RecordT], str | None, str | None]:
-        """Return the records of a page, the cursor of the next and its path; None where this is the last."""
         shown = rows[: self.limit]
         if len(rows) <= self.limit:
             return shown, None, None

@@ -36,7 +36,6 @@ def portable_cpu(machine: str | None = None, facts: Path = CPU_FACTS) -> tuple[s
 
 
 def _of_file(path: Path) -> dict[str, str]:
-    """Return the two settings as a file ``.env`` has them."""
     if not path.is_file():
         return {}
     from dotenv import dotenv_values  # noqa: PLC0415 - most starts have no such file

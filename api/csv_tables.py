@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import itemgetter
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -19,15 +20,22 @@ ITEMS = "items"
 LINKS = "links"
 _PLAIN = (str, int, float, bool)
 _ENDS = ("low", "high")
-Read = Callable[[Any], object]
+Convert = Callable[[Any], object]
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: its name, and how its cell is read from a representation."""
+    """One column: its name, the fields that lead to its cell, and what is written of what is there."""
 
     name: str
-    read: Read
+    fields: tuple[str, ...]
+    convert: Convert = lambda value: value
+
+    def read(self, item: Any) -> object:  # noqa: ANN401 - any representation
+        """Return the cell of a representation; of what is absent it is absent."""
+        for field in self.fields:
+            item = None if item is None else getattr(item, field)
+        return None if item is None else self.convert(item)
 
 
 def item_of(model: Any) -> type[BaseModel] | None:  # noqa: ANN401 - whatever a route answers with
@@ -41,7 +49,7 @@ def item_of(model: Any) -> type[BaseModel] | None:  # noqa: ANN401 - whatever a 
 @cache
 def columns_of(model: type[BaseModel]) -> tuple[Column, ...]:
     """Return the columns of a representation, in the order of its fields."""
-    return tuple(_columns(model, (), lambda value: value))
+    return tuple(_columns(model, (), ()))
 
 
 def table(model: type[BaseModel], items: Sequence[BaseModel]) -> tuple[Sequence[str], Iterator[Sequence[object]]]:
@@ -50,41 +58,30 @@ def table(model: type[BaseModel], items: Sequence[BaseModel]) -> tuple[Sequence[
     return [column.name for column in columns], ([column.read(item) for column in columns] for item in items)
 
 
-def _columns(model: type[BaseModel], prefix: tuple[str, ...], read: Read) -> Iterator[Column]:
+def _columns(model: type[BaseModel], path: tuple[str, ...], fields: tuple[str, ...]) -> Iterator[Column]:
     for name, info in model.model_fields.items():
-        if name == LINKS:
-            continue
-        yield from _cells(info.annotation, (*prefix, info.serialization_alias or name), _part(read, name))
+        if name != LINKS:
+            yield from _cells(info.annotation, (*path, info.serialization_alias or name), (*fields, name))
 
 
-def _part(read: Read, name: str) -> Read:
-    """Return how a field is read; of what is absent it is absent."""
-
-    def part(item: Any) -> object:  # noqa: ANN401 - any representation
-        whole = read(item)
-        return None if whole is None else getattr(whole, name)
-
-    return part
-
-
-def _cells(annotation: Any, path: tuple[str, ...], read: Read) -> Iterator[Column]:  # noqa: ANN401 - any type
+def _cells(annotation: Any, path: tuple[str, ...], fields: tuple[str, ...]) -> Iterator[Column]:  # noqa: ANN401 - any type
     kind, arguments = _known(annotation)
     name = "_".join(path)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
-        yield from _columns(kind, path, read)
+        yield from _columns(kind, path, fields)
     elif kind is tuple and len(arguments) == len(_ENDS) and Ellipsis not in arguments:
         for place, end in enumerate(_ENDS):
-            yield Column(f"{name}_{end}", _end(read, place))
+            yield Column(f"{name}_{end}", fields, itemgetter(place))
     elif isinstance(kind, type) and issubclass(kind, _PLAIN):
-        yield Column(name, read)
+        yield Column(name, fields)
     elif kind in {list, tuple} and all(
         isinstance(_known(one)[0], type) and issubclass(_known(one)[0], _PLAIN)
         for one in arguments
         if one is not Ellipsis
     ):
-        yield Column(name, _joined(read))
+        yield Column(name, fields, lambda values: "; ".join(map(str, values)))
     else:
-        yield Column(name, _as_json(read))
+        yield Column(name, fields, lambda value: orjson.dumps(value, default=_plain).decode())
 
 
 def _known(annotation: Any) -> tuple[Any, tuple[Any, ...]]:  # noqa: ANN401 - any type
@@ -96,30 +93,6 @@ def _known(annotation: Any) -> tuple[Any, tuple[Any, ...]]:  # noqa: ANN401 - an
         present = [one for one in arguments if one is not NoneType]
         return _known(present[0]) if len(present) == 1 else (None, ())
     return (annotation, ()) if origin is None else (origin, arguments)
-
-
-def _end(read: Read, place: int) -> Read:
-    def end(item: Any) -> object:  # noqa: ANN401 - any representation
-        pair: Any = read(item)
-        return None if pair is None else pair[place]
-
-    return end
-
-
-def _joined(read: Read) -> Read:
-    def joined(item: Any) -> object:  # noqa: ANN401 - any representation
-        values: Any = read(item)
-        return None if values is None else "; ".join(map(str, values))
-
-    return joined
-
-
-def _as_json(read: Read) -> Read:
-    def text(item: Any) -> object:  # noqa: ANN401 - any representation
-        value = read(item)
-        return None if value is None else orjson.dumps(value, default=_plain).decode()
-
-    return text
 
 
 def _plain(value: Any) -> object:  # noqa: ANN401 - what orjson does not know

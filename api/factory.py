@@ -55,8 +55,7 @@ if TYPE_CHECKING:
     from ingest.topic.publishing import Publisher
 
 
-FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0
-"""Between attempts to reach it; each is twice the one before."""
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0  # between attempts to reach it; each is twice the one before
 
 Service = TypeVar("Service")
 
@@ -90,12 +89,9 @@ def once_the_database_answers(make: Callable[[], Service], settings: Settings, s
 
 
 MEGABYTE = 1_000_000
-RECEIPT_PATIENCE_S = 20.0
-"""How long receipts of uploads wait for another process that writes to the embedded database."""
-AT_ONCE_S = 1.0
-"""A database server that answers within this time is there before the REST API listens."""
-WRITERS = 16
-"""Requests that write at once on a database server; the others are left for those that read."""
+RECEIPT_PATIENCE_S = 20.0  # how long receipts of uploads wait for another process that writes to the embedded database
+AT_ONCE_S = 1.0  # a database server that answers within this time is there before the REST API listens
+WRITERS = 16  # requests that write at once on a database server; the others are left for those that read
 
 
 class SystemClock:

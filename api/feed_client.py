@@ -98,11 +98,9 @@ STREAM = f"{FEED}/stream"
 EVENT_STREAM = "text/event-stream"
 PAGE = 500
 WAIT_S = 25
-SILENCE_S = 40.0
-"""Of a stream, whose signs of life come every 15 s; longer is a broken connection."""
+SILENCE_S = 40.0  # of a stream, whose signs of life come every 15 s; longer is a broken connection
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 30.0
-STREAM_FAILURES = 3
-"""Streams that break without a word, one after the other, until the client polls instead."""
+STREAM_FAILURES = 3  # streams that break without a word, one after the other, until the client polls instead
 Event = dict[str, Any]
 
 
@@ -171,7 +169,6 @@ class Follower:
         return httpx.QueryParams(given if self.cursor is None else [*given, ("after", self.cursor)])
 
     def _page(self, wait_s: int) -> bool:
-        """Hand one page over; return whether it was full."""
         parameters = self._parameters(limit=PAGE, wait_s=wait_s)
         page = checked(self.http.get(FEED, params=parameters, timeout=wait_s + 30.0))
         for number, event in enumerate(page["items"], 1):
@@ -186,7 +183,6 @@ class Follower:
         return True
 
     def _stream(self) -> bool:
-        """Hand over what a stream brings until it ends."""
         headers = {"Accept": EVENT_STREAM}
         timeout = httpx.Timeout(30.0, read=SILENCE_S)
         with self.http.stream("GET", STREAM, params=self._parameters(), headers=headers, timeout=timeout) as response:

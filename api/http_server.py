@@ -26,12 +26,9 @@ from api.settings import PREFIX, Settings
 from estimation.errors import ParameterError
 
 MAX_BODY_BYTES = 1 << 20
-MAX_HEAD_BYTES = 16 << 10
-"""Request line and headers of one request."""
-REQUESTS = 100
-"""Requests that are answered at the same time; beyond, 503."""
-SEND_TIMEOUT_S = 30.0
-"""How long a client may leave an answer unread, in seconds."""
+MAX_HEAD_BYTES = 16 << 10  # request line and headers of one request
+REQUESTS = 100  # requests that are answered at the same time; beyond, 503
+SEND_TIMEOUT_S = 30.0  # how long a client may leave an answer unread, in seconds
 ACCEPTED_AT_ONCE = 8
 """Connections that are accepted in one turn of the event loop; those they displace are closed a few turns later."""
 RESERVED_DESCRIPTORS = 64 + 5 * ACCEPTED_AT_ONCE
@@ -188,7 +185,6 @@ class LimitedConnection(H11Protocol):
             self._due.pop(why).cancel()
 
     def _note(self) -> None:
-        """Note whether it is busy now, and wait for headers no longer than allowed."""
         if self.transport.is_closing():
             return
         if self.cycle is None or self.cycle.response_complete:
@@ -211,8 +207,7 @@ def connection_measures(connections: Connections) -> list[Metric]:
     ]
 
 
-WAITING_TO_BE_ACCEPTED = 2048
-"""Connections that the system holds until they are accepted."""
+WAITING_TO_BE_ACCEPTED = 2048  # connections that the system holds until they are accepted
 
 
 class HttpServer(uvicorn.Server):

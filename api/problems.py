@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPMethod, HTTPStatus
@@ -251,7 +250,7 @@ def allowed_methods(operations: Iterable[tuple[str, str]], path: str, named: str
     methods: dict[str, set[str]] = {}
     for template, method in operations:
         methods.setdefault(template, set()).add(method)
-    fitting = [template for template in methods if _fits(template, path)]
+    fitting = [template for template in methods if compile_path(template)[0].match(path)]
     if fitting:
         found = methods[min(fitting, key=lambda template: template.count("{"))]
     else:
@@ -259,8 +258,3 @@ def allowed_methods(operations: Iterable[tuple[str, str]], path: str, named: str
     if HTTPMethod.GET in found:
         found = {*found, HTTPMethod.HEAD.value}
     return ", ".join(sorted(found))
-
-
-def _fits(template: str, path: str) -> bool:
-    pattern: re.Pattern[str] = compile_path(template)[0]
-    return pattern.match(path) is not None

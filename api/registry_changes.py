@@ -54,8 +54,7 @@ class RegistryChange(Body):
 MOST_TEXT = MEBIBYTE  # of one file; a request has at most as much
 
 
-UNNAMED = "unnamed client"
-"""Who changes something where access is open and nobody says who it is."""
+UNNAMED = "unnamed client"  # who changes something where access is open and nobody says who it is
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,11 +25,9 @@ from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.storage import SqlStorage
 from ingest.topic.publishing import Publisher
 
-MOST_WAITING = 16
-"""Requests that may wait for a slot; more are refused at once."""
+MOST_WAITING = 16  # requests that may wait for a slot; more are refused at once
 
-PATIENCE_S = 3.0
-"""How long a request waits for a slot, and in it for other processes that write."""
+PATIENCE_S = 3.0  # how long a request waits for a slot, and in it for other processes that write
 
 
 class WriterSlots:

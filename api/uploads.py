@@ -30,18 +30,18 @@ def is_upload(scope: Scope) -> bool:
     return bool(scope["method"] == "PUT" and scope["path"].startswith(FOLDER))
 
 
-PIECE_BYTES = 1 << 20
-"""What is gathered in memory before it is written."""
+PIECE_BYTES = 1 << 20  # what is gathered in memory before it is written
 DRAIN_S = 2.0
 """How long the rest of a refused body is read, so that its sender reads the answer and not a broken connection."""
 CLOSING = {"Connection": "close"}
 
 
 @dataclass(frozen=True, slots=True)
-class BodyLimits:
-    """Size in bytes, time in all and time without a byte, in seconds."""
+class UploadLimits:
+    """Size of a chunk in bytes, how many are received at the same time, time of one in all and without a byte, s."""
 
     most_bytes: int
+    at_once: int
     total_s: float
     pause_s: float
 
@@ -49,7 +49,7 @@ class BodyLimits:
 class UploadBody:
     """The body of one request."""
 
-    def __init__(self, headers: Headers, receive: Receive, limits: BodyLimits) -> None:
+    def __init__(self, headers: Headers, receive: Receive, limits: UploadLimits) -> None:
         self._headers = headers
         self._receive = receive
         self._limits = limits
@@ -110,10 +110,8 @@ def too_large(most_bytes: int) -> ProblemError:
 
 
 ResultT = TypeVar("ResultT")
-THREADS = 8
-"""That write and force chunks to the disk."""
-TRY_AGAIN_S = {Limit.CHUNKS: 30, Limit.BYTES: 30, Limit.DISK: 60}
-"""What a sender that is refused waits, by the limit."""
+THREADS = 8  # that write and force chunks to the disk
+TRY_AGAIN_S = {Limit.CHUNKS: 30, Limit.BYTES: 30, Limit.DISK: 60}  # what a sender that is refused waits, by the limit
 UPLOADS_FULL, NO_STORAGE = "uploads", "storage"
 
 
@@ -127,16 +125,6 @@ class Taken(StrEnum):
     BEHIND = "behind"  # 503, to be sent again
 
 
-@dataclass(frozen=True, slots=True)
-class UploadLimits:
-    """Size of a chunk in bytes, how many are received at the same time, time of one in all and without a byte, s."""
-
-    most_bytes: int
-    at_once: int
-    total_s: float
-    pause_s: float
-
-
 class Uploads:
     """Takes uploads."""
 
@@ -144,8 +132,7 @@ class Uploads:
         self._raw = raw
         self._group = ReceiptGroup(storage, most_waiting=limits.at_once)
         self._threads = ThreadPoolExecutor(THREADS, thread_name_prefix="upload")
-        self._body = BodyLimits(limits.most_bytes, limits.total_s, limits.pause_s)
-        self._at_once = limits.at_once
+        self._limits = limits
         self.backlog = backlog
         self.running = 0
         self.ended: Counter[Taken] = Counter()
@@ -165,7 +152,7 @@ class Uploads:
             ConflictError: The same chunk was received from another vehicle, or deleted.
             StorageError: The database cannot be reached: nothing is stored.
         """
-        body = UploadBody(headers, receive, self._body)
+        body = UploadBody(headers, receive, self._limits)
         self.running += 1
         try:
             stored = await self._take(body, digest, chunk)
@@ -183,8 +170,8 @@ class Uploads:
 
     async def _take(self, body: UploadBody, digest: str, chunk: Chunk) -> Stored:
         size = body.announced_bytes()
-        if self.running > self._at_once:
-            raise self._behind(UPLOADS_FULL, f"{self._at_once} chunks are being received", 1)
+        if self.running > self._limits.at_once:
+            raise self._behind(UPLOADS_FULL, f"{self._limits.at_once} chunks are being received", 1)
         ask = self.backlog.behind
         behind = ask(size) if self.backlog.fresh else await self._in_thread(ask, size)
         if behind is not None:

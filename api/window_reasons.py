@@ -29,8 +29,7 @@ from fleet_db.stores.window_reasons import COUNTED, CountedWindows, newest_by_re
 OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
 """Codes whose sentence names a section and what it lacks."""
 
-SHOWN = 3
-"""Reasons that the sentence on a wheelset names."""
+SHOWN = 3  # reasons that the sentence on a wheelset names
 
 
 @dataclass(slots=True)
@@ -178,7 +177,6 @@ class WindowReasons:
         return None if latest is None else latest.start_ns + latest.length_ns
 
     def _without_windows(self, record: WheelsetRecord) -> tuple[str, str]:
-        """Return why a wheelset has no window, and what to do."""
         mounting = record.mounting
         if self._last_ns(record.serial) is not None:
             return "no window has been received since the last reprofiling", "Check the vehicle and its receiver."
@@ -210,7 +208,6 @@ _DOES = {WindowState.PENDING: "wait", WindowState.REFUSED: "are refused", Window
 
 
 def _sentence(found: list[WindowsOfReason]) -> str:
-    """Return what became of windows in one sentence, the most frequent reasons first."""
     total = sum(one.windows for one in found)
     if len(found) == 1:
         return f"its newest {total} windows {_DOES[found[0].state]}: {found[0].reason}"

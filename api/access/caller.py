@@ -15,8 +15,7 @@ from starlette import types
 from api.problems import ProblemError, invalid
 
 EVERYTHING = frozenset({"read", "act", "ingest", "admin"})
-NOBODY_NAMED = "anyone"
-"""Who makes a key where access is open."""
+NOBODY_NAMED = "anyone"  # who makes a key where access is open
 _PLACE = "treadwatch.caller"
 
 
@@ -58,8 +57,7 @@ class Caller:
         return self.name
 
 
-ANYONE = Caller(None, EVERYTHING, None)
-"""The caller of a service whose access is open."""
+ANYONE = Caller(None, EVERYTHING, None)  # the caller of a service whose access is open
 
 
 def name_caller(scope: types.Scope, caller: Caller) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from functools import partial
 from http import HTTPMethod
-from typing import Literal, Protocol
+from typing import Literal
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
@@ -22,8 +22,7 @@ from estimation.errors import TreadwatchError
 
 Door = Literal["key", "open", "off"]
 HEALTH = frozenset({"/healthz", "/readyz"})
-PAGE = frozenset({"/", "/favicon.ico"})
-"""The page itself holds nothing of a fleet: it asks for a key and reads with it."""
+PAGE = frozenset({"/", "/favicon.ico"})  # the page itself holds nothing of a fleet: it asks for a key and reads with it
 PAGE_FILES = "/assets/"
 DOCUMENTS = frozenset({"/openapi.json", "/docs"})
 DOCUMENT_FILES = "/docs/"
@@ -118,11 +117,6 @@ STILL_GOOD = "treadwatch.still_good"
 LONGEST_TOKEN = 8192
 
 
-class _Uses(Protocol):
-    def used(self, prefix: str, at_ns: int) -> None:
-        """Note that a key was used."""
-
-
 @dataclass(frozen=True, slots=True)
 class Gate:
     """Decides who asks, and refuses who may not.
@@ -136,7 +130,7 @@ class Gate:
     doors: Opened
     keys: KeyRing | None
     tokens: Tokens | None
-    uses: _Uses
+    note_use: Callable[[str, int], None]
     requests: Rate
     failures: Rate
     now_ns: Callable[[], int] = time.time_ns
@@ -191,7 +185,7 @@ class Gate:
         key = await keys.find(token, now_ns)
         if key is None:
             return None
-        self.uses.used(key.prefix, now_ns)
+        self.note_use(key.prefix, now_ns)
         return Caller(key.owner, key.scopes, key.fleets, f"key {key.prefix}")
 
 

@@ -66,7 +66,7 @@ class AccessPlan:
             doors=self.doors,
             keys=KeyRing(storage) if self.with_keys else None,
             tokens=None if self.provider is None else Tokens(self.provider),
-            uses=book,
+            note_use=book.used,
             requests=Rate(self.requests_per_s, self.requests_burst),
             failures=Rate(self.failed_keys_per_minute / MINUTE_S, max(1.0, self.failed_keys_per_minute)),
         )

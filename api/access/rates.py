@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 from api.access.caller import Caller
 from api.problems import ProblemError
 
-BUCKETS = 10_000
-"""Keys or addresses that are remembered; beyond, the one not seen for longest is forgotten."""
+BUCKETS = 10_000  # keys or addresses that are remembered; beyond, the one not seen for longest is forgotten
 
 
 @dataclass(slots=True)

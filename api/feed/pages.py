@@ -158,8 +158,7 @@ def _of_another(path: str, detail: str, begin: str | None) -> ProblemError:
 
 
 PageT = TypeVar("PageT")
-LATEST = "latest"
-"""What a client sends as its cursor to begin behind the newest event."""
+LATEST = "latest"  # what a client sends as its cursor to begin behind the newest event
 
 
 @dataclass(frozen=True, slots=True)

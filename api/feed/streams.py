@@ -64,16 +64,11 @@ class WaitingPlaces:
 
 
 EVENT_STREAM = "text/event-stream"
-HEARTBEAT_S = 15.0
-"""Longest silence of a stream."""
-LONGEST_S = 900.0
-"""A stream ends after this time; clients connect again."""
-ASKED_EVERY_S = 15.0
-"""How often a stream asks whether its key would still be let in; else it ends."""
-RETRY_MS = 2000
-"""How long a client waits until it connects again."""
-CATCH_UP = 200
-"""Events of one read of a stream that is behind."""
+HEARTBEAT_S = 15.0  # longest silence of a stream
+LONGEST_S = 900.0  # a stream ends after this time; clients connect again
+ASKED_EVERY_S = 15.0  # how often a stream asks whether its key would still be let in; else it ends
+RETRY_MS = 2000  # how long a client waits until it connects again
+CATCH_UP = 200  # events of one read of a stream that is behind
 _log = logging.getLogger(__name__)
 
 
@@ -142,7 +137,6 @@ class FeedStream:
                     await self.watch.wait(max(0.0, due - self.clock_s()))
 
     async def _next(self, channel: Channel, place: Place) -> tuple[bytes, Place]:
-        """Return what is to be sent now and where it ends; nothing where all has been sent."""
         news = channel.after(place.sequence)
         if news is None:
             try:

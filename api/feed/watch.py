@@ -34,12 +34,9 @@ def ending() -> bool:
     return isinstance(server, uvicorn.Server) and server.should_exit
 
 
-INTERVAL_S = 0.2
-"""Between two looks at the database, while somebody waits."""
-KEPT = 1000
-"""Events of a filter that are kept; who is further behind reads the database."""
-AT_ONCE = 500
-"""Events that one look takes in; the next ones with the next look."""
+INTERVAL_S = 0.2  # between two looks at the database, while somebody waits
+KEPT = 1000  # events of a filter that are kept; who is further behind reads the database
+AT_ONCE = 500  # events that one look takes in; the next ones with the next look
 _log = logging.getLogger(__name__)
 
 
@@ -167,7 +164,6 @@ class FeedWatch:
 
 
 def _news(storage: SqlStorage, channels: Sequence[Channel]) -> tuple[int, Sequence[tuple[Channel, FeedPage]]]:
-    """Return the number of the newest event, and what is new in each channel."""
     with storage.read() as unit:
         newest = unit.feed_branches.newest_sequence()
     pages = []

@@ -256,14 +256,12 @@ def _leave_streams_open(operation: dict[str, Any]) -> None:
 
 
 def _described(codes: type[ReasonCode | CloseReason | Urgency]) -> str:
-    """Return what every code of an enumeration means, one line each."""
     meant = (code.sentence if isinstance(code, CloseReason) else code.meaning for code in codes)
     lines = (f"- `{code.value}`: {meaning}" for code, meaning in zip(codes, meant, strict=True))
     return "\n".join(("Stable codes; their sentences may be reworded.", "", *lines))
 
 
 def _describe_unchanged(operation: dict[str, Any]) -> None:
-    """Add 304 to the responses of an operation that takes ``If-None-Match``."""
     if any(entry["name"] == "If-None-Match" for entry in operation.get("parameters", ())):
         operation["responses"]["304"] = {"description": "The client holds it as it is."}
     operation["responses"] = dict(sorted(operation["responses"].items()))

@@ -106,7 +106,7 @@ def create_key(request: Request, services: ServicesDep, caller: CallerDep, body:
     wanted = Wanted(body.owner, frozenset(body.scopes), fleets, body.expires_at)
     with services.storage.write() as unit:
         made, token = make_key(unit, wanted, caller.name or NOBODY_NAMED, services.clock.now_ns())
-    shown = KeyWithSecret.made(made, **_own(made), key=token.text)
+    shown = KeyWithSecret.made(made, **_own(made), key=token)
     headers = {"Location": f"/v1/keys/{made.prefix}", "Cache-Control": "no-store"}
     return answer(request, shown, status=HTTPStatus.CREATED, headers=headers)
 

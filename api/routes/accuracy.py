@@ -17,7 +17,7 @@ from api.contract import TABLE, Accepted
 from api.parameters import FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
 from api.routes.design_contact import ProfileContact, comparison_reader, profile_contact
-from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
+from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain, why
 from api.schemas.derived import Derived
 from api.schemas.geometry import MM, Bins, bin_table
 from api.schemas.registry import segment
@@ -41,7 +41,7 @@ from estimation.errors import NotFoundError, ProfileError
 from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
-from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.reasons import Reason, ReasonCode
 from fleet_db.stores.measured_profiles import newest_measurements
 
 NOT_OBSERVABLE = Reason(
@@ -147,8 +147,7 @@ def profile_comparison(found: Comparison) -> ProfileComparison:
         ),
         measured=profile_contact(found.contact),
         estimate=None if record is None else _estimate(found, record),
-        reason=text_of(found.reason),
-        reason_code=code_of(found.reason),
+        **why(found.reason),
         independent=found.independent,
         measured_at_bins=_at_bins(found),
         conicity_by_amplitude=[conicity_compared(pair) for pair in found.conicity],
@@ -172,21 +171,20 @@ def conicity_compared(pair: ConicityPair) -> ConicityCompared:
 
 
 def _measures(wheel: Profile) -> WheelMeasures:
-    why, found = None, WearMeasures(*[np.nan] * 4)
+    cause, found = None, WearMeasures(*[np.nan] * 4)
     try:
         found = wear_measures(wheel)
     except ProfileError as error:
-        why = Reason(ReasonCode.PROFILE_INCOMPLETE, str(error))
-    return WheelMeasures.made(found, profile=wheel.name, reason=text_of(why), reason_code=code_of(why))
+        cause = Reason(ReasonCode.PROFILE_INCOMPLETE, str(error))
+    return WheelMeasures.made(found, profile=wheel.name, **why(cause))
 
 
 def _estimate(found: Comparison, record: GeometryRecord) -> EstimateOfDate:
-    why = found.estimate.reason or record.geometry.reason
+    cause = found.estimate.reason or record.geometry.reason
     apart = record.mileage_km - found.measurement.mileage_km
     return EstimateOfDate(
         status=record.geometry.status,
-        reason=text_of(why),
-        reason_code=code_of(why),
+        **why(cause),
         baseline=record.baseline,
         mileage_km=finite(record.mileage_km),
         mileage_apart_km=finite(apart),
@@ -352,8 +350,7 @@ def _row(row: PlacedComparison) -> MeasurementRow:
         independent=found.independent,
         measured_1=uncertain(found.at_limit.measured),
         estimated_1=uncertain(found.at_limit.estimated),
-        reason=text_of(found.reason),
-        reason_code=code_of(found.reason),
+        **why(found.reason),
         links={
             "wheelset": f"/v1/wheelsets/{segment(one.wheelset)}",
             "comparison": comparison_path(one.wheelset, one.at_ns),

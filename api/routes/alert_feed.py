@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, cast
+from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -78,7 +78,7 @@ async def poll_alert_feed(
         places: WaitingPlaces = request.app.state.waiting_places
         with places.held(Waits.LONG_POLL, caller), turn_of(request.scope).given_back():
             empty = await run_in_threadpool(where, page.end.cursor, partial(read_page, limit=1))
-            await _news(_watch(request), services, narrowed, empty, wait_s)
+            await _news(request.app.state.feed_watch, services, narrowed, empty, wait_s)
         await require_still_good(request.scope)
         after = page.end.cursor
         page = await run_in_threadpool(where, after, kept)
@@ -114,14 +114,10 @@ async def stream_alert_feed(
     page = await run_in_threadpool(_behind, services, narrowed, path, begin, partial(read_page, limit=CATCH_UP))
     if not page.events:
         await run_in_threadpool(_require_fleets, services, narrowed)
-    stream = FeedStream(_watch(request), narrowed, services.storage, partial(still_good, request.scope))
+    stream = FeedStream(request.app.state.feed_watch, narrowed, services.storage, partial(still_good, request.scope))
     places: WaitingPlaces = request.app.state.waiting_places
     held = (places.held(Waits.STREAM, caller), turn_of(request.scope).given_back())
     return EventStream(stream.parts(page), STREAM_HEADERS, held)
-
-
-def _watch(request: Request) -> FeedWatch:
-    return cast("FeedWatch", request.app.state.feed_watch)
 
 
 def _behind(
@@ -143,7 +139,6 @@ def _require_fleets(services: Services, narrowed: FeedFilter) -> None:
 
 
 async def _news(watch: FeedWatch, services: Services, narrowed: FeedFilter, page: FeedPage, wait_s: float) -> None:
-    """Wait until there is something behind a page, or for a time."""
     until, histories = time.monotonic() + wait_s, watch.histories
     async with watch.following(narrowed, services.storage, page) as channel:
         while (left_s := until - time.monotonic()) > 0 and not watch.ended and histories == watch.histories:

@@ -109,7 +109,6 @@ def _found(
 
 
 def _place(after: object) -> tuple[Severity, int | None]:
-    """Return severity and number of the last alert of the page before; the worst, and none, at the beginning."""
     if after is None:
         return list(Severity)[-1], None
     match after:
@@ -138,8 +137,7 @@ def list_alert_events(request: Request, services: ServicesDep, alert_id: Number)
 actions_router = APIRouter(
     prefix="/v1/alerts", tags=["alerts"], dependencies=[Depends(requires(Scope.ACT)), Depends(writer_slot)]
 )
-MAINTENANCE_SYSTEM = "maintenance system"
-"""Who links to work of its own where access is open and nobody is named."""
+MAINTENANCE_SYSTEM = "maintenance system"  # who links to work of its own where access is open and nobody is named
 _REFUSALS = described(404, 409, 412, 413, 415, 428)
 
 

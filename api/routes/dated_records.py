@@ -204,7 +204,6 @@ def exchange_wheelset(asked: ChangeDep, serial: Serial, body: Exchange) -> Respo
 
 
 def _ended(unit: SqlUnitOfWork, serial: str, at_ns: int) -> Mounting:
-    """Return the mounting that lasts, as it ends at a time."""
     lasting = unit.registry.wheelset(serial).mounting
     if lasting is None:
         raise _conflict(serial, "is mounted nowhere")

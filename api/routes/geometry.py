@@ -27,8 +27,7 @@ from fleet_db.storage import SqlUnitOfWork
 from fleet_db.stores.window_counts import window_counts
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
-NOT_KEPT = b""
-"""Stands among the kept representations for one that is made each time."""
+NOT_KEPT = b""  # stands among the kept representations for one that is made each time
 
 
 @router.get("/{serial}/geometry", response_model=geometry.Geometry, responses={**described(404, 410), **TABLE})

@@ -69,7 +69,6 @@ class QuarantinedItem(
 
 
 def _quarantined(item: Quarantined) -> QuarantinedItem:
-    """Return the representation of what is kept of a failure; its message without the folders of the machine."""
     resource = _RESOURCES.get(item.kind)
     return QuarantinedItem.made(
         item,

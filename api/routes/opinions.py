@@ -178,7 +178,6 @@ def _period(part: RailPart, amplitude: Sequence[float]) -> RailsPeriod:
 
 
 def _at(geometry: GeometryRecord | None, amplitude: float) -> Estimate:
-    """Return the conicity of a geometry at an amplitude."""
     if geometry is not None:
         for at, one in zip(geometry.geometry.amplitude, geometry.geometry.conicity, strict=True):
             if abs(float(at) - amplitude) < SAME_AMPLITUDE:

@@ -279,7 +279,6 @@ def delete_recording(
 def _correct(
     asked: AskedChange, digest: str, body: Correction, apply: Callable[[RecordingCorrections], ChunkRecord]
 ) -> Response:
-    """Correct a recording once, however often the same request comes under one key."""
     post = idempotent_post(asked.request, asked.key, body)
     with asked.read() as unit:
         earlier = post.earlier(asked.request, unit)

@@ -182,7 +182,6 @@ def restore_record(asked: ChangeDep, body: RecordDecision) -> Response:
 
 
 def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> Response:
-    """Void or restore a record under If-Match and Idempotency-Key, in one transaction."""
     key = _key(body)
     if key.kind in _SHARED and asked.caller.fleets is not None:
         raise ProblemError(403, "forbidden", "this needs a key of all fleets")
@@ -214,7 +213,6 @@ def _key(body: RecordDecision) -> RecordKey:
 
 
 def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
-    """Return the representation of what a record is of."""
     if key.kind in _OF_VEHICLE:
         return registry.vehicle(unit.registry.vehicle(key.subject))
     if key.kind not in _SHARED:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -129,16 +128,14 @@ class AlignmentSummary(
     links: Links
 
 
-def _point(distance_m: float, latitude_deg: float, longitude_deg: float) -> LinePoint:
-    return LinePoint(distance_m=distance_m, latitude_deg=latitude_deg, longitude_deg=longitude_deg)
-
-
 def section(record: TrackSectionRecord) -> TrackSection:
     """Return the representation of a track section."""
     own = f"/v1/track-sections/{segment(record.code)}"
     return TrackSection.made(
         record,
-        coordinates=None if record.line is None else [_point(*point) for point in record.line],
+        coordinates=None
+        if record.line is None
+        else [LinePoint(**dict(zip(LinePoint.model_fields, point, strict=True))) for point in record.line],
         links={
             "self": own,
             "alignment": f"{own}/alignment",
@@ -184,7 +181,7 @@ def report(record: TrackReport) -> AlignmentReport:
         convergence=[_convergence(item) for item in _listed(report.get("convergence"))],
         journeys=[_journey(item) for item in _listed(report.get("journeys"))],
         links={"self": f"{own}/alignment-report", "section": own, **in_force},
-        **_as_stored(report),
+        **{name: report.get(name, missing) for name, missing in _AS_STORED.items()},
     )
 
 
@@ -203,32 +200,20 @@ _AS_STORED: dict[str, Any] = {
 }
 
 
-def _as_stored(report: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: report.get(name, missing) for name, missing in _AS_STORED.items()}
-
-
 def _convergence(stored: dict[str, Any]) -> Convergence:
     of = Iterated(stored["of"])
     relative = of is Iterated.STIFFNESS_RATIOS
-    return Convergence(
-        of=of,
-        converged=stored["converged"],
-        rounds=stored["rounds"],
-        change_m=None if relative else stored["change"],
-        change_1=stored["change"] if relative else None,
-    )
+    changes = (None, stored["change"]) if relative else (stored["change"], None)
+    same = {name: stored[name] for name in ("converged", "rounds")}
+    return Convergence(of=of, **same, change_m=changes[0], change_1=changes[1])
 
 
 def _journey(report: dict[str, Any]) -> Journey:
+    same = ("vehicle", "passes", "offset_m", "scale_1", "middle_m", "used")
     return Journey(
-        vehicle=report["vehicle"],
+        **{name: report[name] for name in same},
         measured_from=to_rfc3339(report["from_ns"]),
-        passes=report["passes"],
-        offset_m=report["offset_m"],
-        scale_1=report["scale_1"],
-        middle_m=report["middle_m"],
         residual_rms_mm=_scaled(report["residual_rms_m"], MM),
-        used=report["used"],
         reason=report["reason"] or None,
         reason_code=report.get("reason_code"),
     )

@@ -128,7 +128,6 @@ def _parameters(of_class: VehicleClass, values: VehicleParameters | BogieParamet
 
 
 def _unit(name: str) -> str:
-    """Return the SI unit of a parameter by the name of its field."""
     return next(unit for end, unit in _UNITS.items() if name.endswith(end))
 
 

@@ -274,7 +274,6 @@ def _changed(services: Services, webhook_id: int, body: WebhookChange, if_match:
 
 
 def _as_asked(known: WebhookRecord, body: WebhookChange, now_ns: int) -> WebhookRecord:
-    """Return a webhook with what a change names; one that becomes active again is no longer disabled."""
     given = body.model_dump(mode="json", exclude_none=True, exclude={"state"})
     changes: dict[str, Any] = {
         name: frozenset(value) if isinstance(value, list) else value for name, value in given.items()

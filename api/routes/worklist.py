@@ -119,8 +119,7 @@ def _state(state: WorklistState) -> WheelsetState:
     )
 
 
-REMEMBERED = 8192
-"""Rows whose JSON text is kept, by their content: it never gets out of date."""
+REMEMBERED = 8192  # rows whose JSON text is kept, by their content: it never gets out of date
 
 router = APIRouter(prefix="/v1/wheelsets", tags=["wheelsets"])
 ClassFilter = Annotated[str | None, Query(pattern=CODE, description="Only what runs under vehicles of this class now.")]
@@ -181,7 +180,6 @@ def _payload(document: str) -> bytes:
 
 
 def _place(key: object) -> WorklistPlace | None:
-    """Return the place in a cursor; None at the beginning."""
     if key is None:
         return None
     match key:

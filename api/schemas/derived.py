@@ -111,8 +111,7 @@ def _single(hint: Any, field: FieldOf) -> tuple[Any, Convert]:  # noqa: ANN401 -
     return hint, None
 
 
-MODELS: dict[type, type[Derived]] = {}
-"""The model of each value that has one."""
+MODELS: dict[type, type[Derived]] = {}  # the model of each value that has one
 
 
 def _served_fields(of: type, without: Collection[str], also: Collection[str]) -> list[FieldOf]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
-from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
+from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain, why
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
 from api.schemas.windows import UnestimatedBecause, unestimated_because
@@ -23,12 +25,13 @@ from estimation.values.geometry import (
     WheelsetGeometry,
 )
 from estimation.values.quantities import Estimate, Status
-from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
+from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.windows import WindowsOfReason as ReasonOfWindows
 from estimation.values.windows import WindowState, WithoutEstimate
 from fleet_db.stores.window_counts import WindowCounts
 
 MM = 1000.0
+Counts = Counter[tuple[WindowState, ReasonCode | None]]
 
 
 class BinColumn(Representation):
@@ -145,26 +148,12 @@ def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> 
 
 def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEstimate | None = None) -> Geometry:
     """Return the representation of a wheelset of which nothing was ever estimated."""
-    unknown, empty = Estimate.unknown(reason), BinValues(np.zeros(0), np.zeros(0), ())
-    nothing = WheelsetGeometry(
-        bin_edges=np.zeros(1),
-        samples=np.zeros(0),
-        rolling_radius_sum=empty,
-        rolling_radius_difference=empty,
-        contact_angle_sum=empty,
-        contact_angle_difference=empty,
-        amplitude=np.zeros(0),
-        conicity=(),
-        reported_amplitude=np.nan,
-        equivalent_conicity=unknown,
-        nonlinearity=unknown,
-        zero_crossing=unknown,
-        windows=0,
-        parameter_key="",
-        status=Status.UNESTIMATED,
-        reason=reason,
-    )
-    return _geometry(serial, baseline, nothing, without)
+    empty = BinValues(np.zeros(0), np.zeros(0), ())
+    parts: dict[str, Any] = dict.fromkeys(COMBINATIONS, empty)
+    parts |= dict.fromkeys(("equivalent_conicity", "nonlinearity", "zero_crossing"), Estimate.unknown(reason))
+    parts |= {"bin_edges": np.zeros(1), "samples": np.zeros(0), "amplitude": np.zeros(0), "conicity": ()}
+    parts |= {"reported_amplitude": np.nan, "windows": 0, "parameter_key": "", "status": Status.UNESTIMATED}
+    return _geometry(serial, baseline, WheelsetGeometry(**parts, reason=reason), without)
 
 
 def _geometry(serial: str, baseline: int, found: WheelsetGeometry, without: WithoutEstimate | None) -> Geometry:
@@ -175,8 +164,7 @@ def _geometry(serial: str, baseline: int, found: WheelsetGeometry, without: With
         found,
         **dict.fromkeys(of_record, None),
         wheelset=serial,
-        reason=text_of(reason),
-        reason_code=code_of(reason),
+        **why(reason),
         unestimated_because=unestimated_because(without),
         baseline=baseline,
         equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
@@ -277,28 +265,25 @@ def interval(record: GeometryRecord) -> Interval:
         interval=record.interval or 0,
         n_windows=found.windows,
         status=found.status,
-        reason=text_of(found.reason),
-        reason_code=code_of(found.reason),
+        **why(found.reason),
         equivalent_conicity_at_3_mm_1=uncertain(conicity_at_limit_amplitude(found)),
     )
 
 
 def data_quality(serial: str, found: WindowCounts, waiting: Sequence[ReasonOfWindows]) -> DataQuality:
     """Return the representation of the windows of a wheelset over time."""
-    stretches: dict[int, dict[tuple[WindowState, ReasonCode | None], int]] = {}
-    total: dict[tuple[WindowState, ReasonCode | None], int] = {}
+    stretches: dict[int, Counts] = {}
+    total: Counts = Counter()
     for one in found.counts:
-        key = one.state, one.code
-        stretches.setdefault(one.from_ns, {})[key] = one.windows
+        stretches.setdefault(one.from_ns, Counter())[one.state, one.code] = one.windows
         if one.state is not WindowState.PENDING:
-            total[key] = total.get(key, 0) + one.windows
+            total[one.state, one.code] += one.windows
     for item in waiting:
-        key = item.state, code_of(item.reason)
-        total[key] = total.get(key, 0) + item.windows
+        total[item.state, code_of(item.reason)] += item.windows
     own = f"/v1/wheelsets/{segment(serial)}"
     return DataQuality(
         wheelset=serial,
-        total=_by_reason(dict(sorted(total.items(), key=lambda item: -item[1]))),
+        total=_by_reason(dict(total.most_common())),
         over_time=[
             QualityOfTime(
                 measured_from=to_rfc3339(from_ns),

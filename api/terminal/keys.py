@@ -48,7 +48,7 @@ def make_stored_key(settings: Settings, wanted: Wanted) -> tuple[ApiKey, str]:
     with closing(open_store(settings)) as storage, storage.write() as unit:
         made, token = make_key(unit, wanted, user_here(), time.time_ns())
         _note(unit, "create", made)
-    return made, token.text
+    return made, token
 
 
 def key_list() -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from importlib import import_module
 
 import click
 import pytest
@@ -27,7 +26,7 @@ def _options(command: click.Command, name: str) -> list[tuple[str, click.Paramet
 def _all_options() -> list[tuple[str, click.Parameter]]:
     found = []
     for command in COMMANDS:
-        target = getattr(import_module(command.module), command.attribute)
+        target = command.load()
         if not isinstance(target, typer.Typer):
             function, target = target, typer.Typer(add_completion=False)
             target.command()(function)
