@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Annotated, cast
+from typing import Annotated
 
 import typer
 
@@ -29,46 +29,41 @@ COMPLETED = ("COMP_WORDS", "_TYPER_COMPLETE_ARGS")
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A subcommand: a function, or a Typer group, of its name in ``api.commands``, in a module of that name."""
+    """A subcommand: what ``module`` of ``api.commands`` has under its name, a function or a Typer group."""
 
     name: str
+    module: str
     summary: str
     reads_settings: bool = True
-    function: str | None = None  # with its module, where they have other names
-
-    def load(self) -> Callable[..., object]:
-        """Import it."""
-        module, _, attribute = (self.function or f"{self.name}.{self.name}").partition(".")
-        return cast("Callable[..., object]", getattr(import_module(f"api.commands.{module}"), attribute))
 
 
 COMMANDS = (
-    Command("demo", "Run the main job end to end on the embedded default."),
-    Command("simulate", "Simulate a fleet that sends CAN frames.", reads_settings=False),
-    Command("ingest", "Receive CAN frames from log files or a live bus."),
-    Command("registry", "Load, void, restore and list records of the registry."),
-    Command("reassemble", "Make the windows of a vehicle again."),
-    Command("recordings", "List and correct what was received."),
-    Command("chunk", "Watch a drop folder, decode what is received, scrub raw files."),
-    Command("quarantine", "List and retry what failed by itself."),
-    Command("estimate", "Run the scheduled jobs once, now, in order."),
-    Command("serve", "Serve the REST API."),
-    Command("keys", "Make, list and revoke keys of the REST API."),
-    Command("webhooks", "Make, list, try out and move webhooks."),
-    Command("schedule", "Run the jobs on schedule; one per deployment."),
-    Command("worker", "Work for a Dask scheduler, on any machine."),
-    Command("feed", "Print what happens to alerts, or follow it.", reads_settings=False),
-    Command("rules", "Check alert rules, and try them on what is stored."),
-    Command("contact", "Compute the contact geometry of a wheel on a rail.", reads_settings=False),
-    Command("vehicle", "List, show and check vehicle classes.", reads_settings=False),
-    Command("compare", "Compare estimators on a simulated section.", reads_settings=False),
-    Command("reproduce", "Reproduce the published figures.", reads_settings=False),
-    Command("compile", "Compile every kernel, so that the first start need not.", function="compile.compile_kernels"),
-    Command("db", "Upgrade, check, measure or purge the database."),
-    Command("backup", "Back up database and files while everything runs."),
-    Command("restore", "Restore a backup into an empty database.", function="backup.restore"),
-    Command("settings", "List the settings of a deployment with their defaults."),
-    Command("openapi", "Print or write the OpenAPI document.", reads_settings=False),
+    Command("demo", "studies", "Run the main job end to end on the embedded default."),
+    Command("simulate", "studies", "Simulate a fleet that sends CAN frames.", reads_settings=False),
+    Command("ingest", "receiving", "Receive CAN frames from log files or a live bus."),
+    Command("registry", "registry", "Load, void, restore and list records of the registry."),
+    Command("reassemble", "receiving", "Make the windows of a vehicle again."),
+    Command("recordings", "receiving", "List and correct what was received."),
+    Command("chunk", "receiving", "Watch a drop folder, decode what is received, scrub raw files."),
+    Command("quarantine", "receiving", "List and retry what failed by itself."),
+    Command("estimate", "processes", "Run the scheduled jobs once, now, in order."),
+    Command("serve", "processes", "Serve the REST API."),
+    Command("keys", "clients", "Make, list and revoke keys of the REST API."),
+    Command("webhooks", "clients", "Make, list, try out and move webhooks."),
+    Command("schedule", "processes", "Run the jobs on schedule; one per deployment."),
+    Command("worker", "processes", "Work for a Dask scheduler, on any machine."),
+    Command("feed", "clients", "Print what happens to alerts, or follow it.", reads_settings=False),
+    Command("rules", "registry", "Check alert rules, and try them on what is stored."),
+    Command("contact", "studies", "Compute the contact geometry of a wheel on a rail.", reads_settings=False),
+    Command("vehicle", "registry", "List, show and check vehicle classes.", reads_settings=False),
+    Command("compare", "studies", "Compare estimators on a simulated section.", reads_settings=False),
+    Command("reproduce", "studies", "Reproduce the published figures.", reads_settings=False),
+    Command("compile", "deployment", "Compile every kernel, so that the first start need not."),
+    Command("db", "deployment", "Upgrade, check, measure or purge the database."),
+    Command("backup", "deployment", "Back up database and files while everything runs."),
+    Command("restore", "deployment", "Restore a backup into an empty database."),
+    Command("settings", "deployment", "List the settings of a deployment with their defaults."),
+    Command("openapi", "deployment", "Print or write the OpenAPI document.", reads_settings=False),
 )
 
 
@@ -109,7 +104,7 @@ def build(arguments: Sequence[str]) -> typer.Typer:
             app.command(command.name, help=command.summary)(_not_imported)
             continue
         epilog = EPILOG if command.reads_settings else None
-        target = command.load()
+        target = getattr(import_module(f"api.commands.{command.module}"), command.name)
         if isinstance(target, typer.Typer):
             app.add_typer(target, name=command.name, help=command.summary, epilog=epilog)
         else:

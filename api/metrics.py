@@ -18,7 +18,7 @@ from estimation.values.runs import TRIED_AGAIN, SubjectKind
 from estimation.values.windows import WindowState
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.backlog import backlog_of
+from fleet_db.stores.window_counts import backlog_of
 from fleet_db.webhook_records import Webhook, WebhookState
 from ingest.intake.backlog import Limit, free_bytes
 

@@ -24,7 +24,7 @@ from estimation.worklist.waiting import (
 )
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.window_reasons import COUNTED, CountedWindows, newest_by_reason, pending_by_place
+from fleet_db.stores.window_counts import COUNTED, CountedWindows, newest_by_reason, pending_by_place
 
 OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
 """Codes whose sentence names a section and what it lacks."""

@@ -9,11 +9,10 @@ changed meanwhile reaches them.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from estimation.errors import PassingFaultError, TreadwatchError
-from estimation.jobs.isolation import fails_alone
 from estimation.storage import Clock
 from estimation.values.reasons import Reason
 from estimation.values.runs import Quarantined, SubjectKind, after_failure, resolved
@@ -21,7 +20,6 @@ from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.decoded_again import STAGE
-from fleet_db.stores.stale_spans import StaleSpan
 from ingest.assembly import extent
 
 ASSEMBLY = "assemble_windows"
@@ -84,41 +82,6 @@ def release(storage: SqlStorage, subject: Subject) -> None:
     if item is not None and item != resolved(item):
         with storage.write() as unit:
             unit.quarantine.put(resolved(item))
-
-
-@dataclass(frozen=True, slots=True)
-class HeldVehicles:
-    """The quarantine of vehicles whose windows could not be assembled again."""
-
-    storage: SqlStorage
-    clock: Clock
-
-    def waits(self, vehicle: str, spans: Sequence[StaleSpan]) -> bool:
-        """Whether it is too early for another attempt at the stale spans of a vehicle."""
-        item = self._item(vehicle)
-        return item is not None and item.waits(_inputs(spans), self.clock.now_ns())
-
-    def hold(self, vehicle: str, spans: Sequence[StaleSpan], error: Exception) -> None:
-        """Keep a failure at the stale spans of a vehicle, where others may succeed."""
-        unexpected = None if isinstance(error, TreadwatchError) else error
-        _log.warning("windows of vehicle %s could not be assembled again: %s", vehicle, error, exc_info=unexpected)
-        if fails_alone(error):
-            subject = (SubjectKind.VEHICLE, vehicle, ASSEMBLY)
-            item = after_failure(self._item(vehicle), subject, _inputs(spans), error, self.clock.now_ns())
-            with self.storage.write() as unit:
-                unit.quarantine.put(item)
-
-    def release(self, vehicle: str) -> None:
-        """End the quarantine of a vehicle, if it was in one."""
-        release(self.storage, (SubjectKind.VEHICLE, vehicle, ASSEMBLY))
-
-    def _item(self, vehicle: str) -> Quarantined | None:
-        with self.storage.read() as unit:
-            return unit.quarantine.get(SubjectKind.VEHICLE, vehicle, ASSEMBLY)
-
-
-def _inputs(spans: Sequence[StaleSpan]) -> str:
-    return f"{len(spans)} spans up to {max(span.id for span in spans)}"
 
 
 CAUSE = "its raw file is there again"

@@ -28,7 +28,7 @@ from api.schemas.alerts import KnownKind
 from api.services import ServicesDep
 from estimation.values.alerts import AlertEvent, Severity
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.stores.installation import FeedBranch
 
 MOST_VALUES = 50
 FleetCode = Annotated[str, Query(pattern=CODE)]

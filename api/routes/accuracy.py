@@ -42,7 +42,7 @@ from estimation.trend.extrapolation import LIMIT_AMPLITUDE
 from estimation.values.geometry import GeometryRecord
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode
-from fleet_db.stores.measured_profiles import newest_measurements
+from fleet_db.stores.wheelset_events import newest_measurements
 
 NOT_OBSERVABLE = Reason(
     ReasonCode.MEASURES_NOT_OBSERVABLE,

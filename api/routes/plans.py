@@ -20,8 +20,8 @@ from api.visible_objects import require_known
 from estimation.plans.reprofiling import Candidate, Cause, DiameterLimits, PlanLine, Radii, turning_plan
 from estimation.values.alerts import Urgency, WorklistRow, WorklistState
 from estimation.values.reasons import Reason, ReasonCode
+from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter
-from fleet_db.worklist_documents import from_document
 
 _TO_MM = 1e3
 

@@ -25,8 +25,8 @@ from api.visible_objects import require_known
 from estimation.values.alerts import AxlePosition, OpenAlert, Severity, Urgency, WorklistRow, WorklistState
 from estimation.values.quantities import Status
 from estimation.values.reasons import ReasonCode
+from fleet_db.packed_values import from_document
 from fleet_db.stores.worklist import WorklistFilter, WorklistOrder, WorklistPlace
-from fleet_db.worklist_documents import from_document
 
 WorklistSort = StrEnum(  # type: ignore[misc] # mypy wants the members written out; they are those of the order, twice
     "WorklistSort",

@@ -20,7 +20,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.windows import WindowsOfReason, WithoutEstimate
 from estimation.worklist.row import WITHOUT_GEOMETRY
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.window_reasons import COUNTED
+from fleet_db.stores.window_counts import COUNTED
 from fleet_db.stores.worklist import WorklistFilter
 
 READ = 200_000

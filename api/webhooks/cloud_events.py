@@ -19,7 +19,7 @@ from api.schemas import alerts
 from api.times import to_rfc3339
 from estimation.values.alerts import AlertEvent
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.stores.installation import FeedBranch
 
 PREFIX = "whsec_"
 SECRET_BYTES = 32

@@ -27,7 +27,7 @@ from estimation.values.alerts import AlertEvent
 from fleet_db.session import BUSY_TIMEOUT_MS
 from fleet_db.sole_sender import sending_alone
 from fleet_db.storage import SqlStorage
-from fleet_db.stores.feed_branches import FeedBranch
+from fleet_db.stores.installation import FeedBranch
 from fleet_db.webhook_records import Delivery, DeliveryState, DisabledReason, Failure, Webhook, WebhookState
 
 SECOND_NS = 1_000_000_000

@@ -19,7 +19,7 @@ from estimation.alerts.identity import (
     identity_events,
     jumps,
 )
-from estimation.alerts.rules.identity import IdentityRule
+from estimation.alerts.rules.contradicted_registry import IdentityRule
 from estimation.jobs.job import JobContext
 from estimation.jobs.made_from import made_from
 from estimation.jobs.stage import Counted, Outcome, Part, Stage

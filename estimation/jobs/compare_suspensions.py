@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.alerts.rules.standing import latest_run, raised_at
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
 from estimation.jobs.job import JobContext
 from estimation.jobs.made_from import made_from
 from estimation.jobs.stage import Counted, Outcome, Part, Stage

@@ -27,7 +27,8 @@ from estimation.values.results import Result
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
-from fleet_db.tables import WheelsetBinRow, WheelsetRow, WindowBinTableRow
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.windows import WheelsetBinRow, WindowBinTableRow
 
 V = TypeVar("V")
 BINS = table_of(WheelsetBinRow)
@@ -39,7 +40,7 @@ INTERVALS: Parts = ("0000", "9999.9999999")
 
 @dataclass(frozen=True, slots=True)
 class GeometryStore:
-    """Implements ``estimation.storage.Geometries``."""
+    """Geometry estimates, append-only; reads give the state recorded at ``as_of_ns``."""
 
     connection: Connection
     results: ResultStore

@@ -14,7 +14,14 @@ from estimation.values.reasons import utc_text
 from estimation.values.registry import Mounting, SensorChange, WheelsetRecord
 from estimation.values.track import TrackSectionRecord
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.distances import MOUNTINGS, LifeOnFile, any_windows, lives_on_file, mountings_where, windows_beside
+from fleet_db.stores.wheelset_events import (
+    MOUNTINGS,
+    LifeOnFile,
+    any_windows,
+    lives_on_file,
+    mountings_where,
+    windows_beside,
+)
 from ingest.registry_entry.contents import Contradiction, Kind, RecordName, Rule
 
 LEAST_RADIUS_MM, MOST_RADIUS_MM = 140.0, 650.0

@@ -13,11 +13,10 @@ from estimation.values.track import TrackAlignment, TrackLayout
 from fleet_db.receipts import EstimatedAgain
 from fleet_db.registry_events import RecordKind
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.distances import MOUNTINGS, mountings_where
-from fleet_db.stores.mountings import MountedTwiceError
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey
-from fleet_db.stores.section_numbers import free_numbers
+from fleet_db.stores.tracks import free_numbers
+from fleet_db.stores.wheelset_events import MOUNTINGS, MountedTwiceError, mountings_where
 from ingest.input_file import Location
 from ingest.registry_entry.checks import Entered, contradictions, mileage_point
 from ingest.registry_entry.classes_on_file import class_refusals, without_class
@@ -213,14 +212,14 @@ def _add_alignment(unit: SqlUnitOfWork, alignment: TrackAlignment) -> None:
     version = tracks.add_alignment(alignment)
     if before is not None and version > before.version:
         tracks.forget_positions(alignment.section)
-        unit.windows.requeue_section(alignment.section)
+        unit.windows.estimate_again(alignment.section)
 
 
 def _add_layout(unit: SqlUnitOfWork, layout: TrackLayout) -> None:
     before = unit.tracks.layout(layout.section)
     version = unit.tracks.add_layout(layout)
     if before is None or before.version != version:
-        unit.windows.requeue_section(layout.section)
+        unit.windows.estimate_again(layout.section)
 
 
 def refuse_contradicted(unit: SqlUnitOfWork, key: RecordKey, now_ns: int) -> None:

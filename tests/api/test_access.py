@@ -15,7 +15,7 @@ from api.access import key_ring
 from api.access.guard import plan_of
 from api.feed import streams
 from estimation.errors import ParameterError
-from fleet_db.stores.api_keys import ApiKeyStore
+from fleet_db.stores.access import ApiKeyStore
 
 JSON = {"Content-Type": "application/json"}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
 
 import click
 import pytest
@@ -26,7 +27,7 @@ def _options(command: click.Command, name: str) -> list[tuple[str, click.Paramet
 def _all_options() -> list[tuple[str, click.Parameter]]:
     found = []
     for command in COMMANDS:
-        target = command.load()
+        target = getattr(import_module(f"api.commands.{command.module}"), command.name)
         if not isinstance(target, typer.Typer):
             function, target = target, typer.Typer(add_completion=False)
             target.command()(function)
