@@ -19,8 +19,7 @@ from prometheus_client import CollectorRegistry
 from api import contract, problems
 from api.access.caller import authorise
 from api.access.guard import AccessPlan, allow_pages, guard_of
-from api.feed.streams import WaitingPlaces
-from api.feed.watch import FeedWatch, ending
+from api.feed.watch import FeedWatch, WaitingPlaces, ending
 from api.http_server import HttpLimits
 from api.measures import Measured, reference_measures
 from api.metrics import RequestMeasures, stored_measures, upload_measures

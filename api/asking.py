@@ -10,7 +10,7 @@ from http import HTTPStatus
 from typing import Annotated, TypeVar
 
 import orjson
-from fastapi import Depends, Request, Response
+from fastapi import Depends, Path, Query, Request, Response
 from pydantic import BaseModel, SerializeAsAny
 
 from api import cursors
@@ -31,10 +31,46 @@ from api.answers import (
     payload_of,
     wants_table,
 )
-from api.problems import ProblemError
+from api.problems import ProblemError, invalid
 from api.schemas.common import Page
 from api.services import Services, ServicesDep
+from api.times import Moment, to_rfc3339
 from fleet_db.storage import SqlUnitOfWork
+
+CODE = r"^[^\x00-\x1f\x7f]{1,64}$"
+_INT64_MAX = 2**63 - 1
+
+Code = Annotated[str, Path(pattern=CODE, examples=["demo"])]
+Serial = Annotated[str, Path(pattern=CODE, description="Serial of the wheelset.", examples=["WS-0001"])]
+Number = Annotated[int, Path(ge=1, le=_INT64_MAX, examples=[1])]
+FleetFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this fleet.")]
+VehicleFilter = Annotated[str | None, Query(pattern=CODE, description="Only what runs under this vehicle now.")]
+WheelsetFilter = Annotated[str | None, Query(pattern=CODE, description="Only of this wheelset.")]
+AsOf = Annotated[
+    Moment | None,
+    Query(description="The result as recorded at this time; reproducible.", examples=["2026-01-31T12:00:00Z"]),
+]
+MeasuredFrom = Annotated[Moment | None, Query(alias="from", description="Measured at or after this time.")]
+MeasuredTo = Annotated[Moment | None, Query(alias="to", description="Measured before this time.")]
+
+
+def require_order(from_ns: int | None, to_ns: int | None, begin: str = "from", end: str = "to") -> None:
+    """Refuse (422) a range that ends before it begins; an empty one, `[t, t)`, is allowed; None is open."""
+    if from_ns is not None and to_ns is not None and from_ns > to_ns:
+        raise invalid(f"#/{begin}", f"is after `{end}`", f"{begin} is after {end}", "query")
+
+
+def not_in_the_future(as_of_ns: int | None, now_ns: int) -> None:
+    """Refuse (422) a time in the future."""
+    if as_of_ns is not None and as_of_ns > now_ns:
+        raise invalid("#/as_of", "is in the future", "as_of is in the future", "query")
+
+
+def not_purged(as_of_ns: int | None, purged_before_ns: int | None) -> None:
+    """Refuse (410) a time from which replaced results are not kept any more: what was known then is not known now."""
+    if as_of_ns is not None and purged_before_ns is not None and as_of_ns < purged_before_ns:
+        kept = to_rfc3339(purged_before_ns)
+        raise ProblemError(410, "history-purged", f"replaced results are kept from {kept} on, see the retention")
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +143,11 @@ class AskedList(Asked):
     def after_number(self, filters: Filters) -> int | None:
         """Return the number that the page begins behind; None at the beginning."""
         return cursors.decode_number(operation(self.request), filters, self.cursor)
+
+    def after_time(self, filters: Filters, from_ns: int | None) -> int | None:
+        """Return the time that the page begins behind, at the beginning that of a filter; None without one."""
+        after = self.after_number(filters)
+        return from_ns - 1 if after is None and from_ns is not None else after
 
     def after_text(self, filters: Filters) -> str | None:
         """Return the text that the page begins behind; None at the beginning."""

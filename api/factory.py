@@ -6,8 +6,9 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,10 +18,9 @@ from typing import TYPE_CHECKING, TypeVar
 from api.raw_stores import open_raw_store
 from api.rules_file import load_rules
 from api.settings import PREFIX, Settings, known_sections, load_retention
-from api.topic import publisher
 from api.tracing import traced
 from estimation.alerts.rules.book import RuleBook
-from estimation.errors import MigrationError, ParameterError, StorageError
+from estimation.errors import InputError, MigrationError, ParameterError, StorageError
 from estimation.jobs.catalogue import ALL_JOBS
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
@@ -44,6 +44,8 @@ from ingest.own_bus.loading import load_own_bus
 from ingest.receipts import Announce, to_nobody
 from ingest.receiver import Receiver
 from ingest.stored_settings import SECOND_NS, check_window_length, claim
+from ingest.topic.client import Topic, load_properties
+from ingest.topic.publishing import Publisher
 from ingest.vehicle_class_file import class_of_package
 
 if TYPE_CHECKING:
@@ -52,7 +54,50 @@ if TYPE_CHECKING:
 
     from api.services import Services
     from api.uploads import Uploads
-    from ingest.topic.publishing import Publisher
+
+
+Client = TypeVar("Client")
+
+
+def topic_of(settings: Settings) -> Topic | None:
+    """Return the topic; None where no brokers are set. An error in its properties names the line, never a value."""
+    if settings.kafka_servers is None:
+        return None
+    properties = {} if settings.kafka_properties is None else load_properties(settings.kafka_properties)
+    return Topic(settings.kafka_servers, settings.kafka_topic, properties)
+
+
+def publisher(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -> Publisher | None:
+    """Return what publishes references to received chunks; None where no brokers are set."""
+
+    def fleet_of(vehicle: str) -> str:
+        storage = storage_of()
+        if storage is None:
+            return ""
+        with storage.read() as unit:
+            return unit.registry.vehicle(vehicle).fleet
+
+    topic = topic_of(settings)
+    return None if topic is None else with_named_setting(lambda: Publisher(topic, fleet_of))
+
+
+@contextmanager
+def publishing(settings: Settings, storage_of: Callable[[], SqlStorage | None]) -> Iterator[Announce]:
+    """Yield what announces receipts on the topic, to nobody where none is set; what waits at the end is published."""
+    references = publisher(settings, storage_of)
+    if references is None:
+        yield to_nobody
+        return
+    with closing(references):
+        yield references.publish
+
+
+def with_named_setting(make: Callable[[], Client]) -> Client:
+    """Return a client; a refusal of its configuration names the setting."""
+    try:
+        return make()
+    except InputError as error:
+        raise ParameterError(error.reason, field=f"{PREFIX}KAFKA_PROPERTIES") from None
 
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.5, 10.0  # between attempts to reach it; each is twice the one before

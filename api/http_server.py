@@ -77,14 +77,10 @@ class Cut(StrEnum):
 
 @dataclass(slots=True)
 class Connections:
-    """The open connections of one server.
-
-    Attributes:
-        header_timeout_s: How long one may wait for the headers of a request.
-    """
+    """The open connections of one server."""
 
     limit: int
-    header_timeout_s: float
+    header_timeout_s: float  # how long one may wait for the headers of a request
     cut: Counter[Cut] = field(default_factory=Counter)
     _open: set[LimitedConnection] = field(default_factory=set)
     _waiting: OrderedDict[LimitedConnection, None] = field(default_factory=OrderedDict)

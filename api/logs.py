@@ -93,20 +93,13 @@ class FaultLedger:
             self._seen.popitem(last=False)
         return True
 
-    def due(self, now_s: float) -> Iterator[tuple[Fault, int, float]]:
-        """Yield the faults to be summed up now: which, how often it came back, within how many seconds."""
+    def due(self, now_s: float, after_s: float = SUMMARY_S) -> Iterator[tuple[Fault, int, float]]:
+        """Yield the faults to be summed up: which, how often it came back, within how many seconds."""
         for fault, known in self._seen.items():
             since_s = now_s - known.written_at_s
-            if known.repeats and since_s >= SUMMARY_S:
+            if known.repeats and since_s >= after_s:
                 yield fault, known.repeats, since_s
                 known.repeats, known.written_at_s = 0, now_s
-
-    def rest(self, now_s: float) -> Iterator[tuple[Fault, int, float]]:
-        """Yield every fault that came back since it was last written; for the end of a process."""
-        for fault, known in self._seen.items():
-            if known.repeats:
-                yield fault, known.repeats, now_s - known.written_at_s
-                known.repeats = 0
 
 
 HIDDEN = "***"
@@ -268,7 +261,7 @@ class FaultHandler(logging.StreamHandler[Any]):
     def close(self) -> None:
         """Sum up what was counted since the last summary."""
         with self.lock or nullcontext():
-            self._sum_up(self.ledger.rest(time.monotonic()))
+            self._sum_up(self.ledger.due(time.monotonic(), 0.0))
         super().close()
 
     def _sum_up(self, due: Iterator[tuple[Fault, int, float]]) -> None:

@@ -24,30 +24,48 @@ _KIND_OF_STATUS = {404: "not-found"}
 _log = logging.getLogger(__name__)
 
 # Type URIs are names for programs to compare; they never change once published.
-TYPES: Mapping[str, str] = {
-    "not-found": "No such resource",
-    "invalid-request": "The request does not validate",
-    "invalid-cursor": "The cursor cannot be used",
-    "cursor-of-another-database": "The cursor belongs to another history of the database",
-    "conflict": "The resource is not in the state that the request assumes",
-    "precondition-required": "If-Match is required",
-    "precondition-failed": "The resource has changed since it was read",
-    "idempotency-key-reused": "The Idempotency-Key was used for another request",
-    "history-purged": "What was known at that time has been purged",
-    "not-acceptable": "None of the accepted media types is offered",
-    "unsupported-media-type": "The request's media type is not supported",
-    "digest-mismatch": "The bytes have another digest",
-    "content-too-large": "The request body is too large",
-    "headers-too-large": "Request line and headers are too large",
-    "request-timeout": "The request did not arrive in time",
-    "unauthenticated": "A valid key or token is required",
-    "forbidden": "The key or token does not allow this",
-    "foreign-origin": "The request comes from a page of another origin",
-    "unknown-host": "The service is not reached under this name",
-    "too-many-requests": "A limit of requests is reached",
-    "overloaded": "The service has too much to do",
-    "not-ready": "The service is not ready",
-    "internal-error": "The service failed",
+TYPES: Mapping[str, tuple[str, str]] = {  # title, and the detail of an example
+    "not-found": ("No such resource", "no wheelset 'WS-9999'"),
+    "invalid-request": ("The request does not validate", "query #/limit: Input should be less than or equal to 1000"),
+    "invalid-cursor": (
+        "The cursor cannot be used",
+        "this cursor belongs to another list or another filter; start again without it",
+    ),
+    "cursor-of-another-database": (
+        "The cursor belongs to another history of the database",
+        "the cursor is of another database: read what is open now, then follow `next`",
+    ),
+    "conflict": ("The resource is not in the state that the request assumes", "alert 7 is closed"),
+    "precondition-required": ("If-Match is required", "send the ETag of the resource as If-Match"),
+    "precondition-failed": ("The resource has changed since it was read", "the resource has changed; read it again"),
+    "idempotency-key-reused": (
+        "The Idempotency-Key was used for another request",
+        "this Idempotency-Key was used for another request; use a new one",
+    ),
+    "history-purged": (
+        "What was known at that time has been purged",
+        "replaced results are kept from 2026-01-01T00:00:00Z on, see the retention",
+    ),
+    "not-acceptable": ("None of the accepted media types is offered", "offered: application/json"),
+    "unsupported-media-type": ("The request's media type is not supported", "send application/json"),
+    "digest-mismatch": ("The bytes have another digest", "the body has another sha256 than its path"),
+    "content-too-large": ("The request body is too large", "at most 1048576 bytes"),
+    "headers-too-large": ("Request line and headers are too large", "request line and headers: at most 16384 bytes"),
+    "request-timeout": ("The request did not arrive in time", "the body did not arrive within 30 s"),
+    "unauthenticated": ("A valid key or token is required", "send a valid key or token: Authorization: Bearer ..."),
+    "forbidden": ("The key or token does not allow this", "this needs the scope 'act'"),
+    "foreign-origin": (
+        "The request comes from a page of another origin",
+        "pages of https://elsewhere.example may not change anything here",
+    ),
+    "unknown-host": ("The service is not reached under this name", "name the host in TREADWATCH_HOSTS"),
+    "too-many-requests": (
+        "A limit of requests is reached",
+        "limit requests_per_s: at most 50 requests a second of a key; try again",
+    ),
+    "overloaded": ("The service has too much to do", "100 requests are being answered; try again"),
+    "not-ready": ("The service is not ready", "the database does not answer"),
+    "internal-error": ("The service failed", "the failure has been logged"),
 }
 
 
@@ -123,7 +141,7 @@ def problem_response(request: Request, error: ProblemError) -> Response:
     """Return the problem as a response."""
     problem = Problem(
         type=f"urn:treadwatch:problem:{error.kind}" if error.kind in TYPES else "about:blank",
-        title=TYPES.get(error.kind) or HTTPStatus(error.status).phrase,
+        title=TYPES[error.kind][0] if error.kind in TYPES else HTTPStatus(error.status).phrase,
         status=error.status,
         detail=error.detail or None,
         instance=request.scope.get("path"),

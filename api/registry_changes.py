@@ -11,8 +11,7 @@ from fastapi import Response
 from pydantic import BaseModel, Field
 
 from api.answers import require_match
-from api.asking import AskedChange
-from api.parameters import CODE
+from api.asking import CODE, AskedChange
 from api.schemas.common import Body
 from estimation.errors import InputError
 from fleet_db.registry_events import Decision

@@ -15,8 +15,7 @@ from http import HTTPStatus
 from starlette.types import Scope
 
 from api.access.caller import known_caller
-from api.access.gate import READING, address_of
-from api.access.rates import Rate
+from api.access.gate import READING, Rate, address_of
 from api.uploads import is_upload
 from estimation.errors import TreadwatchError
 from fleet_db.access_records import AuditEntry

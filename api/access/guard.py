@@ -11,10 +11,9 @@ from starlette.datastructures import MutableHeaders
 from starlette.middleware.cors import CORSMiddleware
 
 from api.access.book import AccessBook, Recorder, recorder_of
-from api.access.gate import Gate, Hosts, Opened
+from api.access.gate import Gate, Hosts, Opened, Rate, StreamPlaces
 from api.access.key_ring import KeyRing
 from api.access.oidc import Provider, Tokens
-from api.access.rates import Rate, StreamPlaces
 from api.settings import PREFIX, Settings
 from estimation.errors import ParameterError
 from fleet_db.storage import SqlStorage

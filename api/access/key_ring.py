@@ -117,17 +117,12 @@ class KeyRing:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A key that is to be made.
-
-    Args:
-        fleets: Codes of the fleets that it sees; None for all.
-        expires_ns: When it expires, ns UTC; None for never.
-    """
+    """A key that is to be made."""
 
     owner: str
     scopes: frozenset[str]
-    fleets: frozenset[str] | None
-    expires_ns: int | None
+    fleets: frozenset[str] | None  # codes of the fleets that it sees; None for all
+    expires_ns: int | None  # when it expires, ns UTC; None for never
 
 
 def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple[ApiKey, str]:

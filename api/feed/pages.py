@@ -21,7 +21,7 @@ from fastapi import Depends, Query
 
 from api import cursors
 from api.answers import RepresentationCache, payload_of
-from api.parameters import CODE
+from api.asking import CODE
 from api.problems import GoOn, ProblemError
 from api.schemas import alerts
 from api.schemas.alerts import KnownKind
@@ -36,17 +36,12 @@ FleetCode = Annotated[str, Query(pattern=CODE)]
 
 @dataclass(frozen=True, slots=True)
 class FeedFilter:
-    """Which events are listed; an empty set is no filter.
-
-    Args:
-        severities: An alert is followed to its end once it has had one of them.
-        visible: Codes of the fleets that the client may see; None for all.
-    """
+    """Which events are listed; an empty set is no filter."""
 
     fleets: frozenset[str] = frozenset()
     kinds: frozenset[str] = frozenset()
-    severities: frozenset[str] = frozenset()
-    visible: frozenset[str] | None = None
+    severities: frozenset[str] = frozenset()  # an alert is followed to its end once it has had one of them
+    visible: frozenset[str] | None = None  # codes of the fleets that the client may see; None for all
 
     @property
     def bound(self) -> Mapping[str, object]:
@@ -163,29 +158,19 @@ LATEST = "latest"  # what a client sends as its cursor to begin behind the newes
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A place in the feed.
+    """A place in the feed."""
 
-    Args:
-        sequence: What matches up to this number has been handed over.
-    """
-
-    sequence: int
+    sequence: int  # what matches up to this number has been handed over
     cursor: str
 
 
 @dataclass(frozen=True, slots=True)
 class FeedPage:
-    """Events, and where they end.
+    """Events, and where they end."""
 
-    Args:
-        events: Each with the cursor behind it, in commit order.
-        end: Behind the last event, or behind all that there was where that were fewer than asked for.
-        newest: Behind all that there was.
-    """
-
-    events: Sequence[tuple[AlertEvent, str]]
-    end: Place
-    newest: Place
+    events: Sequence[tuple[AlertEvent, str]]  # each with the cursor behind it, in commit order
+    end: Place  # behind the last event, or behind all that there was where that were fewer than asked for
+    newest: Place  # behind all that there was
 
 
 def opened(

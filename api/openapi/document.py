@@ -13,8 +13,8 @@ from pydantic.json_schema import models_json_schema
 
 from api.access.caller import Scope, scope_of
 from api.access.gate import HEALTH
+from api.answers import columns_of, item_of
 from api.contract import CSV
-from api.csv_tables import columns_of, item_of
 from api.openapi.words import describe_properties
 from api.problems import PROBLEM_MEDIA_TYPE, TYPES, Problem
 from api.schemas.common import Uncertain
@@ -132,31 +132,6 @@ def describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> No
             operation["security"] = [] if path in HEALTH else [{KEY: [scope.value]}]
 
 
-DETAILS: Mapping[str, str] = {
-    "not-found": "no wheelset 'WS-9999'",
-    "invalid-request": "query #/limit: Input should be less than or equal to 1000",
-    "invalid-cursor": "this cursor belongs to another list or another filter; start again without it",
-    "cursor-of-another-database": "the cursor is of another database: read what is open now, then follow `next`",
-    "conflict": "alert 7 is closed",
-    "precondition-required": "send the ETag of the resource as If-Match",
-    "precondition-failed": "the resource has changed; read it again",
-    "idempotency-key-reused": "this Idempotency-Key was used for another request; use a new one",
-    "history-purged": "replaced results are kept from 2026-01-01T00:00:00Z on, see the retention",
-    "not-acceptable": "offered: application/json",
-    "unsupported-media-type": "send application/json",
-    "digest-mismatch": "the body has another sha256 than its path",
-    "content-too-large": "at most 1048576 bytes",
-    "headers-too-large": "request line and headers: at most 16384 bytes",
-    "request-timeout": "the body did not arrive within 30 s",
-    "unauthenticated": "send a valid key or token: Authorization: Bearer ...",
-    "forbidden": "this needs the scope 'act'",
-    "foreign-origin": "pages of https://elsewhere.example may not change anything here",
-    "unknown-host": "name the host in TREADWATCH_HOSTS",
-    "too-many-requests": "limit requests_per_s: at most 50 requests a second of a key; try again",
-    "overloaded": "100 requests are being answered; try again",
-    "not-ready": "the database does not answer",
-    "internal-error": "the failure has been logged",
-}
 _OF_STATUS: Mapping[str, str] = {
     "400": "invalid-cursor",
     "401": "unauthenticated",
@@ -192,12 +167,12 @@ def _example(path: str, status: str, name: str) -> dict[str, Any]:
     kind = "cursor-of-another-database" if name in _FEED and status == "409" else _OF_STATUS.get(status)
     example: dict[str, Any] = {
         "type": "about:blank" if kind is None else f"urn:treadwatch:problem:{kind}",
-        "title": HTTPStatus(int(status)).phrase if kind is None else TYPES[kind],
+        "title": HTTPStatus(int(status)).phrase if kind is None else TYPES[kind][0],
         "status": int(status),
         "instance": path.replace("{", "").replace("}", ""),
     }
     if kind is not None:
-        example["detail"] = DETAILS[kind]
+        example["detail"] = TYPES[kind][1]
     if kind == "invalid-request":
         example["errors"] = _POINTED
     return example

@@ -12,8 +12,7 @@ from pydantic import Field, Strict, StringConstraints
 from api.access.caller import NOBODY_NAMED, CallerDep, Scope, requires
 from api.access.key_ring import Wanted, make_key
 from api.answers import answer
-from api.asking import AskedDep, AskedListDep
-from api.parameters import CODE, require_order
+from api.asking import CODE, AskedDep, AskedListDep, require_order
 from api.problems import described
 from api.schemas.common import Body, Links, Page
 from api.schemas.derived import Derived

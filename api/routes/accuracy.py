@@ -12,9 +12,8 @@ from pydantic import Field
 
 from api.accuracy.placed import Placed, placed_comparisons
 from api.answers import answer_payload, table_payload
-from api.asking import AskedDep
+from api.asking import AskedDep, FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.contract import TABLE, Accepted
-from api.parameters import FleetFilter, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
 from api.routes.design_contact import ProfileContact, comparison_reader, profile_contact
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain, why

@@ -14,8 +14,7 @@ from api.access.caller import CallerDep
 from api.access.gate import require_still_good, still_good
 from api.answers import DEFAULT_LIMIT, Limit, answer, answer_items, link, next_path, wants_table
 from api.feed.pages import FeedFilter, FeedFilterDep, FeedPage, PageT, opened, read_kept, read_page
-from api.feed.streams import CATCH_UP, EVENT_STREAM, EventStream, FeedStream, WaitingPlaces, Waits
-from api.feed.watch import FeedWatch
+from api.feed.watch import CATCH_UP, EVENT_STREAM, EventStream, FeedStream, FeedWatch, WaitingPlaces, Waits
 from api.middleware import turn_of
 from api.problems import described
 from api.schemas import alerts

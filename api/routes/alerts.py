@@ -11,8 +11,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from api import cursors
 from api.access.caller import Scope, requires
 from api.answers import answer, payload_of, require_match, wants_table
-from api.asking import AskedChange, AskedDep, AskedListDep, ChangeDep
-from api.parameters import FleetFilter, Number, WheelsetFilter
+from api.asking import AskedChange, AskedDep, AskedListDep, ChangeDep, FleetFilter, Number, WheelsetFilter
 from api.problems import described
 from api.schemas import alerts
 from api.schemas.common import Body, Page

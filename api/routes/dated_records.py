@@ -10,8 +10,7 @@ from fastapi import APIRouter, Depends, Response
 from pydantic import Field
 
 from api.access.caller import Scope, requires
-from api.asking import AskedListDep, ChangeDep
-from api.parameters import Code, Serial
+from api.asking import AskedListDep, ChangeDep, Code, Serial
 from api.problems import described, invalid, pointer
 from api.registry_changes import (
     MOST_TEXT,

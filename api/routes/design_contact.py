@@ -9,9 +9,8 @@ from fastapi import APIRouter, Response
 from pydantic import Field
 
 from api.answers import answer_payload, table_payload
-from api.asking import AskedDep
+from api.asking import AskedDep, Serial
 from api.contract import TABLE, Accepted
-from api.parameters import Serial
 from api.problems import described
 from api.schemas.common import Links, Representation, finite, finite_list, uncertain
 from api.schemas.derived import Derived

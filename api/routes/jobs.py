@@ -12,8 +12,7 @@ from pydantic import Field
 from api import cursors
 from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import IdempotencyKey, answer
-from api.asking import AskedDep, AskedListDep, idempotent_post
-from api.parameters import CODE, Code, Number
+from api.asking import CODE, AskedDep, AskedListDep, Code, Number, idempotent_post
 from api.problems import described
 from api.schemas.common import Links, Page, Representation, without_folders
 from api.schemas.derived import Derived

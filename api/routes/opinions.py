@@ -9,8 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
-from api.asking import AskedDep, AskedListDep
-from api.parameters import Code, MeasuredFrom, MeasuredTo, Serial, require_order
+from api.asking import AskedDep, AskedListDep, Code, MeasuredFrom, MeasuredTo, Serial, require_order
 from api.problems import described
 from api.schemas.common import Links, Page, Representation, Uncertain, uncertain
 from api.schemas.derived import Derived, provenance
@@ -301,9 +300,7 @@ def list_creep_forces(
     """List the creep forces of the wheelset's windows that begin in `[from, to)`, oldest first."""
     require_order(measured_from, measured_to)
     filters = {"wheelset": serial, "from": measured_from, "to": measured_to}
-    after = asked.after_number(filters)
-    if after is None and measured_from is not None:
-        after = measured_from - 1
+    after = asked.after_time(filters, measured_from)
     with asked.read() as unit:
         unit.registry.wheelset(serial)
         found = unit.adhesion.of_wheelset(serial, after, asked.limit + 1)

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from api.answers import answer
-from api.parameters import FleetFilter, VehicleFilter
+from api.asking import FleetFilter, VehicleFilter
 from api.problems import described
 from api.schemas.common import Links, Representation, finite
 from api.schemas.derived import Derived

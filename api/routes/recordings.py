@@ -13,8 +13,18 @@ from pydantic import Field
 from api import cursors
 from api.access.caller import Caller, CallerDep, Scope, requires
 from api.answers import answer
-from api.asking import AskedChange, AskedDep, AskedListDep, NewDep, idempotent_post
-from api.parameters import CODE, FleetFilter, MeasuredFrom, MeasuredTo, require_order
+from api.asking import (
+    CODE,
+    AskedChange,
+    AskedDep,
+    AskedListDep,
+    FleetFilter,
+    MeasuredFrom,
+    MeasuredTo,
+    NewDep,
+    idempotent_post,
+    require_order,
+)
 from api.problems import described
 from api.schemas.common import Body, Links, Page, Representation, without_folders
 from api.schemas.derived import Derived

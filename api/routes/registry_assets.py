@@ -12,8 +12,7 @@ from fastapi import APIRouter, Depends, Response
 from pydantic import Field
 
 from api.access.caller import Scope, requires
-from api.asking import NewDep, PutDep
-from api.parameters import Code, Serial
+from api.asking import Code, NewDep, PutDep, Serial
 from api.problems import ProblemError, described, invalid
 from api.registry_changes import (
     MOST_TEXT,
@@ -26,6 +25,7 @@ from api.registry_changes import (
 from api.routes import vehicles
 from api.schemas import registry
 from api.services import writer_slot
+from api.visible_objects import require_known
 from estimation.errors import ConflictError, InputError, NotFoundError
 from estimation.values.registry import (
     SPEED_IN_FILES,
@@ -99,7 +99,7 @@ _VEHICLE_FIELDS = {"max_speed_km_h": "max_speed_m_s"}
 def add_vehicle(asked: NewDep, body: NewVehicle) -> Response:
     """Enter a vehicle; recordings that came under its name before are decoded."""
     change = RegistryRequest(asked, body)
-    change.visible(lambda unit: _fleet(unit, body.fleet))
+    change.visible(lambda unit: require_known(unit, fleet=body.fleet))
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Vehicle:
         _refuse_known(unit.registry.vehicle, "vehicle", body.code)
@@ -115,7 +115,7 @@ def change_vehicle(asked: PutDep, code: Code, body: VehicleChange) -> Response:
     `If-Match` carries its ETag.
     """
     change = RegistryRequest(asked, body)
-    change.visible(lambda unit: _fleet(unit, body.fleet))
+    change.visible(lambda unit: require_known(unit, fleet=body.fleet))
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Vehicle:
         return _entered_vehicle(change, unit, decision, _vehicle(code, body))
@@ -127,7 +127,7 @@ def change_vehicle(asked: PutDep, code: Code, body: VehicleChange) -> Response:
 def add_wheelset(asked: NewDep, body: NewWheelset) -> Response:
     """Enter a wheelset, which is mounted nowhere yet."""
     change = RegistryRequest(asked, body)
-    change.visible(lambda unit: _fleet(unit, body.fleet))
+    change.visible(lambda unit: require_known(unit, fleet=body.fleet))
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Wheelset:
         _refuse_known(unit.registry.wheelset, "wheelset", body.serial)
@@ -143,7 +143,7 @@ def change_wheelset(asked: PutDep, serial: Serial, body: WheelsetChange) -> Resp
     `If-Match` carries its ETag.
     """
     change = RegistryRequest(asked, body)
-    change.visible(lambda unit: _fleet(unit, body.fleet))
+    change.visible(lambda unit: require_known(unit, fleet=body.fleet))
 
     def apply(unit: SqlUnitOfWork, decision: Decision) -> registry.Wheelset:
         return _entered_wheelset(change, unit, decision, _wheelset(serial, body))
@@ -207,11 +207,6 @@ def _class(text: str) -> VehicleClass:
         return parse_vehicle_class(parse_toml(text, Path("text")))
     except InputError as error:
         raise _wrong("text", str(error)) from None
-
-
-def _fleet(unit: SqlUnitOfWork, code: str) -> None:
-    if all(one.code != code for one in unit.registry.fleets()):
-        raise NotFoundError("fleet", code)
 
 
 def _refuse_known(look_up: Callable[[str], object], kind: str, key: str) -> None:

@@ -13,8 +13,7 @@ from pydantic import BaseModel, Field
 
 from api.access.caller import Scope, requires
 from api.answers import require_match
-from api.asking import AskedChange, AskedListDep, ChangeDep
-from api.parameters import CODE
+from api.asking import CODE, AskedChange, AskedListDep, ChangeDep
 from api.problems import ProblemError, described, invalid
 from api.registry_changes import TEXT, UNNAMED, Key
 from api.routes import tracks, vehicles

@@ -8,8 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Response
 from pydantic import Field, JsonValue
 
-from api.asking import AskedDep, AskedListDep
-from api.parameters import Code
+from api.asking import AskedDep, AskedListDep, Code
 from api.problems import described
 from api.schemas.common import Links, Page, Representation, finite, finite_list
 from api.schemas.derived import Derived

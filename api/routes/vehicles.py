@@ -9,8 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from pydantic import Field
 
-from api.asking import AskedDep, AskedListDep
-from api.parameters import Code, FleetFilter
+from api.asking import AskedDep, AskedListDep, Code, FleetFilter
 from api.problems import described
 from api.schemas import registry
 from api.schemas.common import Links, Page, Representation, finite
@@ -220,10 +219,9 @@ def list_fleets(asked: AskedListDep) -> Response:
 def get_fleet(asked: AskedDep, code: Code) -> Response:
     """Return one fleet."""
     with asked.read() as unit:
-        found = [record for record in unit.registry.fleets() if record.code == code]
-    if not found:
-        raise NotFoundError("fleet", code)
-    return asked.answer(registry.fleet(found[0]))
+        require_known(unit, fleet=code)
+        (found,) = (record for record in unit.registry.fleets() if record.code == code)
+    return asked.answer(registry.fleet(found))
 
 
 router = APIRouter(prefix="/v1", tags=["vehicles"])

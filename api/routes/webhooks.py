@@ -14,10 +14,9 @@ from starlette.concurrency import run_in_threadpool
 from api import cursors
 from api.access.caller import NOBODY_NAMED, Caller, CallerDep, Scope, requires
 from api.answers import IfMatch, answer, require_match
-from api.asking import AskedDep, AskedListDep
-from api.feed.streams import TRY_AGAIN
+from api.asking import CODE, AskedDep, AskedListDep
+from api.feed.watch import TRY_AGAIN
 from api.middleware import turn_of
-from api.parameters import CODE
 from api.problems import ProblemError, described, invalid
 from api.schemas.alerts import KnownKind
 from api.schemas.common import Body, Links, Page, Representation

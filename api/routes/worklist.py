@@ -12,8 +12,7 @@ from pydantic import Field
 
 from api import cursors
 from api.answers import payload_of
-from api.asking import AskedDep, AskedListDep
-from api.parameters import CODE, FleetFilter, Serial, VehicleFilter
+from api.asking import CODE, AskedDep, AskedListDep, FleetFilter, Serial, VehicleFilter
 from api.problems import described
 from api.schemas import registry
 from api.schemas.alerts import AlertKind, KnownKind

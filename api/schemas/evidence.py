@@ -92,16 +92,12 @@ def _text(value: JsonValue) -> str | None:
     return value if isinstance(value, str) else None
 
 
-def _flag(value: JsonValue) -> bool | None:
-    return value if isinstance(value, bool) else None
-
-
 _SIMPLE: Mapping[object, tuple[Any, Read]] = {
     Estimate: (Uncertain, _estimate),
     float: (float, _number),
     int: (int, _count),
     str: (str, _text),
-    bool: (bool, _flag),
+    bool: (bool, lambda value: value if isinstance(value, bool) else None),
 }
 
 
