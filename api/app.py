@@ -142,12 +142,7 @@ def build_app(
     plan: AccessPlan | None = None,
     sender: Sender | None = None,
 ) -> FastAPI:
-    """Return the app that answers with these services, within these limits or the usual ones.
-
-    Args:
-        services: None while the database is waited for: all but ``/healthz`` and ``/metrics`` is refused until
-            ``state.services`` is set.
-    """
+    """Return the app of these services; while they are None all but ``/healthz`` and ``/metrics`` is refused."""
     app = describe()
     registry = CollectorRegistry(auto_describe=False)
     registry.register(Measured(lambda: stored_measures(app.state.services)))

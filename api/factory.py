@@ -108,11 +108,7 @@ _log = logging.getLogger(__name__)
 
 
 def once_the_database_answers(make: Callable[[], Service], settings: Settings, stopping: Event) -> Service | None:
-    """Return what needs the database as soon as a server answers; None when a stop is asked for before.
-
-    Args:
-        settings: Of the deployment. A file of SQLite that cannot be opened is not waited for: nobody brings it back.
-    """
+    """Return what needs the database as soon as a server answers, SQLite at once; None after a stop."""
     delays, waited = Backoff(FIRST_DELAY_S, LONGEST_DELAY_S), False
     while not stopping.is_set():
         try:
@@ -161,13 +157,7 @@ def process_name(number: int | None = None) -> str:
 
 
 def open_store(settings: Settings) -> SqlStorage:
-    """Return the store of this deployment.
-
-    Raises:
-        MigrationError: The database is at another migration; the message gives the command to run.
-        ParameterError: The database URL names none that can be used, or windows of another length are stored.
-        StorageError: The database cannot be reached.
-    """
+    """Return the store of this deployment; refused at another migration, of other windows, or out of reach."""
     limits = ServerLimits(
         settings.database_connect_timeout_s, settings.database_silence_s, settings.database_statement_timeout_s
     )
@@ -193,11 +183,7 @@ def raw_store(settings: Settings) -> RawStore:
 def job_context(
     settings: Settings, storage: SqlStorage, progress: Callable[[int, int], None] | None = None
 ) -> JobContext:
-    """Return what the jobs of this deployment may touch.
-
-    Args:
-        progress: Called with (done, total) by jobs that count.
-    """
+    """Return what the jobs of this deployment may touch; ``progress`` is called with (done, total)."""
     rules = RuleBook() if settings.rules_file is None else load_rules(settings.rules_file)
     chosen = JobSettings(rules=rules, rails=rails_settings(settings))
     return JobContext(
@@ -245,11 +231,7 @@ def receiver(
     deleted_taken_by: str | None = None,
     announce: Announce = to_nobody,
 ) -> Receiver:
-    """Return what takes recordings in and makes their windows.
-
-    Args:
-        deleted_taken_by: Who wants recordings that were deleted to be taken in again; None where they are refused.
-    """
+    """Return what takes recordings in and makes their windows; deleted ones only where somebody wants them back."""
     buses = [load_own_bus(path) for path in catalogues or settings.catalogue_files]
     chosen = claim(storage, bus_choice(default_catalogue(), buses), _length_ns(settings), clock.now_ns())
     return Receiver(

@@ -66,8 +66,7 @@ def blocks(lines: Iterable[str]) -> Iterator[Block]:
             data.append(value)
 
 
-def checked(response: httpx.Response) -> Any:  # noqa: ANN401 - JSON
-    """Return the body of a success."""
+def _checked(response: httpx.Response) -> Any:  # noqa: ANN401 - JSON
     if response.is_success:
         return _json(response)
     problem = _json(response)
@@ -170,7 +169,7 @@ class Follower:
 
     def _page(self, wait_s: int) -> bool:
         parameters = self._parameters(limit=PAGE, wait_s=wait_s)
-        page = checked(self.http.get(FEED, params=parameters, timeout=wait_s + 30.0))
+        page = _checked(self.http.get(FEED, params=parameters, timeout=wait_s + 30.0))
         for number, event in enumerate(page["items"], 1):
             last = number == len(page["items"])
             self.taker.event(event, page["next_cursor"] if last else self.cursor or "")
@@ -191,7 +190,7 @@ class Follower:
                 return True
             if response.is_error or not response.headers.get("content-type", "").startswith(EVENT_STREAM):
                 response.read()
-                checked(response)
+                _checked(response)
                 raise RefusedError("the answer is no stream: is this address the service's?")
             self._silent_streams += 1
             for block in blocks(response.iter_lines()):
@@ -213,7 +212,7 @@ class Follower:
         found: list[Event] = []
         path: str | None = "/v1/alerts?open=true&limit=1000"
         while path is not None:
-            page = checked(self.http.get(path))
+            page = _checked(self.http.get(path))
             found += page["items"]
             path = page["next"]
         return found

@@ -194,8 +194,7 @@ class LimitedConnection(H11Protocol):
             self._all.work(self)
 
 
-def connection_measures(connections: Connections) -> list[Metric]:
-    """Return the measures of the connections."""
+def _connection_measures(connections: Connections) -> list[Metric]:
     cut = {reason.value: connections.cut[reason] for reason in Cut}
     return [
         GaugeMetricFamily("treadwatch_http_connections", "Open connections.", value=len(connections)),
@@ -242,7 +241,7 @@ def check_address(settings: Settings) -> None:
 def http_server(app: FastAPI, settings: Settings) -> HttpServer:
     """Return the server of an app, which answers running requests before it ends on a signal."""
     connections = Connections(open_connections(settings.max_connections), settings.header_timeout_s)
-    app.state.registry.register(Measured(partial(connection_measures, connections)))
+    app.state.registry.register(Measured(partial(_connection_measures, connections)))
     config = uvicorn.Config(
         app,
         host=settings.host,

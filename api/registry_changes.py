@@ -91,11 +91,7 @@ class RegistryRequest:
         apply: Callable[[SqlUnitOfWork, Decision], BaseModel],
         status: HTTPStatus = HTTPStatus.CREATED,
     ) -> Response:
-        """Change something in one transaction; the same request again changes nothing and gets the same answer.
-
-        Args:
-            current: Representation of the asset that is changed, for ``If-Match``; None where there is none yet.
-        """
+        """Change something once, in one transaction; ``current`` is what ``If-Match`` is of, None if new."""
 
         def entered(unit: SqlUnitOfWork, now_ns: int) -> BaseModel:
             if current is not None:

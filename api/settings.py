@@ -39,11 +39,7 @@ SECOND_NS = 1_000_000_000
 
 
 def known_sections(text: str) -> list[tuple[str, int]]:
-    """Return codes of sections, each with the begin of its day, ns UTC.
-
-    Args:
-        text: ``S1@2026-03-01,S2@2026-05-17``; a section may come several times.
-    """
+    """Return codes of sections, each with the begin of its day, ns UTC, of a text ``S1@2026-03-01,S2@2026-05-17``."""
     found = []
     for entry in filter(None, (one.strip() for one in text.split(","))):
         code, at, day = entry.rpartition("@")

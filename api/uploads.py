@@ -61,7 +61,7 @@ class UploadBody:
         if not announced.isdecimal():
             return self._limits.most_bytes
         if int(announced) > self._limits.most_bytes:
-            raise too_large(self._limits.most_bytes)
+            raise _too_large(self._limits.most_bytes)
         return int(announced)
 
     async def pieces(self) -> AsyncIterator[bytearray]:
@@ -80,7 +80,7 @@ class UploadBody:
             body = message.get("body", b"")
             size += len(body)
             if size > self._limits.most_bytes:
-                raise too_large(self._limits.most_bytes)
+                raise _too_large(self._limits.most_bytes)
             held += body
             if len(held) >= PIECE_BYTES:
                 yield held
@@ -103,8 +103,7 @@ class UploadBody:
             return
 
 
-def too_large(most_bytes: int) -> ProblemError:
-    """Return the refusal of a body that is too large."""
+def _too_large(most_bytes: int) -> ProblemError:
     detail = f"limit max_chunk_mb: a chunk has at most {most_bytes} bytes"
     return ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "content-too-large", detail, headers=CLOSING)
 

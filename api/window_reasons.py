@@ -56,12 +56,7 @@ class WindowReasons:
         return found
 
     def without_estimate(self, serial: str, of_geometry: Reason | None = None, most: int = COUNTED) -> WithoutEstimate:
-        """Return why nothing is estimated of a wheelset.
-
-        Args:
-            of_geometry: Why its geometry holds no number; None where it has none.
-            most: How many of its windows since its last reprofiling are counted at most, the newest.
-        """
+        """Return why nothing is estimated of a wheelset; ``of_geometry`` is why that holds no number."""
         record = self.unit.registry.wheelset(serial)
         counted = self._counted(record, most)
         if not counted:

@@ -180,12 +180,7 @@ LONGEST_TOKEN = 8192
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Decides who asks, and refuses who may not.
-
-    Args:
-        keys: Those of the database; None where access is open.
-        requests, failures: Limits of rate: of each key; of wrong keys, of each address.
-    """
+    """Decides who asks, and refuses who may not; where ``keys`` is None, access is open."""
 
     hosts: Hosts
     doors: Opened

@@ -72,12 +72,7 @@ class AccessPlan:
 
 
 def plan_of(settings: Settings) -> AccessPlan:
-    """Return what a deployment has decided.
-
-    Raises:
-        ParameterError: Access is open beyond loopback and nothing says that this is meant; or the settings of the token
-            issuer are not complete.
-    """
+    """Return what a deployment has decided; refuses what is open beyond loopback, and half an issuer of tokens."""
     if settings.access == "open" and not is_loopback(settings.host):
         raise ParameterError(
             f"is open, and {settings.host} is reached from beyond this machine: use keys, or say '{IN_WORDS}'",

@@ -26,8 +26,7 @@ _SECRET_BYTES = 32
 _FORM = re.compile(r"tw_(?P<prefix>[a-z2-7]{8})_[A-Za-z0-9_-]{43}", re.ASCII)
 
 
-def new_token() -> str:
-    """Return a key that nobody has; it is shown once and never stored."""
+def _new_token() -> str:
     prefix = "".join(secrets.choice(_ALPHABET) for _ in range(_PREFIX_LENGTH))
     return f"tw_{prefix}_{secrets.token_urlsafe(_SECRET_BYTES)}"
 
@@ -126,11 +125,7 @@ class Wanted:
 
 
 def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple[ApiKey, str]:
-    """Store a new key and return it with its secret.
-
-    Raises:
-        ParameterError: An unknown scope or none, no owner, or it has expired already; names the field.
-    """
+    """Store a new key and return it with its secret; a refusal names the field."""
     if not wanted.owner.strip():
         raise ParameterError("names nobody", field="owner")
     if not wanted.scopes or wanted.scopes - EVERYTHING:
@@ -141,9 +136,9 @@ def make_key(unit: SqlUnitOfWork, wanted: Wanted, by: str, now_ns: int) -> tuple
         known = {fleet.code for fleet in unit.registry.fleets()}
         for code in sorted(wanted.fleets - known):
             raise NotFoundError("fleet", code)
-    token = new_token()
+    token = _new_token()
     while unit.api_keys.find(prefix := str(prefix_of(token))) is not None:
-        token = new_token()
+        token = _new_token()
     made = ApiKey(prefix, digest_of(token), wanted.owner, wanted.scopes, wanted.fleets, now_ns, by, wanted.expires_ns)
     unit.api_keys.add(made)
     return made, token

@@ -51,7 +51,7 @@ class FeedFilter:
         return found if self.visible is None else found | {"visible": sorted(self.visible)}
 
 
-async def feed_filter(
+async def _feed_filter(
     services: ServicesDep,
     fleet: Annotated[
         list[FleetCode] | None, Query(max_length=MOST_VALUES, description="Only of these fleets; may be repeated.")
@@ -67,7 +67,6 @@ async def feed_filter(
         ),
     ] = None,
 ) -> FeedFilter:
-    """Return the filter of a request."""
     return FeedFilter(_set(fleet), _set(kind), _set(severity), services.storage.visible_fleets)
 
 
@@ -75,7 +74,7 @@ def _set(values: Sequence[str] | None) -> frozenset[str]:
     return frozenset(str(value) for value in values or ())
 
 
-FeedFilterDep = Annotated[FeedFilter, Depends(feed_filter)]
+FeedFilterDep = Annotated[FeedFilter, Depends(_feed_filter)]
 
 
 _FORM = re.compile(r"(?P<sequence>\d{1,19})\.(?P<identity>[0-9a-f]{32})\.(?P<check>[0-9a-f]{8})", re.ASCII)
@@ -122,12 +121,7 @@ def cursor_of(narrowed: FeedFilter, cursor: str | None) -> FeedCursor | None:
 
 
 def event_of(unit: SqlUnitOfWork, narrowed: FeedFilter, path: str, cursor: FeedCursor | None) -> AlertEvent | None:
-    """Return the event behind which the next poll begins; None at the beginning.
-
-    Raises:
-        ProblemError: 409: the cursor is of another database, or of this one before it was restored; with where to go
-            on.
-    """
+    """Return the event behind which the next poll begins; None at the beginning; 409: of another history."""
     if cursor is None:
         return None
     branches = unit.feed_branches.all()
@@ -185,7 +179,7 @@ def opened(
     with storage.read() as unit:
         if after == LATEST:
             return read(unit, narrowed, unit.feed_branches.newest_sequence())
-        last = event_of(unit, narrowed, with_filter(path, narrowed), given)
+        last = event_of(unit, narrowed, _with_filter(path, narrowed), given)
         return read(unit, narrowed, 0 if last is None else last.sequence)
 
 
@@ -201,8 +195,7 @@ def read_page(unit: SqlUnitOfWork, narrowed: FeedFilter, after_sequence: int, li
     return FeedPage(events, end, newest)
 
 
-def with_filter(path: str, narrowed: FeedFilter) -> str:
-    """Return a path with the filter as its query."""
+def _with_filter(path: str, narrowed: FeedFilter) -> str:
     named = (("fleet", narrowed.fleets), ("kind", narrowed.kinds), ("severity", narrowed.severities))
     given = [(name, value) for name, values in named for value in sorted(values)]
     return quote(path) + (f"?{urlencode(given)}" if given else "")

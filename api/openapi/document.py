@@ -51,7 +51,7 @@ _PAGED = "next_cursor"
 IF_MATCH = "If-Match"
 
 
-def describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[str, Any]) -> None:
+def _describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[str, Any]) -> None:
     """Add to an operation the headers of its answers, and that ``If-Match`` is required where it is taken.
 
     The service answers a request without it with 428 rather than with 422, so the route itself cannot require it.
@@ -73,8 +73,7 @@ def describe_headers(method: str, operation: dict[str, Any], schemas: Mapping[st
             described.setdefault(name, {"$ref": f"#/components/headers/{name}"})
 
 
-def header_components() -> dict[str, Any]:
-    """Return the headers as components of the document."""
+def _header_components() -> dict[str, Any]:
     return {name: {"description": text, "schema": {"type": "string"}} for name, text in RESPONSE_HEADERS.items()}
 
 
@@ -83,8 +82,7 @@ def _is_page(response: Mapping[str, Any], schemas: Mapping[str, Any]) -> bool:
     return _PAGED in schemas.get(reference.rsplit("/", maxsplit=1)[-1], {}).get("properties", {})
 
 
-def describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
-    """Add the table of every list to its success."""
+def _describe_tables(app: FastAPI, document: dict[str, Any]) -> None:
     for context in iter_route_contexts(app.routes):
         route = context.original_route
         item = item_of(route.response_model) if isinstance(route, APIRoute) and route.include_in_schema else None
@@ -123,8 +121,7 @@ def scopes_of(routers: Iterable[APIRouter]) -> dict[str, Scope]:
     return found
 
 
-def describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
-    """Add the key to the document, and the scope to every operation; `/healthz` and `/readyz` need none."""
+def _describe_access(document: dict[str, Any], scopes: Mapping[str, Scope]) -> None:
     document["components"]["securitySchemes"] = {KEY: SCHEME}
     for path, operations in document["paths"].items():
         for operation in operations.values():
@@ -155,8 +152,7 @@ _FEED = ("poll_alert_feed", "stream_alert_feed")
 _POINTED = [{"in": "query", "pointer": "#/limit", "detail": "Input should be less than or equal to 1000"}]
 
 
-def describe_problems(path: str, operation: dict[str, Any]) -> None:
-    """Give every problem of an operation an example."""
+def _describe_problems(path: str, operation: dict[str, Any]) -> None:
     for status, response in operation["responses"].items():
         content = response.get("content", {}).get(PROBLEM_MEDIA_TYPE)
         if content is not None:
@@ -199,7 +195,7 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
         tags=app.openapi_tags,
         license_info={"name": "Apache-2.0", "identifier": "Apache-2.0"},
     )
-    describe_tables(app, found)
+    _describe_tables(app, found)
     template = "#/components/schemas/{model}"
     _, definitions = models_json_schema([(Problem, "serialization")], ref_template=template)
     schemas = found.setdefault("components", {}).setdefault("schemas", {})
@@ -210,14 +206,14 @@ def document(app: FastAPI, scopes: Mapping[str, Scope]) -> dict[str, Any]:
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
     found["components"]["schemas"] = dict(sorted(schemas.items()))
-    found["components"]["headers"] = header_components()
+    found["components"]["headers"] = _header_components()
     describe_properties(found["components"]["schemas"])
-    describe_access(found, scopes)
+    _describe_access(found, scopes)
     for path, operations in found["paths"].items():
         for method, operation in operations.items():
             _describe_unchanged(operation)
-            describe_headers(method, operation, found["components"]["schemas"])
-            describe_problems(path, operation)
+            _describe_headers(method, operation, found["components"]["schemas"])
+            _describe_problems(path, operation)
             _leave_streams_open(operation)
     return found
 

@@ -131,8 +131,7 @@ class ProfileComparison(Representation):
     links: Links
 
 
-def profile_comparison(found: Comparison) -> ProfileComparison:
-    """Return the representation of a measurement beside the estimate of its date."""
+def _profile_comparison(found: Comparison) -> ProfileComparison:
     one, record = found.measurement, found.estimate.record
     own = f"/v1/wheelsets/{segment(one.wheelset)}"
     return ProfileComparison(
@@ -149,9 +148,9 @@ def profile_comparison(found: Comparison) -> ProfileComparison:
         **why(found.reason),
         independent=found.independent,
         measured_at_bins=_at_bins(found),
-        conicity_by_amplitude=[conicity_compared(pair) for pair in found.conicity],
+        conicity_by_amplitude=[_conicity_compared(pair) for pair in found.conicity],
         links={
-            "self": comparison_path(one.wheelset, one.at_ns),
+            "self": _comparison_path(one.wheelset, one.at_ns),
             "wheelset": own,
             "measured_profiles": f"{own}/measured-profiles",
             "accuracy": "/v1/accuracy",
@@ -159,13 +158,11 @@ def profile_comparison(found: Comparison) -> ProfileComparison:
     )
 
 
-def comparison_path(serial: str, at_ns: int) -> str:
-    """Return the path of a comparison."""
+def _comparison_path(serial: str, at_ns: int) -> str:
     return f"/v1/wheelsets/{segment(serial)}/measured-profiles/{segment(to_rfc3339(at_ns))}/comparison"
 
 
-def conicity_compared(pair: ConicityPair) -> ConicityCompared:
-    """Return the representation of the conicity at one amplitude, measured and estimated."""
+def _conicity_compared(pair: ConicityPair) -> ConicityCompared:
     return ConicityCompared.made(pair, amplitude_mm=round(pair.amplitude * MM, 3))
 
 
@@ -298,8 +295,7 @@ class Accuracy(Representation):
     links: Links
 
 
-def accuracy(found: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
-    """Return the representation of what the comparisons of a fleet add up to."""
+def _accuracy(found: FleetAccuracy, placed: Placed, on_file: int, links: Mapping[str, str]) -> Accuracy:
     return Accuracy(
         amplitude_mm=LIMIT_AMPLITUDE * MM,
         on_file=on_file,
@@ -352,7 +348,7 @@ def _row(row: PlacedComparison) -> MeasurementRow:
         **why(found.reason),
         links={
             "wheelset": f"/v1/wheelsets/{segment(one.wheelset)}",
-            "comparison": comparison_path(one.wheelset, one.at_ns),
+            "comparison": _comparison_path(one.wheelset, one.at_ns),
         },
     )
 
@@ -375,7 +371,7 @@ def get_profile_comparison(asked: AskedDep, serial: Serial, measured_at: Measure
         found = comparison_reader(asked.services, unit).of_wheelset(wheelset, wanted)
     if not found:
         raise NotFoundError("measured profiles", f"{serial} at {to_rfc3339(measured_at)}")
-    return asked.answer(profile_comparison(found[0]))
+    return asked.answer(_profile_comparison(found[0]))
 
 
 @router.get("/accuracy", response_model=Accuracy, responses={**described(404), **TABLE})
@@ -394,5 +390,5 @@ def get_accuracy(
         on_file, keys = newest_measurements(unit.connection, fleet, measured_from, measured_to, limit)
         placed = placed_comparisons(unit, comparison_reader(asked.services, unit), keys)
     query = f"?{urlencode(asked.request.query_params.multi_items())}" if asked.request.query_params else ""
-    body = accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{query}"})
+    body = _accuracy(fleet_accuracy(placed.rows), placed, on_file, {"self": f"/v1/accuracy{query}"})
     return answer_payload(asked.request, table_payload(body, accepted, table(body.measurements)), accepted)

@@ -138,10 +138,9 @@ def recording(record: ChunkRecord) -> Recording:
     return Recording.made(record, **_fields(record))
 
 
-def recording_with_history(
+def _recording_with_history(
     record: ChunkRecord, windows: Mapping[WindowState, int], changes: Sequence[Change]
 ) -> RecordingWithHistory:
-    """Return the representation of a receipt with its windows and changes."""
     by_state = {state.value: windows.get(state, 0) for state in WindowState}
     return RecordingWithHistory.made(
         record,
@@ -215,17 +214,16 @@ def list_recordings(
 def get_recording(asked: AskedDep, digest: Digest) -> Response:
     """Return one recording, with its windows and what was done to it by hand."""
     with asked.read() as unit:
-        found = with_history(unit, digest)
+        found = _with_history(unit, digest)
     return asked.answer(found)
 
 
-def with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
-    """Return the representation of one recording."""
+def _with_history(unit: SqlUnitOfWork, digest: str) -> RecordingWithHistory:
     record = unit.chunks.get(digest)
     if record is None:
         raise NotFoundError("recording", digest)
     windows, changes = unit.chunks.window_counts(record), unit.recording_changes.list(digest)
-    return recording_with_history(record, windows, changes)
+    return _recording_with_history(record, windows, changes)
 
 
 def _key(record: ChunkRecord) -> str:
@@ -283,7 +281,7 @@ def delete_recording(
     author = Author(caller.name or by or NOBODY, why)
     _made(services).delete(digest, author, services.raw)
     with services.storage.read() as unit:
-        return answer(request, with_history(unit, digest))
+        return answer(request, _with_history(unit, digest))
 
 
 def _correct(
@@ -296,7 +294,7 @@ def _correct(
         return earlier
     apply(_made(asked.services))
     with asked.read() as unit:
-        found = with_history(unit, digest)
+        found = _with_history(unit, digest)
     with asked.services.storage.write() as unit:
         post.remember(unit, HTTPStatus.OK, found, asked.services.clock.now_ns())
     return asked.answer(found)

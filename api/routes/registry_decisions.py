@@ -89,8 +89,7 @@ class RegistryDecision(Representation):
     after: Record | None = Field(description="The record since; null where it was voided, or is not known.")
 
 
-def shown_decision(event: RegistryEvent) -> RegistryDecision:
-    """Return the representation of a decision."""
+def _shown_decision(event: RegistryEvent) -> RegistryDecision:
     restored = event.action is RecordAction.RESTORED
     return RegistryDecision(
         id=event.id,
@@ -159,7 +158,7 @@ def list_registry_history(asked: AskedListDep, kind: KindFilter = None, of: KeyF
     after = asked.after_number(filters)
     with asked.read() as unit:
         rows = unit.registry_history.list(of, after, asked.limit + 1, kind)
-    return asked.page(filters, rows, lambda event: event.id, shown_decision)
+    return asked.page(filters, rows, lambda event: event.id, _shown_decision)
 
 
 @_post("/void", response_model=RegistryDecision)
@@ -198,7 +197,7 @@ def _decide(asked: AskedChange, body: RecordDecision, action: RecordAction) -> R
             refuse_contradicted(unit, key, now_ns)
         event = unit.registry_history.latest(key, action)
         assert event is not None
-        return shown_decision(event)
+        return _shown_decision(event)
 
     return asked.once(body, decide, HTTPStatus.CREATED)
 
@@ -224,4 +223,4 @@ def _asset(unit: SqlUnitOfWork, key: RecordKey) -> BaseModel:
     voided = unit.registry_history.latest(key, RecordAction.VOIDED)
     if voided is None:
         raise NotFoundError(key.kind.value, key.subject)
-    return shown_decision(voided)  # there is no other representation of it: send If-Match: *
+    return _shown_decision(voided)  # there is no other representation of it: send If-Match: *

@@ -160,8 +160,7 @@ def alignment(found: TrackAlignment, record: AlignmentRecord, made_by: TrackRepo
     )
 
 
-def alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
-    """Return the representation of a version without its columns."""
+def _alignment_summary(record: AlignmentRecord) -> AlignmentSummary:
     return AlignmentSummary.made(record, links=_links(record))
 
 
@@ -290,7 +289,7 @@ def list_alignments(asked: AskedListDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.tracks.section(code)
         found = unit.tracks.versions(code, after, asked.limit + 1)
-    return asked.page(filters, found, lambda record: record.version, alignment_summary)
+    return asked.page(filters, found, lambda record: record.version, _alignment_summary)
 
 
 @router.get("/{code}/alignment-report", response_model=AlignmentReport, responses=described(404))

@@ -162,8 +162,7 @@ class Dampers(Representation):
     links: Links
 
 
-def dampers(vehicle: str, found: Sequence[GearDamper]) -> Dampers:
-    """Return the representation of the dampers of a vehicle."""
+def _dampers(vehicle: str, found: Sequence[GearDamper]) -> Dampers:
     own = f"/v1/vehicles/{segment(vehicle)}"
     links = {"self": f"{own}/dampers", "vehicle": own}
     return Dampers(vehicle=vehicle, dampers=[DamperState.made(one) for one in found], links=links)
@@ -193,8 +192,7 @@ class Suspension(Representation):
     links: Links
 
 
-def suspension(vehicle: str, findings: Sequence[SuspensionFinding], change: SuspensionChange | None) -> Suspension:
-    """Return the representation of the findings of a vehicle."""
+def _suspension(vehicle: str, findings: Sequence[SuspensionFinding], change: SuspensionChange | None) -> Suspension:
     own = f"/v1/vehicles/{segment(vehicle)}"
     return Suspension(
         vehicle=vehicle,
@@ -256,7 +254,7 @@ def get_suspension(asked: AskedDep, code: Code) -> Response:
         findings = unit.suspensions.list(code)
         newest = unit.suspensions.newest(usual.recent + usual.most_past)
     change = suspension_changes(newest, usual).get(code)
-    return asked.answer(suspension(code, findings, change))
+    return asked.answer(_suspension(code, findings, change))
 
 
 @router.get("/vehicles/{code}/dampers", response_model=Dampers, responses=described(404))
@@ -265,7 +263,7 @@ def get_dampers(asked: AskedDep, code: Code) -> Response:
     with asked.read() as unit:
         unit.registry.vehicle(code)
         found = unit.dampers.of_vehicle(code)
-    return asked.answer(dampers(code, found))
+    return asked.answer(_dampers(code, found))
 
 
 Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Left out, the latest.")]

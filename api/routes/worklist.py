@@ -87,8 +87,7 @@ class WheelsetRow(registry.Wheelset):
     state: WheelsetState
 
 
-def wheelset_row(row: WorklistRow) -> WheelsetRow:
-    """Return the representation of a row of the worklist."""
+def _wheelset_row(row: WorklistRow) -> WheelsetRow:
     mounting = row.wheelset.mounting
     return WheelsetRow(
         **dict(registry.wheelset(row.wheelset)),
@@ -102,7 +101,7 @@ def wheelset_row(row: WorklistRow) -> WheelsetRow:
 
 def row_of_document(document: str) -> WheelsetRow:
     """Return the representation of a stored row."""
-    return wheelset_row(from_document(document))
+    return _wheelset_row(from_document(document))
 
 
 def _state(state: WorklistState) -> WheelsetState:

@@ -58,11 +58,10 @@ class FieldOf:
 def fields_of(kind: type) -> tuple[FieldOf, ...]:
     """Return the fields of a dataclass, in their order."""
     hints = get_type_hints(kind, include_extras=True)
-    return tuple(field_of(field.name, hints[field.name]) for field in fields(cast("Any", kind)))
+    return tuple(_field_of(field.name, hints[field.name]) for field in fields(cast("Any", kind)))
 
 
-def field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
-    """Return what a type with its metadata says of a field."""
+def _field_of(key: str, hint: Any) -> FieldOf:  # noqa: ANN401 - a type
     served, nullable = PLAIN, False
     while get_origin(hint) in {Annotated, Union, types.UnionType}:
         if get_origin(hint) is Annotated:
@@ -88,7 +87,7 @@ def served_type(field: FieldOf) -> tuple[Any, Convert]:
     if origin is frozenset:
         return list[parts[0]], sorted  # type: ignore[valid-type]  # as the value declares it
     if origin is tuple:
-        kind, convert = served_type(field_of("", parts[0]))
+        kind, convert = served_type(_field_of("", parts[0]))
         return list[kind], list if convert is None else lambda items: [convert(item) for item in items]  # type: ignore[valid-type]  # a type all the same
     if origin is not None and issubclass(origin, Mapping):
         of = parts[1] if isinstance(parts[1], type) else pydantic.JsonValue
@@ -116,7 +115,7 @@ MODELS: dict[type, type[Derived]] = {}  # the model of each value that has one
 
 def _served_fields(of: type, without: Collection[str], also: Collection[str]) -> list[FieldOf]:
     properties = [
-        field_of(name, get_type_hints(getattr(of, name).fget, include_extras=True)["return"]) for name in also
+        _field_of(name, get_type_hints(getattr(of, name).fget, include_extras=True)["return"]) for name in also
     ]
     return [field for field in (*fields_of(of), *properties) if field.key not in without]
 

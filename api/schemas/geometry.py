@@ -120,11 +120,7 @@ def _column(values: BinValues, scale: float) -> BinColumn:
 
 
 def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> Geometry:
-    """Return the representation of a geometry estimate.
-
-    Args:
-        without: Why it holds no number; None where it does, or as it was recorded at a time.
-    """
+    """Return the representation of a geometry estimate; ``without`` is why it holds no number now."""
     shown = _geometry(record.wheelset, record.baseline, record.geometry, without)
     own = shown.links["self"]
     shown.links["as_recorded"] = f"{own}?as_of={to_rfc3339(record.recorded_ns)}"

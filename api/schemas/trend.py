@@ -127,11 +127,7 @@ def date_forecast(forecast: Forecast, unknown: Reason | None) -> DateForecast:
 
 
 def trend(record: TrendRecord, current: GeometryRecord | None, without: WithoutEstimate | None = None) -> Trend:
-    """Return the representation of a trend.
-
-    Args:
-        without: Why there is none, by its windows; None where there is one, and of a time that has passed.
-    """
+    """Return the representation of a trend; ``without`` is why there is no geometry now, by its windows."""
     recorded_ns = record.recorded_ns if current is None else max(record.recorded_ns, current.recorded_ns)
     shown = _trend(record.wheelset, record.baseline, record.trend, current, without, _NO_CURRENT)
     own = shown.links["self"]

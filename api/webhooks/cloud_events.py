@@ -78,8 +78,7 @@ def cloud_event(branches: Sequence[FeedBranch], identity: str, event: AlertEvent
     return orjson.dumps(envelope)[:-1] + b',"data":' + payload_of(alerts.event(event)) + b"}"
 
 
-def trial_event(branches: Sequence[FeedBranch], webhook_id: int, now_ns: int) -> tuple[str, bytes]:
-    """Return identity and body of an event that only tries out a webhook."""
+def _trial_event(branches: Sequence[FeedBranch], webhook_id: int, now_ns: int) -> tuple[str, bytes]:
     identity = f"test-{uuid.uuid4().hex}"
     path = f"/v1/webhooks/{webhook_id}"
     envelope = {
@@ -111,5 +110,5 @@ def trial_of(storage: SqlStorage, webhook_id: int, now_ns: int) -> Trial:
         webhook, branches = unit.webhooks.get(webhook_id), unit.feed_branches.all()
     with replace(storage, visible_fleets=None).read() as unit:  # no bound caller sees what signs
         secrets = unit.webhooks.secrets(webhook_id, now_ns)
-    identity, body = trial_event(branches, webhook_id, now_ns)
+    identity, body = _trial_event(branches, webhook_id, now_ns)
     return Trial(webhook.url, identity, signed_headers(secrets, identity, now_ns, body), body)

@@ -58,11 +58,7 @@ class Schedule:
     def next_ns(
         self, first_ns: int, attempts: int, now_ns: int, chance_1: float, asked_s: float | None = None
     ) -> int | None:
-        """Return when an event is sent again; None where it is given up.
-
-        Args:
-            chance_1: Of a fair draw from 0 to 1, for the jitter.
-        """
+        """Return when an event is sent again; None where it is given up. ``chance_1`` is a fair draw from 0 to 1."""
         end_ns = first_ns + round(self.span_s * SECOND_NS)
         if now_ns >= end_ns and attempts >= self.least_attempts:
             return None
