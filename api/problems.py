@@ -255,10 +255,7 @@ def described(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Return the ``responses`` of a route's OpenAPI description for these statuses."""
     schema = {"$ref": "#/components/schemas/Problem"}
     return {
-        status: {
-            "description": HTTPStatus(status).phrase,
-            "content": {PROBLEM_MEDIA_TYPE: {"schema": schema}},
-        }
+        status: {"description": HTTPStatus(status).phrase, "content": {PROBLEM_MEDIA_TYPE: {"schema": schema}}}
         for status in statuses
     }
 

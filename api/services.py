@@ -50,19 +50,16 @@ class WriterSlots:
             raise BusyError(f"{self._present} requests write or wait for it already")
         self._present += 1
         try:
-            await self._acquire()
+            try:
+                await asyncio.wait_for(self._slots.acquire(), self._patience_s)
+            except TimeoutError:
+                raise BusyError(f"other requests have been writing for {self._patience_s:g} s") from None
             try:
                 yield
             finally:
                 self._slots.release()
         finally:
             self._present -= 1
-
-    async def _acquire(self) -> None:
-        try:
-            await asyncio.wait_for(self._slots.acquire(), self._patience_s)
-        except TimeoutError:
-            raise BusyError(f"other requests have been writing for {self._patience_s:g} s") from None
 
 
 class JobRunner:

@@ -111,10 +111,7 @@ def create_key(request: Request, services: ServicesDep, caller: CallerDep, body:
 
 
 @router.post(
-    "/keys/{prefix}/revoke",
-    response_model=Key,
-    responses=described(404, 409, 415),
-    dependencies=[Depends(writer_slot)],
+    "/keys/{prefix}/revoke", response_model=Key, responses=described(404, 409, 415), dependencies=[Depends(writer_slot)]
 )
 def revoke_key(request: Request, services: ServicesDep, prefix: Prefix) -> Response:
     """Revoke a key for ever; it is refused after at most 5 s."""

@@ -112,10 +112,7 @@ FileName = Annotated[
     "/{sha256}",
     status_code=HTTPStatus.CREATED,
     response_model=Chunk,
-    responses={
-        200: {"model": Chunk, "description": "It is stored already."},
-        **described(404, 408, 409, 413, 415),
-    },
+    responses={200: {"model": Chunk, "description": "It is stored already."}, **described(404, 408, 409, 413, 415)},
     openapi_extra={"requestBody": BODY},
     dependencies=[Depends(requires(Scope.INGEST))],
 )

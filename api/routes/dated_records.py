@@ -12,15 +12,7 @@ from pydantic import Field
 from api.access.caller import Scope, requires
 from api.asking import AskedListDep, ChangeDep, Code, Serial
 from api.problems import described, invalid, pointer
-from api.registry_changes import (
-    MOST_TEXT,
-    BodySource,
-    Key,
-    Kilometres,
-    Note,
-    RegistryChange,
-    RegistryRequest,
-)
+from api.registry_changes import MOST_TEXT, BodySource, Key, Kilometres, Note, RegistryChange, RegistryRequest
 from api.schemas import registry
 from api.schemas.common import Body, Page, Representation
 from api.schemas.derived import Derived

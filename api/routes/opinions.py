@@ -311,10 +311,7 @@ def list_creep_forces(
 
 
 @router.get(
-    "/wheelsets/{serial}/signature",
-    tags=["wheelsets"],
-    response_model=SignatureAnswer,
-    responses=described(404),
+    "/wheelsets/{serial}/signature", tags=["wheelsets"], response_model=SignatureAnswer, responses=described(404)
 )
 def get_signature(asked: AskedDep, serial: Serial) -> Response:
     """Return what a library of the other wheelsets' raw signals says of the wheelset, beside its geometry."""
@@ -328,10 +325,7 @@ def get_signature(asked: AskedDep, serial: Serial) -> Response:
 
 
 @router.get(
-    "/track-sections/{code}/adhesion",
-    tags=["track sections"],
-    response_model=SectionAdhesion,
-    responses=described(404),
+    "/track-sections/{code}/adhesion", tags=["track sections"], response_model=SectionAdhesion, responses=described(404)
 )
 def get_adhesion(
     asked: AskedDep,

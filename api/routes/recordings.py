@@ -247,8 +247,7 @@ corrections_router = APIRouter(
     prefix="/v1/recordings", tags=["recordings"], dependencies=[Depends(requires(Scope.INGEST)), Depends(writer_slot)]
 )
 Why = Annotated[
-    str,
-    Query(min_length=1, max_length=2000, pattern=WORDS, description="Why.", examples=["Of a test bench"]),
+    str, Query(min_length=1, max_length=2000, pattern=WORDS, description="Why.", examples=["Of a test bench"])
 ]
 By = Annotated[str | None, Query(min_length=1, max_length=200, pattern=WORDS, description="Who, where no key says it.")]
 NOBODY = "unknown"
