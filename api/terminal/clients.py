@@ -55,7 +55,7 @@ def make_stored_key(settings: Settings, wanted: Wanted) -> tuple[ApiKey, str]:
     with closing(open_store(settings)) as storage, storage.write() as unit:
         made, token = make_key(unit, wanted, user_here(), time.time_ns())
         _note(unit, "keys", "create", made.prefix)
-    return made, token.text
+    return made, token
 
 
 def key_list() -> str:

@@ -11,12 +11,20 @@ from functools import partial
 
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
-from api.factory import RECEIPT_PATIENCE_S, SystemClock, backlog_watch, process_name, raw_store, receiver
+from api.factory import (
+    RECEIPT_PATIENCE_S,
+    SystemClock,
+    backlog_watch,
+    process_name,
+    raw_store,
+    receiver,
+    topic_of,
+    with_named_setting,
+)
 from api.measures import counter, gauge
 from api.settings import PREFIX, Settings, load_settings
 from api.terminal.health_server import Answer, HealthAddress, json_answer, served
 from api.terminal.store import begun, store_once_it_answers
-from api.topic import topic_of, with_named_setting
 from estimation.errors import ParameterError
 from fleet_db.storage import SqlStorage
 from ingest.intake.backlog import decode_received

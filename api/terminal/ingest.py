@@ -13,13 +13,12 @@ from rich.console import Console
 from rich.table import Table
 
 from api import factory, logs
-from api.factory import SystemClock, open_store
+from api.factory import SystemClock, open_store, publishing
 from api.progress import bar
 from api.settings import load_settings
 from api.terminal.estimate import line_of
 from api.terminal.store import print_line, user_name
 from api.times import to_rfc3339
-from api.topic import publishing
 from api.tracing import start_tracing
 from api.window_reasons import WindowReasons
 from estimation.errors import InputError, ParameterError, TreadwatchError
