@@ -20,8 +20,8 @@ from api.terminal.reasons import fleet_reasons, summary_lines
 from api.tracing import start_tracing
 from api.workers.choice import executor_of
 from estimation.errors import ParameterError
+from estimation.jobs.estimate_windows import REFUSED, refusals
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.steps.refusals import REFUSED, refusals
 from estimation.jobs.stop_signals import stop_on_signals
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 

@@ -7,7 +7,7 @@ it waits until that has looked at it; on a recording it does not.
 from __future__ import annotations
 
 import logging
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -18,15 +18,11 @@ from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run as run_stage
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
-from estimation.jobs.steps.likely_chosen import likely_chosen
-from estimation.jobs.steps.load_window import WindowLoader
-from estimation.jobs.steps.lost_windows import assemble_if_lost
+from estimation.jobs.steps.load_window import WindowLoader, assemble_if_lost
 from estimation.jobs.steps.outdated_windows import OUTDATED
 from estimation.jobs.steps.plausibility import JUDGE
-from estimation.jobs.steps.refusals import count_of, refusals_text
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
-from estimation.jobs.steps.window_inputs import BatchInputs, WindowInputs, inputs_of_batch
-from estimation.jobs.steps.window_tracks import TrackLookup, tracks_of_batch
+from estimation.jobs.steps.window_inputs import BatchInputs, TrackLookup, WindowInputs, inputs_of_batch, tracks_of_batch
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.parameters import WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
@@ -34,7 +30,7 @@ from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
 from estimation.values.reasons import Reason, ReasonCode, code_of
-from estimation.values.roll_up import RollingSums, WindowRollingSums
+from estimation.values.roll_up import MOST_CHOSEN, RollingSums, WindowRollingSums
 from estimation.values.runs import FAILED, TRIED_AGAIN, SubjectKind, code_of_error, first_line
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import (
@@ -48,6 +44,46 @@ from estimation.values.windows import (
     key_of_text,
     text_of_key,
 )
+
+REFUSED = "refused_"
+"""Begin of the names under which a run counts refused windows by reason code."""
+
+
+def count_of(reason: Reason) -> str:
+    """Return the name under which a window is counted that was refused for a reason."""
+    return f"{REFUSED}{reason.code.value}"
+
+
+def refusals(counts: Mapping[str, int]) -> dict[ReasonCode, int]:
+    """Return how many windows a run has refused, by reason code, the most frequent first."""
+    known = {count_of(Reason(code, "")): code for code in ReasonCode}
+    found = {known[name]: count for name, count in counts.items() if name in known and count}
+    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0].value)))
+
+
+def refusals_text(counts: Mapping[str, int]) -> str:
+    """Return what windows were refused for, with what to do; empty where none was."""
+    parts = []
+    for code, count in refusals(counts).items():
+        remedy = code.remedy.rstrip(".")
+        parts.append(f"{count} {code.value}" + (f" ({remedy})" if remedy else ""))
+    return ", ".join(parts)
+
+
+def likely_chosen(unit: UnitOfWork, records: Sequence[WindowRecord]) -> set[WindowKey]:
+    """Return which windows of a batch would be chosen beside those of the newest roll-up of their wheelset."""
+    of_wheelset: defaultdict[str, list[WindowRecord]] = defaultdict(list)
+    for record in records:
+        if not record.quality.hunting.sustained:
+            of_wheelset[record.wheelset].append(record)
+    stored = unit.roll_ups.newest_chosen(sorted(of_wheelset)) if of_wheelset else {}
+    found: set[WindowKey] = set()
+    for wheelset, several in of_wheelset.items():
+        digests = {*stored.get(wheelset, ()), *(record.content_digest for record in several)}
+        smallest = set(sorted(digests)[:MOST_CHOSEN])
+        found |= {record.key for record in several if record.content_digest in smallest}
+    return found
+
 
 JOB_NAME = "estimate_windows"
 _log = logging.getLogger(__name__)

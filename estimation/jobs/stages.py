@@ -5,8 +5,7 @@ A job runs its stages (``estimation.jobs.catalogue``); a worker finds the stage 
 
 from __future__ import annotations
 
-from estimation.jobs.compare_identities import IDENTITIES, JUMPS
-from estimation.jobs.compare_suspensions import SUSPENSIONS
+from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
 from estimation.jobs.estimate_windows import TABLES
 from estimation.jobs.evaluate_alerts import ALERTS
 from estimation.jobs.refresh_adhesion import FIRST, OF_SECTIONS, OF_VEHICLES

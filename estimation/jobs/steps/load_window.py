@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from estimation.errors import DamagedError, NotFoundError, PurgedError
-from estimation.jobs.steps.vehicle_lookup import VehicleLookup
+from estimation.jobs.steps.vehicle_classes import VehicleLookup
 from estimation.motion.axle_distance import bogie_runs_backwards, check_axle_distance, runs_backwards, turned_over
 from estimation.motion.bogie_frame import check_frame_sensors, with_frame_yaw
 from estimation.motion.without_blows import without_blows
@@ -150,3 +150,16 @@ class WindowLoader:
 
 def _unknown(axle: int, why: str) -> Reason:
     return Reason(ReasonCode.FRAME_UNKNOWN, f"the other axle of the bogie, axle {axle}, {why}")
+
+
+CAUSE = "the file of a window is lost or damaged"
+
+
+def assemble_if_lost(unit: UnitOfWork, record: WindowRecord, refusal: Reason) -> None:
+    """Let the windows of a vehicle at a time be made again where one was refused for its file.
+
+    Args:
+        unit: A transaction to write in, that of the refusal.
+    """
+    if refusal.code is ReasonCode.FILE_DAMAGED:
+        unit.stale_spans.add(record.vehicle, record.start_ns, record.start_ns + record.length_ns, CAUSE)

@@ -14,8 +14,8 @@ from estimation.accuracy.wheel_contact import RailShare, WheelPair
 from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import DamagedError
 from estimation.jobs.job import JobContext
-from estimation.jobs.rails_settings import RailsSettings
-from estimation.jobs.steps.trend_steps import last_change
+from estimation.jobs.settings import RailsSettings
+from estimation.jobs.steps.identities import last_change
 from estimation.rails.parameters import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray

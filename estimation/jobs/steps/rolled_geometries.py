@@ -11,12 +11,18 @@ from functools import partial
 
 from estimation.geometry.uncertainty import ParameterUncertainty
 from estimation.jobs.job import JobContext
-from estimation.jobs.steps.contradicted_windows import CONTRADICTIONS, contradiction
-from estimation.jobs.steps.estimated_geometry import EstimatedWith, no_geometry
-from estimation.jobs.steps.membership import Membership
-from estimation.jobs.steps.passed_over import CONTRADICTED, PassedOverWindows
+from estimation.jobs.steps.estimated_geometry import (
+    CONTRADICTIONS,
+    EstimatedWith,
+    RadiusOnFile,
+    contradiction,
+    former,
+    no_geometry,
+    remembered,
+    stated,
+)
+from estimation.jobs.steps.membership import CONTRADICTED, Membership, PassedOverWindows
 from estimation.jobs.steps.rolling import Part, Rolled, sums
-from estimation.jobs.steps.rolling_radius import RadiusOnFile, former, remembered, stated
 from estimation.jobs.steps.vehicle_classes import Assumed
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import weighted_sum

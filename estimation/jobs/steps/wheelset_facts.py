@@ -18,8 +18,7 @@ from estimation.alerts.rules.standing import LOOK_BACK, reach_km, within_reach
 from estimation.alerts.rules.wheel_flat import WheelFlatRule
 from estimation.alerts.step_causes import StepSurroundings
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.steps.identities import identity_changes
-from estimation.jobs.steps.trend_steps import rails_of, step_of, surroundings
+from estimation.jobs.steps.identities import identity_changes, rails_of, step_of, surroundings
 from estimation.storage import UnitOfWork
 from estimation.trend.steps import behind_step
 from estimation.values.alerts import Alert
