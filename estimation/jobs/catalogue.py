@@ -66,7 +66,6 @@ def run_all(context: JobContext, trigger: JobTrigger, jobs: Sequence[Job] = ALL_
 
     Args:
         context: What the jobs may touch; its ``stopping`` ends the series after the present job.
-        jobs: Which jobs, in their order; by default all.
     """
     runs = []
     for job in jobs:

@@ -43,16 +43,7 @@ class _Standing:
 def raise_in_fleet(
     unit: UnitOfWork, fleet: str, found: Sequence[Transition], book: RuleBook, now_ns: int
 ) -> list[AlertEventKind]:
-    """Store the alerts that a run has found, and bring the fleet alerts up to their members.
-
-    Args:
-        unit: A transaction that writes; all of this belongs in one.
-        found: What raises an alert of one of its wheelsets; not stored yet.
-        book: Rules, of which those of the fleet are taken.
-
-    Returns:
-        list of AlertEventKind: The events recorded, those of members included.
-    """
+    """Store the alerts that a run has found, and bring the fleet alerts up to their members."""
     version, book = book.version, book.of(fleet, None)
     standing = _standing(unit, fleet)
     joining = _joining(unit, standing, [change.alert for change in found], book)

@@ -13,8 +13,7 @@ from fleet_db import alignment_due
 from fleet_db.due import windows_changed
 from fleet_db.receipts import ChunkState
 from fleet_db.rows import insert_all_new, replace_all, table_of
-from fleet_db.stores.window_marks import list_for_sums, pass_over
-from fleet_db.stores.windows import to_window_record, window_values
+from fleet_db.stores.window_rows import list_for_sums, pass_over, to_window_record, window_values
 from fleet_db.subjects import Subjects
 from fleet_db.tables import ChunkRow, WindowBinTableRow, WindowPositionRow, WindowRow
 from fleet_db.telemetry import WindowFiles

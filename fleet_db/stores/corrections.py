@@ -32,9 +32,8 @@ from fleet_db.stores.mountings import delete_mounting, mountings_on
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import RecordKey, RegistryHistoryStore
 from fleet_db.stores.section_numbers import give_up_number
-from fleet_db.stores.section_windows import make_stale
 from fleet_db.stores.sensor_changes import SensorChangeStore, sensor_change_of
-from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS
+from fleet_db.stores.stale_spans import EARLIEST_NS, LATEST_NS, make_stale
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.vehicle_classes import find_class
 from fleet_db.tables import MeasuredProfilesRow, ReprofilingRow, TrackSectionRow

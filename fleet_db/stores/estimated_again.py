@@ -18,7 +18,7 @@ from fleet_db.receipts import NOTHING_AGAIN, EstimatedAgain
 from fleet_db.rows import table_of
 from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
-from fleet_db.stores.window_marks import wait_again
+from fleet_db.stores.window_rows import wait_again
 from fleet_db.subjects import Subjects
 from fleet_db.tables import TrackAlignmentRow, TrackVersionRow, WindowPositionRow, WindowRow
 

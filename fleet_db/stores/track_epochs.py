@@ -32,10 +32,9 @@ from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, Hel
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
 from fleet_db import alignment_due
 from fleet_db.alignment_due import OF_WINDOW
-from fleet_db.due import DUE, list_due
+from fleet_db.due import BATCH, DUE, list_due
 from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
-from fleet_db.stores.window_marks import BATCH, keys_given
-from fleet_db.stores.windows import to_window_record
+from fleet_db.stores.window_rows import keys_given, to_window_record
 from fleet_db.subjects import Subjects
 from fleet_db.tables import (
     TrackEpochRow,
@@ -249,25 +248,17 @@ class EpochStore:
         gone = delete(EPOCHS).where(EPOCHS.c.section == section, EPOCHS.c.number > number)
         return int(self.connection.execute(gone).rowcount)
 
-    def alignment_version(self, wheelset: str, start_ns: int, in_force: int | None) -> int | None:
-        """Return the version of the alignment that a window is estimated on; ``in_force`` where no epoch holds it.
+    def alignment_versions(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, int | None]:
+        """Return by wheelset and start the versions of the alignment on which windows are estimated that epochs hold.
 
         It is that of its epoch, or the oldest from which the last does not differ materially, if that is newer, or the
         newest that holds what was found of its vehicle alone.
         """
-        return self.alignment_versions([(wheelset, start_ns)]).get((wheelset, start_ns), in_force)
-
-    def alignment_versions(self, keys: Sequence[WindowKey]) -> Mapping[WindowKey, int | None]:
-        """Return by wheelset and start the versions of :meth:`alignment_version` of those windows that epochs hold."""
         found = {}
         for first in range(0, len(keys), BATCH):
             for row in self.connection.execute(_wanted(), {"keys": keys[first : first + BATCH]}):
                 found[row.wheelset, row.start_ns] = row.wanted
         return found
-
-    def note_refused(self, wheelset: str, start_ns: int, version: int | None) -> None:
-        """Record on which version of the alignment a window has been refused."""
-        self.note_all_refused({(wheelset, start_ns): version})
 
     def note_all_refused(self, versions: Mapping[WindowKey, int | None]) -> None:
         """Record by wheelset and start on which versions of their alignments windows have been refused."""

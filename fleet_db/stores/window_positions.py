@@ -10,8 +10,9 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, delete, select
 
 from estimation.values.windows import WindowKey, WindowPosition
+from fleet_db.due import BATCH
 from fleet_db.rows import insert_all_new, reason_columns, replace_all, stored_reason, table_of
-from fleet_db.stores.window_marks import BATCH, keys_given
+from fleet_db.stores.window_rows import keys_given
 from fleet_db.tables import WindowPositionRow, WindowRow
 
 POSITIONS, WINDOWS = table_of(WindowPositionRow), table_of(WindowRow)

@@ -119,11 +119,7 @@ def given(unit: UnitOfWork, section: TrackSectionRecord, settings: JobSettings) 
 
 
 def input_digest(members: Sequence[EpochMember]) -> str:
-    """Return a digest of the windows of an epoch and of what they are looked at with.
-
-    Args:
-        members: In any order.
-    """
+    """Return a digest of the windows of an epoch and of what they are looked at with."""
     text = hashlib.sha256()
     for member in sorted(members, key=lambda one: (one.record.wheelset, one.record.start_ns)):
         record = member.record
@@ -211,7 +207,6 @@ class EpochSearch:
     """The epochs of a section as one transaction sees them.
 
     Attributes:
-        lookup: What is on file, of the same transaction.
         stored: All epochs, in order.
         changed_ns: Start of the first window that they do not hold as it is now; None where there is none.
     """

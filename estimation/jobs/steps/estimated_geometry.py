@@ -94,8 +94,6 @@ class RadiusOnFile:
     What most of them say was computed when they were estimated; of the others the samples are read, once in their life.
 
     Attributes:
-        unit: Windows are read.
-        wheelset: Serial number.
         fresh: What was computed on the way.
     """
 
@@ -163,11 +161,7 @@ class RadiusOnFile:
 
 
 def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:
-    """Return what a geometry keeps of a doubt on its radius among its parameters.
-
-    Args:
-        found: What its windows have against the radius on file.
-    """
+    """Return what a geometry keeps of a doubt on its radius among its parameters."""
     if found is None or found.certain:
         return {}
     doubt: dict[str, JsonValue] = {"code": found.reason.code.value, "text": found.reason.text}
@@ -175,11 +169,7 @@ def stated(found: Contradiction | None) -> Mapping[str, JsonValue]:
 
 
 def former(unit: UnitOfWork, wheelset: str, baseline: int, interval: int | None) -> GeometryRecord | None:
-    """Return the geometry that is stored of an interval, or the current one; None where there is none.
-
-    Args:
-        baseline, interval: Its key; None is the current geometry.
-    """
+    """Return the geometry that is stored of an interval, or the current one; None where there is none."""
     if interval is None:
         return next((one for one in unit.geometries.baselines(wheelset) if one.baseline == baseline), None)
     found = unit.geometries.intervals(wheelset, baseline, first=interval, last=interval)
@@ -187,11 +177,7 @@ def former(unit: UnitOfWork, wheelset: str, baseline: int, interval: int | None)
 
 
 def remembered(record: GeometryRecord | None) -> Contradiction | None:
-    """Return what a stored geometry has against the radius on file; None where nothing.
-
-    Args:
-        record: Of the geometry; None where none is stored.
-    """
+    """Return what a stored geometry has against the radius on file; None where nothing."""
     if record is None:
         return None
     reason, doubt = record.geometry.reason, record.parameters.get(RADIUS_DOUBTED)

@@ -21,11 +21,7 @@ KEPT = 4  # windows, of a megabyte each: both of a bogie need both
 
 
 def load_window(unit: UnitOfWork, record: WindowRecord, vehicle_class: VehicleClass) -> Window | Reason:
-    """Return a stored window as :meth:`WindowLoader.load` does.
-
-    Raises:
-        PurgedError, DamagedError: As :meth:`WindowLoader.load`.
-    """
+    """Return a stored window as :meth:`WindowLoader.load` does."""
     return WindowLoader(unit, VehicleLookup(unit)).load(record, vehicle_class)
 
 
@@ -34,7 +30,6 @@ class WindowLoader:
     """Loads windows, as one transaction sees them; those that were loaded last are kept for the other of their bogie.
 
     Attributes:
-        unit: Windows are read.
         vehicles: Of the same transaction.
         known: Records that the transaction has read; others are looked up.
     """
@@ -156,10 +151,6 @@ CAUSE = "the file of a window is lost or damaged"
 
 
 def assemble_if_lost(unit: UnitOfWork, record: WindowRecord, refusal: Reason) -> None:
-    """Let the windows of a vehicle at a time be made again where one was refused for its file.
-
-    Args:
-        unit: A transaction to write in, that of the refusal.
-    """
+    """Let the windows of a vehicle at a time be made again where one was refused for its file."""
     if refusal.code is ReasonCode.FILE_DAMAGED:
         unit.stale_spans.add(record.vehicle, record.start_ns, record.start_ns + record.length_ns, CAUSE)

@@ -112,8 +112,6 @@ class ComparisonReader:
     """Reads comparisons in one transaction.
 
     Attributes:
-        unit: Registry, geometries, trends, windows, tracks and alerts are read.
-        contact: Finds the contact geometry of a pair of wheels on rails.
         interval_km: Mileage interval of the estimates.
     """
 
@@ -145,9 +143,6 @@ class ComparisonReader:
         """Return the rails that an estimate is of, with the share of its windows on each.
 
         Without an estimate those of the newest window's section, or those of all sections where these are alike.
-
-        Args:
-            record: The estimate; None where there is none.
         """
         sections = {one.code: one for one in self.unit.tracks.sections()}
         if record is not None:
@@ -167,12 +162,7 @@ class ComparisonReader:
 
 
 def rests_on(unit: UnitOfWork, record: GeometryRecord, measurements: Sequence[MeasuredProfiles]) -> bool:
-    """Return whether an estimate was made on an alignment for which one of some measurements was evidence.
-
-    Args:
-        record: The estimate; its track versions, and those that they were made from, are looked at.
-        measurements: Of the same profiles.
-    """
+    """Return whether an estimate was made on an alignment for which one of some measurements was evidence."""
     named = {evidence_of_measurement(measurement_name(one)) for one in measurements}
     return any(_any_evidence(unit, section, versions, named) for section, versions in record.track_versions.items())
 

@@ -65,11 +65,7 @@ class Membership:
         return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
 
     def baseline_of(self, start_ns: int) -> Baseline:
-        """Return the baseline of a time.
-
-        Args:
-            start_ns: From 0.
-        """
+        """Return the baseline of a time."""
         return next(one for one in reversed(self.baselines) if one.from_ns <= start_ns)
 
     def assumed(self, roll_up: RollUp) -> Assumed | None:
@@ -142,11 +138,7 @@ class Membership:
 
 
 def membership(unit: UnitOfWork, serial: str, classes: ClassLookup) -> Membership:
-    """Return the rules for the windows of a wheelset as they are now.
-
-    Args:
-        classes: Of the same transaction.
-    """
+    """Return the rules for the windows of a wheelset as they are now."""
     wheelset = classes.wheelset(serial)
     return Membership(
         serial,
@@ -166,12 +158,7 @@ CONTRADICTED = Reason(
 
 @dataclass(slots=True)
 class PassedOverWindows:
-    """Looks at the windows of one wheelset, as one transaction sees them.
-
-    Attributes:
-        unit: Windows are read.
-        rules: By which they were rolled.
-    """
+    """Looks at the windows of one wheelset, as one transaction sees them."""
 
     unit: UnitOfWork
     rules: Membership

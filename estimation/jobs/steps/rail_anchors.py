@@ -73,9 +73,6 @@ def anchor_inputs(unit: UnitOfWork, cells: Sequence[StoredCell], context: JobCon
 
     Sections with other rails, or another gauge, than those that all are compared with hold nothing, though their rails
     be known: what a wheel is there does not follow for the reference rails.
-
-    Args:
-        context: Names the sections whose rails are as on file.
     """
     windows: Counter[str] = Counter()
     for one in cells:

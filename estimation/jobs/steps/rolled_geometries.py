@@ -43,10 +43,6 @@ class RolledGeometries:
     """Geometries of one wheelset, as one transaction sees its roll-ups.
 
     Attributes:
-        unit: Everything is read from it.
-        rules: By which the windows were rolled.
-        rolled: The roll-ups.
-        context: Settings and version of the numerics.
         radius: What was found of the radius on file on the way.
         earlier: Digest and sum of the intervals before the newest one, where it had to be made.
     """

@@ -331,11 +331,7 @@ def members(unit: UnitOfWork, rules: Membership, part: Part) -> list[Member]:
 
 
 def sums(unit: UnitOfWork, wheelset: str, part: Part) -> tuple[BinTable, BinTable]:
-    """Return the sums of a roll-up's tables, plain and forgetting.
-
-    Args:
-        unit: Sums and tables are read, one table at a time.
-    """
+    """Return the sums of a roll-up's tables, plain and forgetting."""
     number = part.roll_up.number
     stored = None if part.afresh or number is None else unit.roll_ups.sums(number)
     if stored is not None and not part.added:
