@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-from api.schemas.recordings import without_folders
+from api.schemas.common import without_folders
 from estimation.errors import DamagedError, NotFoundError
 from estimation.track.update import NOT_USED
 from estimation.values.reasons import Reason, ReasonCode
@@ -24,7 +24,7 @@ from estimation.worklist.waiting import (
 )
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlUnitOfWork
-from fleet_db.stores.window_reasons import COUNTED, CountedWindows, newest_by_reason, pending_by_place
+from fleet_db.stores.window_counts import COUNTED, CountedWindows, newest_by_reason, pending_by_place
 
 OF_SECTION = {ReasonCode.ALIGNMENT_UNKNOWN, ReasonCode.WAITS_FOR_POSITION}
 """Codes whose sentence names a section and what it lacks."""
@@ -43,11 +43,7 @@ class WindowReasons:
     _runs: dict[str, JobRun | None] = field(default_factory=dict)
 
     def of_records(self, records: Iterable[WindowRecord]) -> dict[WindowKey, Reason | None]:
-        """Return why each window waits or was refused; None where it is estimated.
-
-        Args:
-            records: Some thousands at most.
-        """
+        """Return why each window waits or was refused; None where it is estimated."""
         records = list(records)
         waiting = [record.key for record in records if record.state is WindowState.PENDING]
         placed = self.unit.tracks.positions(waiting) if waiting else {}
@@ -66,9 +62,6 @@ class WindowReasons:
         Args:
             of_geometry: Why its geometry holds no number; None where it has none.
             most: How many of its windows since its last reprofiling are counted at most, the newest.
-
-        Raises:
-            NotFoundError: There is no such wheelset.
         """
         record = self.unit.registry.wheelset(serial)
         counted = self._counted(record, most)

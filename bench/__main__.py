@@ -49,6 +49,7 @@ WITH_OPTIONS = (
     "limits",
     "flats",
     "surveys",
+    "statements",
 )
 LONG = (
     "signals",

@@ -9,7 +9,7 @@ import numpy as np
 
 from estimation.values.arrays import FloatArray
 from estimation.values.opinions import WindowAdhesion
-from fleet_db.packed_adhesion import pack_window_adhesion, unpack_window_adhesion
+from fleet_db.packed_values import pack_window_adhesion, unpack_window_adhesion
 
 
 @dataclass(frozen=True, slots=True)

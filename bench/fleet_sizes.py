@@ -80,8 +80,8 @@ def _spent(folder: Path, load: Workload, vehicles: int) -> Spent:
     settings, cpu_s = load.copy(folder / "deployed"), dict[str, float]()
     model, path = load.recordings[-1]
     with closing(open_store(settings)) as storage:
-        _register(storage, model, vehicles)
-    recordings = Recorded(tuple(_copies(folder / "recordings", path.read_bytes(), vehicles)), load.received.data_dir)
+        register(storage, model, vehicles)
+    recordings = Recorded(tuple(copies(folder / "recordings", path.read_bytes(), vehicles)), load.received.data_dir)
     with opened(settings) as (storage, context):
         for job in ALL_JOBS:
             run_job(job, context, JobTrigger.CLI)
@@ -101,7 +101,7 @@ def _spent(folder: Path, load: Workload, vehicles: int) -> Spent:
     return Spent(AXLES * vehicles, windows, cpu_s)
 
 
-def _register(storage: SqlStorage, model: str, vehicles: int) -> None:
+def register(storage: SqlStorage, model: str, vehicles: int) -> None:
     """Put copies of a vehicle with its wheelsets on file."""
     with storage.write() as unit:
         like = unit.registry.vehicle(model)
@@ -117,7 +117,7 @@ def _register(storage: SqlStorage, model: str, vehicles: int) -> None:
             unit.stale_spans.remove(unit.stale_spans.all(code))  # it has no recording yet
 
 
-def _copies(folder: Path, content: bytes, vehicles: int) -> Iterator[tuple[str, Path]]:
+def copies(folder: Path, content: bytes, vehicles: int) -> Iterator[tuple[str, Path]]:
     """Yield vehicles with copies of a recording, each with a digest of its own."""
     folder.mkdir()
     for number in range(vehicles):

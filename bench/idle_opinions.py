@@ -18,7 +18,7 @@ from estimation.values.registry import Mounting
 from estimation.values.results import Mark
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage
-from fleet_db.tables import (
+from fleet_db.tables.windows import (
     RailCellRow,
     SectionAdhesionRow,
     WearSignatureRow,

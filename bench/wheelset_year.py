@@ -16,7 +16,7 @@ from estimation.values.windows import Window, WindowPosition, WindowRecord, Wind
 from fleet_db.keeping.retention import DAY_NS
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
-from fleet_db.tables import ChunkRow
+from fleet_db.tables.recordings import ChunkRow
 
 WINDOWS_A_DAY = 4
 DAYS_A_RUN = 5  # of the jobs
@@ -88,7 +88,7 @@ class WheelsetYear:
         assert record is not None
         unit.tables.put(SERIAL, start_ns, one.table, one.version, record.content_digest)
         unit.windows.mark(SERIAL, start_ns, WindowState.ESTIMATED)
-        unit.tracks.put_position(WindowPosition(SERIAL, start_ns, record.content_digest, one.version))
+        unit.tracks.put_positions([WindowPosition(SERIAL, start_ns, record.content_digest, one.version)])
         return EpochMember(record, "c" * 64, "a" * 64)
 
 

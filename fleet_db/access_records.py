@@ -32,11 +32,7 @@ class ApiKey:
     ] = None
 
     def usable(self, now_ns: int) -> bool:
-        """Return whether it is neither revoked nor expired.
-
-        Args:
-            now_ns: Our time, ns UTC.
-        """
+        """Return whether it is neither revoked nor expired."""
         return self.revoked_ns is None and (self.expires_ns is None or now_ns < self.expires_ns)
 
 

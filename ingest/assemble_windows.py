@@ -13,7 +13,7 @@ from estimation.jobs.runner import run as run_stage
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.held import ASSEMBLY, HeldRecordings, missing
-from ingest.intake.decoding import decode_received
+from ingest.intake.backlog import decode_received
 from ingest.receiver import ChunkReceipt, Receiver
 
 

@@ -112,11 +112,7 @@ class ValueTable(InputTable):
 
 
 def read_value(file: InputFile, value_type: type[T], location: Location = ()) -> T:
-    """Return the content of a file, or what is at a place of it, as a frozen value.
-
-    Raises:
-        InputError: As ``InputFile.parse``.
-    """
+    """Return the content of a file, or what is at a place of it, as a frozen value."""
     value: T = file.parse(table_of(value_type), location).value  # type: ignore[arg-type]
     return value
 

@@ -61,7 +61,6 @@ class HeldRecordings:
         return [record for record, early in self._held() if not early and record.state is ChunkState.STORED]
 
     def _held(self) -> list[tuple[ChunkRecord, bool]]:
-        """Return the recordings in quarantine, and whether it is too early for another attempt."""
         now_ns = self.clock.now_ns()
         with self.storage.read() as unit:
             found = [(unit.chunks.get(item.key), item) for item in unit.quarantine.held(STAGE)]
@@ -69,13 +68,17 @@ class HeldRecordings:
 
     def release(self, digest: str) -> None:
         """End the quarantine of a recording, if it was in one."""
-        release_recording(self.storage, digest, STAGE)
+        release(self.storage, (SubjectKind.RECORDING, digest, STAGE))
 
 
-def release_recording(storage: SqlStorage, digest: str, stage: str) -> None:
-    """End the quarantine of a recording in a stage, if it was in one."""
+Subject = tuple[SubjectKind, str, str]
+"""Kind, key and stage of what is in quarantine."""
+
+
+def release(storage: SqlStorage, subject: Subject) -> None:
+    """End the quarantine of a subject, if it was in one."""
     with storage.read() as unit:
-        item = unit.quarantine.get(SubjectKind.RECORDING, digest, stage)
+        item = unit.quarantine.get(*subject)
     if item is not None and item != resolved(item):
         with storage.write() as unit:
             unit.quarantine.put(resolved(item))
@@ -133,7 +136,6 @@ class LostRecordings:
                         _hold(unit, record, fault, now_ns)
 
     def _resolve(self, item: Quarantined, *found: ChunkRecord) -> None:
-        """End the quarantine of a recording, and let the windows of one that was found be made again."""
         with self.storage.write() as unit:
             for record in found:
                 for from_ns, to_ns in extent(record):

@@ -10,7 +10,7 @@ from pydantic import Field
 from api.schemas.common import Links, Representation, Uncertain, finite, finite_list, uncertain
 from api.schemas.derived import Derived
 from api.schemas.registry import segment
-from api.schemas.unestimated import UnestimatedBecause, unestimated_because
+from api.schemas.windows import UnestimatedBecause, unestimated_because
 from api.times import Timestamp, to_rfc3339
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.geometry import (
@@ -144,11 +144,7 @@ def geometry(record: GeometryRecord, without: WithoutEstimate | None = None) -> 
 
 
 def no_geometry(serial: str, baseline: int, reason: Reason, without: WithoutEstimate | None = None) -> Geometry:
-    """Return the representation of a wheelset of which nothing was ever estimated.
-
-    Args:
-        without: The same by its windows; None of a time that has passed.
-    """
+    """Return the representation of a wheelset of which nothing was ever estimated."""
     unknown, empty = Estimate.unknown(reason), BinValues(np.zeros(0), np.zeros(0), ())
     nothing = WheelsetGeometry(
         bin_edges=np.zeros(1),
@@ -288,11 +284,7 @@ def interval(record: GeometryRecord) -> Interval:
 
 
 def data_quality(serial: str, found: WindowCounts, waiting: Sequence[ReasonOfWindows]) -> DataQuality:
-    """Return the representation of the windows of a wheelset over time.
-
-    Args:
-        waiting: Those that wait, by what they wait for.
-    """
+    """Return the representation of the windows of a wheelset over time."""
     stretches: dict[int, dict[tuple[WindowState, ReasonCode | None], int]] = {}
     total: dict[tuple[WindowState, ReasonCode | None], int] = {}
     for one in found.counts:

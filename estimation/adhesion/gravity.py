@@ -42,19 +42,11 @@ class ContactAngles(FrozenArrays):
     misfit: float  # m, rms of rL - rR against the estimate
 
     def difference_at(self, difference: FloatArray) -> FloatArray:
-        """Return dL - dR (n,), rad, at rL - rR (n,), m; beyond the table its last values.
-
-        Args:
-            difference: (n,) m.
-        """
+        """Return dL - dR (n,), rad, at rL - rR (n,), m; beyond the table its last values."""
         return np.asarray(np.interp(difference, self.difference, self.angle_difference))
 
     def sum_at(self, difference: FloatArray) -> FloatArray:
-        """Return dL + dR (n,), rad, at rL - rR (n,), m; beyond the table its last values.
-
-        Args:
-            difference: (n,) m.
-        """
+        """Return dL + dR (n,), rad, at rL - rR (n,), m; beyond the table its last values."""
         return np.asarray(np.interp(difference, self.difference, self.angle_sum))
 
 
@@ -64,9 +56,7 @@ def contact_angles(
     """Return the angles over R of the wear that meets an estimated curve best, or why the profiles on file do not.
 
     Args:
-        displacement: (b,) y - d, m.
-        difference: (b,) rL - rR, m, estimated there; NaN where it is not.
-        radius: Nominal rolling radius, m.
+        displacement, difference: (b,) y - d and rL - rR there, m; NaN where it is not estimated.
     """
     known = np.isfinite(difference)
     if known.sum() < FEWEST_NODES:

@@ -19,9 +19,9 @@ from estimation.alerts.identity import (
     identity_events,
     jumps,
 )
-from estimation.alerts.rules.identity import IdentityRule
+from estimation.alerts.rules.contradicted_registry import IdentityRule
+from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.alerts.rules.standing import latest_run, raised_at
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule, suspension_change_finding
 from estimation.jobs.job import JobContext
 from estimation.jobs.made_from import made_from
 from estimation.jobs.stage import Counted, Outcome, Part, Stage

@@ -16,7 +16,7 @@ from estimation.adhesion.left_out import away_from_low_adhesion, refused_for_low
 from estimation.errors import DamagedError, NotFoundError, PassingFaultError
 from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.runner import run as run_stage
+from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
 from estimation.jobs.steps.load_window import WindowLoader, assemble_if_lost
 from estimation.jobs.steps.outdated_windows import OUTDATED
@@ -31,7 +31,7 @@ from estimation.tables.bin_table import cells_of_window
 from estimation.values.geometry import FilledCells, WindowTable
 from estimation.values.reasons import Reason, ReasonCode, code_of
 from estimation.values.roll_up import MOST_CHOSEN, RollingSums, WindowRollingSums
-from estimation.values.runs import FAILED, TRIED_AGAIN, SubjectKind, code_of_error, first_line
+from estimation.values.runs import FAILED, TRIED_AGAIN, Quarantined, SubjectKind, code_of_error, first_line
 from estimation.values.track import Correction, TrackAlignment, TrackLayout
 from estimation.values.windows import (
     DueStage,
@@ -299,6 +299,13 @@ def refuse(unit: UnitOfWork, key: str, error: Exception) -> None:
         unit.windows.mark(*key_of_text(key), WindowState.REFUSED, Reason(code_of_error(error), first_line(error)))
 
 
+def let_wait_again(unit: UnitOfWork, failed: Sequence[Quarantined]) -> None:
+    """Let windows that failed before wait for the estimation again; where they were is looked for again, too."""
+    codes = {key_of_text(item.key): item.code for item in failed}
+    there = unit.windows.several(list(codes))
+    unit.windows.look_again([one.key for one in there if code_of(one.reason) is codes[one.key]])
+
+
 TABLES = Stage(
     name=DueStage.TABLES,
     job=JOB_NAME,
@@ -310,19 +317,16 @@ TABLES = Stage(
     counted=Counted(looked="windows", changed="results", more=("estimated", "refused", "changed_meanwhile")),
     store=store_tables,
     failed=refuse,
+    again=let_wait_again,
     at_once=None,
 )
 
 
 def run(context: JobContext) -> Mapping[str, int]:
     """Estimate every window that waits."""
-    counts = Counter(run_stage(JUDGE, context))
-    _let_failed_wait_again(context)
-    counts.update(run_stage(OUTDATED, context))
-    made = Counter(run_stage(TABLES, context))
-    counts.update(made)
+    counts = made = run_all((JUDGE, OUTDATED, TABLES), context)
     while made["changed_meanwhile"]:
-        made = Counter(run_stage(TABLES, context))
+        made = run_all((TABLES,), context)
         counts.update(made)
     if refused := refusals_text(counts):
         _log.info("%d windows estimated, %d refused: %s", counts["estimated"], counts["refused"], refused)
@@ -333,18 +337,6 @@ BESIDE = {"looks", "wheelsets", "windows", "results"}
 """Counts of stages that are no counts of the job."""
 RARE = {"mileages_judged", "passed_over"}
 """Counts that are left out where they are 0."""
-
-
-def _let_failed_wait_again(context: JobContext) -> None:
-    """Let windows that failed before wait for the estimation again where they are due; where they were, too."""
-    with context.storage.read() as unit:
-        held = [item for item in unit.quarantine.held(JOB_NAME) if item.kind is SubjectKind.WINDOW]
-    now_ns = context.clock.now_ns()
-    codes = {key_of_text(item.key): item.code for item in held if not item.waits(item.inputs, now_ns)}
-    if codes:
-        with context.storage.write() as unit:
-            there = unit.windows.several(list(codes))
-            unit.windows.look_again([one.key for one in there if code_of(one.reason) is codes[one.key]])
 
 
 JOB = Job(JOB_NAME, "Reduce pending windows to bin tables", every_s=60.0, run=run)

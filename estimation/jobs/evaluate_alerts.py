@@ -10,12 +10,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
+from estimation.alerts.evaluation import findings, next_change_ns, superseded
 from estimation.alerts.fleet_alerts import in_flood, opened, refreshed
 from estimation.alerts.identity import IDENTITY_EVENT
 from estimation.alerts.life_cycle import close, transition, without_stale_acknowledgement
-from estimation.alerts.next_change import next_change_ns
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.evaluation import findings, superseded
 from estimation.alerts.rules.rule import WheelsetFacts
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
 from estimation.jobs.isolation import Isolation
@@ -101,6 +100,8 @@ def _refresh(unit: UnitOfWork, fleet_alert: Alert, now_ns: int, *, new: bool) ->
 
 BEFORE: tuple[AnyStage, ...] = (WORKLIST, JUMPS, IDENTITIES, SUSPENSIONS)
 CHANGED, AT_REST = "changed", "at_rest"
+BESIDE = {CHANGED, AT_REST, "looked_at"}
+"""Counts of stages that are no counts of the job."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,19 +238,18 @@ def run(context: JobContext) -> Mapping[str, int]:
     then one transaction. A run that ends early raises what it has found; what it has not stored the next run finds
     again.
     """
-    raises, counts = _Raises(), Counter(quarantined=run_all(BEFORE, context)["quarantined"])
+    raises, isolation, counts = _Raises(), Isolation(context, ALERTS.job), Counter[str]()
     alerts = replace(ALERTS, store=partial(store, raises=raises))
     try:
-        # in this process, where what is to be raised is brought together
-        counts.update(run_all((alerts,), replace(context, executor=None)))
+        counts.update(run_all((*BEFORE, alerts), context, isolation))
     finally:
-        counts.update(_raise_in_fleets(context, raises))
-    return {name: count for name, count in counts.items() if name not in {CHANGED, AT_REST}}
+        counts.update(_raise_in_fleets(context, isolation, raises))
+    return {name: count for name, count in counts.items() if name not in BESIDE}
 
 
-def _raise_in_fleets(context: JobContext, raises: _Raises) -> Mapping[str, int]:
+def _raise_in_fleets(context: JobContext, isolation: Isolation, raises: _Raises) -> Mapping[str, int]:
     """Raise what was found in each fleet, and bring fleet alerts up to their members; return the events counted."""
-    now_ns, isolation, counts = context.clock.now_ns(), Isolation(context, ALERTS.job), Counter[str]()
+    now_ns, counts, before = context.clock.now_ns(), Counter[str](), isolation.quarantined
     with context.storage.read() as unit:
         alerts = unit.alerts.open_of_fleets()
         run_out = {alert.fleet for alert in alerts if without_stale_acknowledgement(alert, now_ns) != alert}
@@ -261,7 +261,7 @@ def _raise_in_fleets(context: JobContext, raises: _Raises) -> Mapping[str, int]:
             with context.storage.write() as unit:
                 events = raise_in_fleet(unit, fleet, raises.in_fleet(fleet), context.settings.rules, now_ns)
             counts.update(kind.value for kind in events)
-    counts["quarantined"] = isolation.quarantined
+    counts["quarantined"] = isolation.quarantined - before
     return counts
 
 
@@ -280,6 +280,7 @@ ALERTS = Stage(
         looked="wheelsets", changed=CHANGED, same=AT_REST, more=tuple(kind.value for kind in AlertEventKind)
     ),
     store=partial(store, raises=_Raises()),
+    here=True,  # where what is to be raised is brought together
 )
 JOB = Job(
     name=ALERTS.job,

@@ -22,8 +22,8 @@ from estimation.jobs.steps.signature_entries import Entries, EntryReader
 from estimation.jobs.steps.signature_windows import ASSUMED, JOB_NAME, OF_WINDOWS, usable
 from estimation.jobs.steps.vehicle_classes import ClassLookup, VehicleLookup
 from estimation.signatures.answer import compared, judged
+from estimation.signatures.library import Change, Libraries, Subject, current
 from estimation.signatures.parameters import SignatureParameters
-from estimation.signatures.retirement import Change, Libraries, Subject, current
 from estimation.storage import UnitOfWork
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.geometry import GEOMETRY

@@ -16,17 +16,15 @@ from enum import StrEnum
 from itertools import pairwise
 
 from estimation.adhesion.friction import section_adhesion
-from estimation.alerts.life_cycle import close, transition
+from estimation.alerts.evaluation import findings, superseded
+from estimation.alerts.life_cycle import close, section_transition, transition
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.evaluation import findings, superseded
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_finding
-from estimation.alerts.rules.no_data import NoDataRule
 from estimation.alerts.rules.rule import WheelsetFacts
+from estimation.alerts.rules.running_gear import SuspensionChangeRule, WeakDamperRule
+from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.alerts.rules.standing import within_reach
-from estimation.alerts.rules.suspension_change import SuspensionChangeRule
-from estimation.alerts.rules.weak_damper import WeakDamperRule
-from estimation.alerts.section_alerts import section_transition
 from estimation.jobs.refresh_trends import trend_of
 from estimation.jobs.steps.identities import identity_change
 from estimation.jobs.steps.wheelset_facts import hunted_beside, windows_wanted

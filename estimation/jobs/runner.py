@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from itertools import dropwhile, islice
 
@@ -37,10 +37,15 @@ def run(stage: AnyStage, context: JobContext) -> Mapping[str, int]:
     return run_all((stage,), context)
 
 
-def run_all(stages: Iterable[AnyStage], context: JobContext) -> Counter[str]:
-    """Bring the results of stages of a job up to date, one after the other; return what was counted of all."""
+def run_all(stages: Iterable[AnyStage], context: JobContext, isolation: Isolation | None = None) -> Counter[str]:
+    """Bring the results of stages of a job up to date, one after the other; return what was counted of all.
+
+    Args:
+        isolation: Of the job, where more than the stages is done in it.
+    """
     waiting = deque(stages)
-    counts, isolation, looked = Counter(quarantined=0), Isolation(context, waiting[0].job), False
+    counts, looked = Counter(quarantined=0), False
+    isolation = isolation or Isolation(context, waiting[0].job)
     while waiting:
         due: Mapping[str, Due] = {}
         with context.storage.read() as unit:
@@ -54,6 +59,7 @@ def run_all(stages: Iterable[AnyStage], context: JobContext) -> Counter[str]:
         if due:
             tried = partial(_tried, stage.inputs(context))
             ready = [key for key, one in due.items() if not isolation.waits(stage.kind, key, partial(tried, one))]
+            _try_again(stage, context, ready, isolation)
             counts.update(_handed_out(stage, context, ready, len(due), isolation))
         elif waiting:
             with context.storage.write() as unit:
@@ -91,6 +97,13 @@ def _due(unit: UnitOfWork, stage: AnyStage, context: JobContext, counts: Counter
     return due
 
 
+def _try_again(stage: AnyStage, context: JobContext, ready: Collection[str], isolation: Isolation) -> None:
+    """Prepare subjects that failed before."""
+    if stage.again is not None and (failed := [item for item in isolation.held(stage.kind) if item.key in set(ready)]):
+        with context.storage.write() as unit:
+            stage.again(unit, failed)
+
+
 def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
     """Return the work of a stage in units, as it is handed out to processes.
 
@@ -103,6 +116,8 @@ def work_of(stage: AnyStage, isolation: Isolation | None = None) -> Work:
 def _handed_out(
     stage: AnyStage, context: JobContext, ready: Sequence[str], total: int, isolation: Isolation
 ) -> Counter[str]:
+    if stage.here:
+        context = replace(context, executor=None)
     # of a large batch by itself: a stop is looked for between units
     batches = 1 if stage.at_once is None else CLAIMED_TOGETHER
     size = unit_size(context, len(ready), batches * stage.batch(context))

@@ -18,7 +18,7 @@ from estimation.values.fields import JsonValue
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason
 from estimation.values.results import Result, ResultKind, StageInputs
-from estimation.values.runs import SubjectKind
+from estimation.values.runs import Quarantined, SubjectKind
 
 I = TypeVar("I")  # noqa: E741 - inputs
 V = TypeVar("V")
@@ -118,12 +118,14 @@ class Stage(Generic[I, V]):
         results: How what it computes is stored; None where ``store`` does all.
         store: Stores what is more than results, in the same transaction; returns what it counted.
         failed: Stores what a failure says of a subject, beside the quarantine.
+        again: Prepares subjects that failed before and are tried again.
         at_once: Subjects that are loaded and stored in one transaction; None is as many as the settings say.
         together: Whether it looks at all subjects together, of whatever kind a facet is; its one subject is
             ``EVERYTHING``.
         frozen: Facets that it reads and that do not make it due.
         inline: Whether the transaction that raises a facet makes what the stage is for, at its end; a run makes all of
             it again where the settings are others.
+        here: Whether it is done in the process that runs the job.
     """
 
     name: str
@@ -137,10 +139,12 @@ class Stage(Generic[I, V]):
     results: ResultKind[V] | None = None
     store: Callable[[UnitOfWork, JobContext, Mapping[str, tuple[I, Outcome[V]]]], Mapping[str, int]] | None = None
     failed: Callable[[UnitOfWork, str, Exception], None] | None = None
+    again: Callable[[UnitOfWork, Sequence[Quarantined]], None] | None = None
     at_once: int | None = 16
     together: bool = False
     frozen: tuple[str, ...] = ()
     inline: bool = False
+    here: bool = False
 
     def batch(self, context: JobContext) -> int:
         """Return how many subjects are loaded and stored in one transaction."""

@@ -9,11 +9,18 @@ from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
-from estimation.motion.checks import check_axis_signs, check_moving, gate, jumps_reason, position_jumps, without_jumps
+from estimation.motion.checks import (
+    check_axis_signs,
+    check_moving,
+    gate,
+    jumps_reason,
+    moving_samples,
+    position_jumps,
+    without_jumps,
+)
 from estimation.motion.integration import IntegratedWindow, bridged, integrate
-from estimation.motion.parameters import FusionParameters, SignalParameters, WindowParameters
+from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.rolling_radius_difference import MotionSignals, fuse, motion_signals
-from estimation.motion.usable_samples import moving_samples
 from estimation.values.arrays import FloatArray, FrozenArrays
 from estimation.values.reasons import Reason, ReasonCode, combined
 from estimation.values.registry import WheelsetRecord
@@ -108,7 +115,7 @@ def _placed(
     direction, facing = ways
     if not (np.isfinite(signals.displacement).all() and np.isfinite(signals.difference).all()):
         return []
-    grid = fuse(signals, vehicle, FusionParameters())
+    grid = fuse(signals, vehicle)
     if len(grid.run) < 2:  # noqa: PLR2004 - a pass has a length
         return []
     along = slice(None, None, direction)

@@ -73,7 +73,7 @@ class AlertEventKind(StrEnum):
     CLOSED = "closed"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
     """The result of one rule for one wheelset at one time; ``breached`` is None where the data do not decide.
 
@@ -85,12 +85,12 @@ class Finding:
     kind: str  # of the rule
     breached: bool | None
     cleared: bool | None  # beyond the clear limit (apart from the raise limit)
-    severity: Severity
-    probability: float | None
+    severity: Severity = Severity.WARNING
+    probability: float | None = None
     evidence: Mapping[str, JsonValue]  # numbers, intervals, windows, limits
     action: str  # suggested action code
-    raise_limit: float | None
-    clear_limit: float | None
+    raise_limit: float | None = None
+    clear_limit: float | None = None
     measured_ns: int
     stands: bool | None = None
     since_ns: int | None = None

@@ -42,6 +42,11 @@ class Estimate:
         """Return the estimate of a number that is not known, with the reason."""
         return Estimate(None, None, None, None, count, status, reason)
 
+    def scaled(self, factor: float) -> Estimate:
+        """Return the same in a unit of which ``factor`` make one, which is above 0."""
+        value, std, low, high = (None if x is None else x * factor for x in (self.value, self.std, self.low, self.high))
+        return Estimate(value, std, low, high, self.count, self.status, self.reason)
+
 
 @dataclass(frozen=True, slots=True)
 class Forecast:

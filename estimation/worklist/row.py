@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 
 from estimation.alerts.rules.book import ALERT_RULES
 from estimation.alerts.rules.conicity_limit import ConicityLimitRule
-from estimation.alerts.rules.limit_forecast import LimitForecastRule
-from estimation.alerts.rules.no_data import NoDataRule
+from estimation.alerts.rules.near_limit import LimitForecastRule
+from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.trend.extrapolation import conicity_at_limit_amplitude
 from estimation.values.alerts import (
     AxlePosition,

@@ -12,7 +12,7 @@ from estimation.values.opinions import CREEP, FRICTION, SectionAdhesion, WindowA
 from estimation.values.runs import SubjectKind
 from estimation.values.windows import WindowKey
 from fleet_db.due import NOT_LOOKED_AT, list_due
-from fleet_db.packed_adhesion import (
+from fleet_db.packed_values import (
     pack_section_adhesion,
     pack_window_adhesion,
     unpack_section_adhesion,
@@ -21,7 +21,7 @@ from fleet_db.packed_adhesion import (
 from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
 from fleet_db.rows import replace as replace_row
 from fleet_db.subjects import Subjects
-from fleet_db.tables import SectionAdhesionRow, WindowAdhesionRow, WindowRow
+from fleet_db.tables.windows import SectionAdhesionRow, WindowAdhesionRow, WindowRow
 
 OF_WINDOWS, OF_SECTIONS = table_of(WindowAdhesionRow), table_of(SectionAdhesionRow)
 WINDOWS = table_of(WindowRow)

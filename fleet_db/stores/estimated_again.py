@@ -20,7 +20,8 @@ from fleet_db.stores.track_epochs import EpochStore
 from fleet_db.stores.tracks import TrackStore
 from fleet_db.stores.window_rows import wait_again
 from fleet_db.subjects import Subjects
-from fleet_db.tables import TrackAlignmentRow, TrackVersionRow, WindowPositionRow, WindowRow
+from fleet_db.tables.track import TrackAlignmentRow, TrackVersionRow, WindowPositionRow
+from fleet_db.tables.windows import WindowRow
 
 WINDOWS, POSITIONS = table_of(WindowRow), table_of(WindowPositionRow)
 ALIGNMENTS, VERSIONS = table_of(TrackAlignmentRow), table_of(TrackVersionRow)

@@ -27,7 +27,8 @@ from estimation.values.results import Result
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import nan_if_null, null_if_nan, table_of
 from fleet_db.stores.results import RESULTS, Parts, ResultStore
-from fleet_db.tables import WheelsetBinRow, WheelsetRow, WindowBinTableRow
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.windows import WheelsetBinRow, WindowBinTableRow
 
 V = TypeVar("V")
 BINS = table_of(WheelsetBinRow)

@@ -19,7 +19,7 @@ from fleet_db.read_once import ReadOnce
 from fleet_db.rows import reason_columns, stored_reason, table_of
 from fleet_db.session import to_json
 from fleet_db.subjects import Subjects
-from fleet_db.tables import ResultRow
+from fleet_db.tables.results import ResultRow
 
 V = TypeVar("V")
 RESULTS = table_of(ResultRow)

@@ -17,7 +17,7 @@ from fleet_db.packed_values import pack_bin_table, pack_rolling_sums, unpack_bin
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import by_wheelset, insert_all_new, replace_all, table_of
 from fleet_db.stores.window_rows import keys_given
-from fleet_db.tables import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import RollingSumsRow, RollUpRow, RollUpStateRow, WindowBinTableRow, WindowRow
 
 ROLL_UPS, STATES, ROLLING = table_of(RollUpRow), table_of(RollUpStateRow), table_of(RollingSumsRow)
 TABLES, WINDOWS = table_of(WindowBinTableRow), table_of(WindowRow)
@@ -54,11 +54,7 @@ class RollUpStore:
         return self.once.of_wheelset("roll-ups", wheelset, read) or ()
 
     def sums(self, number: int) -> tuple[BinTable, BinTable]:
-        """Return the sums of a roll-up, plain and with forgetting; what has been forgotten is nothing.
-
-        Raises:
-            DamagedError: They are damaged.
-        """
+        """Return the sums of a roll-up, plain and with forgetting (zero where forgotten); raises DamagedError."""
         columns = (ROLL_UPS.c.plain, ROLL_UPS.c.forgetting)
         row = self.connection.execute(select(*columns).where(ROLL_UPS.c.number == number)).one()
         where = f"roll-up {number}"
@@ -68,11 +64,7 @@ class RollUpStore:
         return plain, unpack_bin_table(row.forgetting, where=where)
 
     def earlier(self, wheelset: str, digest: str) -> BinTable | None:
-        """Return the forgetting sum of the intervals that are over; None where it is not of this digest.
-
-        Args:
-            digest: Of all that goes into it.
-        """
+        """Return the forgetting sum of the intervals that are over; None where it is not of this digest."""
 
         def read(some: Collection[str]) -> Mapping[str, tuple[str, bytes]]:
             kept = select(STATES).where(STATES.c.wheelset.in_(some), STATES.c.earlier.is_not(None))
@@ -90,16 +82,7 @@ class RollUpStore:
         replace_all(self.connection, STATES, rows)
 
     def put(self, parts: Mapping[str, Sequence[RolledPart]], now_ns: int) -> None:
-        """Store roll-ups of wheelsets with their sums.
-
-        What has been added to one that is sealed cannot be taken away again: the tables are purged with it.
-
-        Args:
-            now_ns: Our time, ns UTC.
-
-        Raises:
-            ConflictError: A roll-up is another by now.
-        """
+        """Store roll-ups of wheelsets with their sums; raises ConflictError where one is another by now."""
         new = []
         for wheelset, part in ((wheelset, part) for wheelset, own in parts.items() for part in own):
             values = _with_sums(wheelset, part)
@@ -144,23 +127,14 @@ class RollUpStore:
             self.connection.execute(delete(ROLL_UPS).where(*gone))
 
     def forget(self, wheelset: str, roll_ups: Sequence[int]) -> None:
-        """Delete the sums with forgetting of those of some roll-ups that are sealed.
-
-        Args:
-            roll_ups: Their numbers; what is added to them has no weight any more.
-        """
+        """Delete the sums with forgetting of those of some roll-ups that are sealed: what is added has no weight."""
         for first in range(0, len(roll_ups), BATCH):
             some = ROLL_UPS.c.number.in_(roll_ups[first : first + BATCH])
             kept = (ROLL_UPS.c.wheelset == wheelset, ROLL_UPS.c.sealed, ROLL_UPS.c.forgetting.is_not(None))
             self.connection.execute(update(ROLL_UPS).where(some, *kept).values(forgetting=None))
 
     def rolling(self, wheelset: str, windows: Mapping[int, str], assumed: str) -> Mapping[int, tuple[RollingSums, ...]]:
-        """Return by start what windows say of their rolling radius, where that is kept.
-
-        Args:
-            windows: Digest of their content by start; what was made of other content does not count.
-            assumed: Digest of the class and parameters that it must have been made with.
-        """
+        """Return by start what windows (digest by start) say of their rolling radius, where that was so assumed."""
         rows = self.connection.execute(
             select(ROLLING.c.start_ns, ROLLING.c.window_digest, ROLLING.c.packed)
             .where(ROLLING.c.wheelset == wheelset, ROLLING.c.start_ns.in_(list(windows)))

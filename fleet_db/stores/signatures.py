@@ -14,10 +14,10 @@ from estimation.values.signatures import OF_OTHERS, KnownSignatures, MadeOf, Sto
 from estimation.values.signatures import SIGNATURES as STAGE
 from estimation.values.windows import WindowKey
 from fleet_db.due import list_due, windows_changed
-from fleet_db.packed_signatures import pack_signatures, unpack_signatures
+from fleet_db.packed_values import pack_signatures, unpack_signatures
 from fleet_db.rows import insert_all_new, reason_columns, replace_all, stored_reason, table_of
 from fleet_db.subjects import Subjects
-from fleet_db.tables import WearSignatureRow, WindowRow
+from fleet_db.tables.windows import WearSignatureRow, WindowRow
 
 SIGNATURES, WINDOWS = table_of(WearSignatureRow), table_of(WindowRow)
 SAME = and_(SIGNATURES.c.wheelset == WINDOWS.c.wheelset, SIGNATURES.c.start_ns == WINDOWS.c.start_ns)

@@ -33,7 +33,7 @@ from fleet_db.due import DUE, WindowDueStore, list_for_settings
 from fleet_db.rows import table_of
 from fleet_db.stores.stale_spans import StaleSpanStore
 from fleet_db.subjects import VERSIONS, Subjects
-from fleet_db.tables import StageMarkRow
+from fleet_db.tables.operation import StageMarkRow
 
 MARKS = table_of(StageMarkRow)
 SUM = func.sum(VERSIONS.c.version)

@@ -10,7 +10,8 @@ from sqlalchemy import Connection, delete, func, insert, or_, select, update
 
 from estimation.values.results import Due
 from fleet_db.rows import table_of
-from fleet_db.tables import StaleSpanRow, WindowRow
+from fleet_db.tables.recordings import StaleSpanRow
+from fleet_db.tables.windows import WindowRow
 
 SPANS = table_of(StaleSpanRow)
 

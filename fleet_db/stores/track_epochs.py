@@ -36,13 +36,8 @@ from fleet_db.due import BATCH, DUE, list_due
 from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
 from fleet_db.stores.window_rows import keys_given, to_window_record
 from fleet_db.subjects import Subjects
-from fleet_db.tables import (
-    TrackEpochRow,
-    TrackEpochVehicleRow,
-    TrackEpochWindowRow,
-    WindowBinTableRow,
-    WindowRow,
-)
+from fleet_db.tables.track import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 EPOCHS, MEMBERS, WINDOWS = table_of(TrackEpochRow), table_of(TrackEpochWindowRow), table_of(WindowRow)
 VEHICLES = table_of(TrackEpochVehicleRow)

@@ -40,7 +40,7 @@ from estimation.values.windows import (
 from fleet_db.due import BATCH, estimated, list_due, list_to_estimate, list_waiting
 from fleet_db.rows import nan_if_null, null_if_nan, reason_columns, replace_all, stored_reason, table_of
 from fleet_db.subjects import Subjects
-from fleet_db.tables import WindowBinTableRow, WindowRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
 REALS = (

@@ -58,7 +58,9 @@ from fleet_db.stores.window_rows import (
     window_values,
 )
 from fleet_db.subjects import Subjects
-from fleet_db.tables import MountingRow, WheelsetRow, WindowBinTableRow, WindowPositionRow, WindowRow
+from fleet_db.tables.registry import MountingRow, WheelsetRow
+from fleet_db.tables.track import WindowPositionRow
+from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 from fleet_db.telemetry import WindowFiles, window_digest
 
 WINDOWS, TABLES, WHEELSETS = table_of(WindowRow), table_of(WindowBinTableRow), table_of(WheelsetRow)

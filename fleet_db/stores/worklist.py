@@ -22,12 +22,13 @@ from estimation.values.reasons import Reason
 from estimation.values.results import EVERYTHING
 from estimation.values.runs import code_of_error, first_line
 from estimation.worklist.row import FORM, STAGE, WorklistInputs, distance_key, urgency_key, worklist_row
+from fleet_db.packed_values import to_document
 from fleet_db.rows import insert_new, replace_all, table_of
 from fleet_db.stores.stage_marks import MARKS
 from fleet_db.stores.worklist_inputs import WorklistReader, not_voided
 from fleet_db.subjects import Subjects
-from fleet_db.tables import WheelsetRow, WorklistAlertRow, WorklistEntryRow
-from fleet_db.worklist_documents import to_document
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.results import WorklistAlertRow, WorklistEntryRow
 
 ENTRIES, KINDS, WHEELSETS = table_of(WorklistEntryRow), table_of(WorklistAlertRow), table_of(WheelsetRow)
 AT_ONCE = 500

@@ -23,8 +23,10 @@ from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.registry_history import is_voided
 from fleet_db.stores.trends import TrendStore
-from fleet_db.stores.window_reasons import refused_by_code
-from fleet_db.tables import AlertRow, WheelsetRow, WindowRow
+from fleet_db.stores.window_counts import refused_by_code
+from fleet_db.tables.alerts import AlertRow
+from fleet_db.tables.registry import WheelsetRow
+from fleet_db.tables.windows import WindowRow
 
 Stored = TypeVar("Stored")
 ALERTS, WINDOWS, WHEELSETS = table_of(AlertRow), table_of(WindowRow), table_of(WheelsetRow)

@@ -66,11 +66,7 @@ def _law(text: str) -> CreepLaw:
 
 @dataclass(frozen=True, slots=True)
 class Creep:
-    """The force law of all wheels. Friction may vary along the track beside.
-
-    Raises:
-        ParameterError: A value is not possible.
-    """
+    """The force law of all wheels. Friction may vary along the track beside."""
 
     law: Annotated[CreepLaw, written(Text, _law)] = CreepLaw.LINEAR
     friction: Share = 0.4  # mu0

@@ -23,8 +23,6 @@ Wear = Annotated[float, between(0.0, 5.0), MM]
 
 @dataclass(frozen=True, slots=True)
 class _WheelFiles:
-    """An entry of ``wheel_files``."""
-
     left: FileBeside
     right: FileBeside | None = None
 
@@ -93,9 +91,6 @@ class FleetWear:
 
         Args:
             deepest: Of the pair, m: the upper limit where there is none.
-
-        Raises:
-            PydanticCustomError: With the location inside the table of the fleet.
         """
         highest = deepest if self.highest is None else self.highest
         lowest_mm, highest_mm, mean_mm = 1e3 * self.lowest, 1e3 * highest, 1e3 * self.mean

@@ -106,11 +106,7 @@ class WheelsetTable:
                 yield key, path
 
     def plan(self, radius: float) -> WheelsetPlan:
-        """Return the wheelset; where wear is not located, as measured on such wheels.
-
-        Args:
-            radius: Nominal rolling radius where the table has none, m.
-        """
+        """Return the wheelset; where wear is not located, as measured on such wheels."""
         course = wear_course(WearFamily.S1002_ON_60E1 if "1002" in self.wheel_profile else WearFamily.P8_ON_56E1, 0.0)
         centre, half_width = self.wear_centre, self.wear_half_width
         initial_left, initial_right = self.initial_wear_left, self.initial_wear_right

@@ -19,7 +19,7 @@ from running_service import Service
 
 from api.app import committed_document
 from api.csv_tables import columns_of
-from api.schemas.worklist import WheelsetRow, WorklistSort
+from api.routes.worklist import WheelsetRow, WorklistSort
 from estimation.values.alerts import AlertEventKind, Severity, Urgency
 from estimation.worklist.row import TURN
 

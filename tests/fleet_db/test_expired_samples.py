@@ -15,8 +15,7 @@ from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.track import EpochMember, FoldState, TrackEpoch
 from estimation.values.windows import DueStage, PassedOver, WindowPosition, WindowRecord, WindowState
 from fleet_db.keeping.deep_check import check_deep
-from fleet_db.keeping.kept_files import kept_files
-from fleet_db.keeping.orphans import orphaned_samples
+from fleet_db.keeping.kept_files import kept_files, orphaned_samples
 from fleet_db.keeping.purge import WAITING, Purged, purge
 from fleet_db.keeping.retention import DAY_NS, Kept, Retention
 from fleet_db.storage import SqlStorage
@@ -141,7 +140,7 @@ def test_nothing_queues_it_again(fleet: SqlStorage) -> None:
     put(fleet, 1, ReasonCode.IN_CURVES)
     purged(fleet)
     with fleet.write() as unit:
-        unit.tracks.put_position(WindowPosition("WS-1", make.START, "d" * 64, 1))
+        unit.tracks.put_positions([WindowPosition("WS-1", make.START, "d" * 64, 1)])
         assert not unit.windows.mark("WS-1", make.START, WindowState.PENDING)
         unit.windows.estimate_again(SECTION)
         assert unit.windows.counts()["pending"] == 0

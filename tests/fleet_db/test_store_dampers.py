@@ -15,8 +15,7 @@ from estimation.values.opinions import GEAR_DAMPERS, SHARES, DamperSums, GearDam
 from estimation.values.quantities import Estimate, with_interval
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.results import Result
-from fleet_db.packed_dampers import unpack_window_damper
-from fleet_db.packed_values import pack_value
+from fleet_db.packed_values import pack_value, unpack_window_damper
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 
 

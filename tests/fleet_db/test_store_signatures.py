@@ -33,7 +33,7 @@ from estimation.values.windows import WindowKey, WindowState, key_of_text
 from fleet_db.rows import table_of
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores import signatures as signature_store
-from fleet_db.tables import WearSignatureRow
+from fleet_db.tables.windows import WearSignatureRow
 
 OF_WINDOWS = StageInputs(SIGNATURES, SubjectKind.WINDOW, (), "")
 

@@ -57,7 +57,7 @@ def put(unit, window) -> None:  # type: ignore[no-untyped-def] # noqa: ANN001 - 
     record = unit.windows.get(*key)
     unit.tables.put(*key, make.bin_table(), 1, record.content_digest)
     unit.windows.mark(*key, WindowState.ESTIMATED)
-    unit.tracks.put_position(WindowPosition(*key, record.content_digest, 1))
+    unit.tracks.put_positions([WindowPosition(*key, record.content_digest, 1)])
 
 
 def pending(storage: SqlStorage) -> dict[str, list[WindowState]]:

@@ -24,11 +24,11 @@ from estimation.values.quantities import Forecast, Status
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import FleetRecord, Mounting, Reprofiling, VehicleRecord, WheelsetRecord
 from estimation.values.windows import WindowRecord, WindowState
+from fleet_db.packed_values import from_document
 from fleet_db.registry_events import Decision, RecordKind
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 from fleet_db.stores.registry_history import RecordKey
 from fleet_db.stores.worklist import WorklistFilter, WorklistOrder, WorklistPlace
-from fleet_db.worklist_documents import from_document
 
 SERIALS = [f"D-{number:02d}" for number in range(12)]
 KINDS = ("conicity_limit", "limit_forecast", "hunting", "no_data", "wheel_asymmetry")

@@ -213,7 +213,7 @@ def test_lost_windows_are_made_again_when_their_recordings_are_received_again(
                 unit.windows.mark(serial, start_ns, WindowState.REFUSED, reason)
             else:
                 unit.windows.mark(serial, start_ns, WindowState.ESTIMATED)
-            unit.tracks.put_position(WindowPosition(serial, start_ns, digest, **position))
+            unit.tracks.put_positions([WindowPosition(serial, start_ns, digest, **position)])
     shutil.rmtree(storage.data_dir / "windows")
     receipts = [receiver.receive_file(path, VEHICLE) for path in files_of(pieces, tmp_path)]
     assert [receipt.known for receipt in receipts] == [True, True]

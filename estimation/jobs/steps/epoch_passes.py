@@ -11,8 +11,7 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import WindowLoader
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleLookup
-from estimation.motion.checks import gate
-from estimation.motion.usable_samples import straight_part
+from estimation.motion.checks import gate, straight_part
 from estimation.storage import UnitOfWork
 from estimation.track.gridded_pass import resampled
 from estimation.track.partition import Entry

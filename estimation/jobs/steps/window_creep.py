@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from estimation.adhesion.creep_forces import ContactForces, ForceParameters, forces_on
-from estimation.adhesion.file_errors import FileErrors
-from estimation.adhesion.friction import FrictionParameters
-from estimation.adhesion.gear_segments import gear_segments
+from estimation.adhesion.creep_forces import ContactForces, forces_on, gear_segments
+from estimation.adhesion.parameters import FileErrors, FrictionParameters
 from estimation.adhesion.window_adhesion import AdhesionInputs, refused, window_adhesion
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.dampers.window_damper import looked_at, window_damper
@@ -49,8 +47,7 @@ class Gear:
             if self.content_digest is not None:
                 first = min(self.windows, key=lambda window: window.axle)
                 self.damper = window_damper(first, self.content_digest, segments, self.assumed.on_file)
-            parameters = ForceParameters()
-            self._forces = segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class, parameters)
+            self._forces = segments if isinstance(segments, Reason) else forces_on(segments, vehicle_class)
         return self._forces if isinstance(self._forces, Reason) else self._forces[place]
 
 

@@ -17,8 +17,7 @@ from api.factory import create_app
 from api.settings import Settings
 from api.times import to_rfc3339
 from bench.adhesion_fleet import true_friction
-from estimation.adhesion.file_errors import FileErrors
-from estimation.adhesion.friction import FrictionParameters
+from estimation.adhesion.parameters import FileErrors, FrictionParameters
 from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.jobs import refresh_adhesion

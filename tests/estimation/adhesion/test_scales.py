@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from test_friction import KNOWN, TRUE, a_pass
 
-from estimation.adhesion.file_errors import FileErrors
 from estimation.adhesion.friction import pooled_friction, section_adhesion
-from estimation.adhesion.pass_sums import pass_sums
-from estimation.adhesion.scales import (
+from estimation.adhesion.parameters import FileErrors
+from estimation.adhesion.pass_sums import (
     FAR,
     FEWEST_VEHICLES,
     GRID,
@@ -20,6 +19,7 @@ from estimation.adhesion.scales import (
     WHEELSET_SCATTER,
     Agreed,
     contradicting,
+    pass_sums,
     scales,
 )
 from estimation.values.opinions import WindowAdhesion

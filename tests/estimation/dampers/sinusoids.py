@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from bench.adhesion_fleet import GOOD
-from estimation.adhesion.gear_segments import gear_segments
+from estimation.adhesion.creep_forces import gear_segments
 from estimation.dampers.window_damper import window_damper
 from estimation.motion.parameters import SignalParameters
 from estimation.values.arrays import FloatArray

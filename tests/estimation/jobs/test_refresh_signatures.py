@@ -31,7 +31,7 @@ from fleet_db.storage import SqlStorage
 from fleet_db.stores.geometries import GeometryStore
 from fleet_db.stores.registry import RegistryStore
 from fleet_db.stores.signatures import SignatureStore
-from fleet_db.tables import WearSignatureRow, WindowRow
+from fleet_db.tables.windows import WearSignatureRow, WindowRow
 from ingest.simulator.scenario_file import load_scenario
 
 SCENARIO = """\

@@ -10,8 +10,8 @@ from one_database import on_sqlite
 from wheelset_life import DAY_NS, START_NS, SetClock, register, run_windows
 
 from estimation.alerts.rules.book import RuleBook
-from estimation.alerts.rules.no_data import NoDataRule
-from estimation.alerts.rules.weak_damper import WeakDamperRule, weak_damper_finding
+from estimation.alerts.rules.running_gear import WeakDamperRule, weak_damper_finding
+from estimation.alerts.rules.sensor_data import NoDataRule
 from estimation.jobs import evaluate_alerts, refresh_adhesion
 from estimation.jobs.job import JobContext, run_job
 from estimation.jobs.made_from import made_from

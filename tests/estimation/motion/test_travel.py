@@ -12,8 +12,13 @@ from smooth_wheelset import alignment, mems_windows, run, track
 from whole_runs import whole_runs
 
 from estimation.geometry.rolling_radius import rolling_radius
-from estimation.motion.axle_distance import bogie_runs_backwards, check_axle_distance, runs_backwards, turned_over
-from estimation.motion.bogie_frame import with_frame_yaw
+from estimation.motion.axle_distance import (
+    bogie_runs_backwards,
+    check_axle_distance,
+    runs_backwards,
+    turned_over,
+    with_frame_yaw,
+)
 from estimation.motion.parameters import SignalParameters, WindowParameters
 from estimation.motion.rolling_sums import rolling_sums
 from estimation.motion.window_motion import window_motion

@@ -1,0 +1,165 @@
+"""The command ``python -m bench statements``: SQL statements by the size of a fleet, and by its days of history.
+
+By size: copies of a vehicle of two wheelsets send one recording of one window each, from which alerts follow. What is
+given is the difference between two sizes by the wheelsets or windows that it is made of: what one more of them costs.
+By days: two wheelsets run one window a day, and all jobs run after each day; a job is flat where the last day costs it
+as many statements as the first ones after the parts of its history are there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from api.factory import job_context, open_store, raw_store
+from api.settings import Settings
+from bench.digests import SCENARIOS
+from bench.fleet_sizes import copies, register
+from bench.report import BenchRow, printed
+from bench.results_page import ended
+from bench.standing_clock import StandingClock
+from estimation.errors import TreadwatchError
+from estimation.jobs.catalogue import ALL_JOBS
+from estimation.jobs.job import run_job
+from estimation.values.runs import JobTrigger
+from fleet_db.migrate import upgrade
+from fleet_db.storage import SqlStorage
+from ingest.catalogue import default_catalogue
+from ingest.receiver import Receiver
+from ingest.registry_file import load_registry
+from ingest.simulator.fleet import FleetReport, run_fleet
+from ingest.simulator.scenario_file import load_scenario
+from tests.executed_statements import executed_statements
+
+TITLE = "SQL statements by the size of a fleet and its days of history"
+WINDOW_S, DAY_NS, BEGIN_NS = 120.0, 86_400_000_000_000, 1_704_700_000_000_000_000
+WHEELSETS_OF_VEHICLE = 2
+INGEST = "ingest"
+OF_ONE = (INGEST, "estimate_windows", "refresh_geometry", "refresh_trends", "evaluate_alerts")
+REACH_OF_ONE, REACH_OF_JOB = 8.0, 150
+Counts = Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Deployment:
+    """A database with what receives recordings and runs the jobs."""
+
+    settings: Settings
+    storage: SqlStorage
+    clock: StandingClock
+
+    def receive(self, recordings: Sequence[tuple[str, Path]]) -> int:
+        """Receive recordings of vehicles; return the number of statements."""
+        receiver = Receiver(
+            self.storage, raw_store(self.settings), default_catalogue(), self.clock, window_length_s=WINDOW_S
+        )
+        with executed_statements() as executed:
+            for vehicle, path in recordings:
+                receiver.receive_file(path, vehicle)
+        return len(executed)
+
+    def run_jobs(self) -> dict[str, int]:
+        """Run all jobs; return the number of statements of each."""
+        context = replace(job_context(self.settings, self.storage), clock=self.clock)
+        found = {}
+        for job in ALL_JOBS:
+            with executed_statements() as executed:
+                run = run_job(job, context, JobTrigger.CLI)
+            if run.error is not None:
+                raise TreadwatchError(f"{run.job}: {run.error}")
+            found[job.name] = len(executed)
+        return found
+
+
+def simulated(folder: Path, days: int) -> FleetReport:
+    """Return the recordings of the vehicle, one a day."""
+    scenario = load_scenario(str(SCENARIOS / "frame.toml"))
+    sessions = scenario.sessions
+    sessions = replace(sessions, campaigns=days, distance_between=sessions.distance_per_day)
+    return run_fleet(replace(scenario, sessions=sessions), folder, workers=1)
+
+
+def deployed(folder: Path, report: FleetReport, url: str | None = None) -> Deployment:
+    """Return a deployment on an empty database that knows the registry."""
+    settings = Settings(data_dir=folder, database_url=url, window_length_s=WINDOW_S, _env_file=None)
+    upgrade(settings.url)
+    storage = open_store(settings)
+    with storage.write() as unit:
+        load_registry(report.registry, unit, 1)
+    return Deployment(settings, storage, StandingClock(BEGIN_NS))
+
+
+def of_fleet(folder: Path, report: FleetReport, vehicles: int, url: str | None = None) -> Counts:
+    """Return the statements of ingest and of each job, of so many vehicles that send one recording."""
+    (folder / "deployed").mkdir(parents=True)
+    model = report.recordings[0]
+    deployment = deployed(folder / "deployed", report, url)
+    with closing(deployment.storage):
+        register(deployment.storage, model.vehicle, vehicles)
+        sent = list(copies(folder / "recordings", model.path.read_bytes(), vehicles))
+        deployment.clock.at_ns += DAY_NS
+        return {INGEST: deployment.receive(sent)} | deployment.run_jobs()
+
+
+def of_one_more(counts: Mapping[int, Counts]) -> dict[str, float]:
+    """Return what a wheelset with one window more costs each stage.
+
+    Args:
+        counts: Of fleets, by their vehicles.
+    """
+    small, large = min(counts), max(counts)
+    more = WHEELSETS_OF_VEHICLE * (large - small)
+    return {name: (counts[large][name] - counts[small][name]) / more for name in counts[small]}
+
+
+def of_days(folder: Path, report: FleetReport, url: str | None = None) -> list[Counts]:
+    """Return the statements of ingest and of each job, of each day."""
+    deployment, found = deployed(folder, report, url), []
+    with closing(deployment.storage):
+        for recording in report.recordings:
+            deployment.clock.at_ns += DAY_NS
+            received = deployment.receive([(recording.vehicle, recording.path)])
+            found.append({INGEST: received} | deployment.run_jobs())
+    return found
+
+
+def rows(folder: Path, wheelsets: Sequence[int], days: int) -> Iterator[BenchRow]:
+    """Yield the statements of one wheelset more, and those of each job by days of history.
+
+    Args:
+        wheelsets: Sizes of the fleets.
+        days: Of history.
+    """
+    report = simulated(folder / "simulated", max(1, days))
+    sizes = sorted({max(1, size // WHEELSETS_OF_VEHICLE) for size in wheelsets})
+    counts = {vehicles: of_fleet(folder / str(vehicles), report, vehicles) for vehicles in sizes}
+    for vehicles, executed in counts.items():
+        shown = ", ".join(f"{name} {count}" for name, count in executed.items())
+        yield BenchRow(f"{WHEELSETS_OF_VEHICLE * vehicles:,} wheelsets with one window each", shown, "", met=True)
+    for name, each in (of_one_more(counts) if len(counts) > 1 else {}).items():
+        held = name in OF_ONE
+        met = not held or each <= REACH_OF_ONE
+        yield BenchRow(f"one wheelset more: {name}", f"{each:.1f}", f"<= {REACH_OF_ONE:g}" if held else "", met)
+    by_day = of_days(folder / "days", report)
+    for name in by_day[0]:
+        of_job = [executed[name] for executed in by_day]
+        reach = "" if name == INGEST else f"<= {REACH_OF_JOB}, flat"
+        met = not reach or (max(of_job) <= REACH_OF_JOB and of_job[-1] <= max(of_job[:-1], default=of_job[-1]))
+        yield BenchRow(f"one window more after 1 to {days} days: {name}", ", ".join(map(str, of_job)), reach, met)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure and print; return 1 where a row falls short."""
+    parser = argparse.ArgumentParser(prog="python -m bench statements", description=TITLE)
+    parser.add_argument("--wheelsets", type=int, nargs="+", default=[400, 4000], help="of the fleets")
+    parser.add_argument("--days", type=int, default=20, help="of history (20)")
+    parser.add_argument("--write-docs", action="store_true", help="write docs/results/statements.md")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory(prefix="treadwatch-statements-") as name:
+        found = printed(rows(Path(name), options.wheelsets, options.days))
+    command = " ".join(["python -m bench statements", *arguments]) if options.write_docs else None
+    return ended(found, "statements", TITLE, command)
