@@ -23,8 +23,7 @@ from estimation.alerts.rules.contradicted_registry import IdentityRule
 from estimation.alerts.rules.running_gear import SuspensionChangeRule, suspension_change_finding
 from estimation.alerts.rules.standing import latest_run, raised_at
 from estimation.jobs.job import JobContext
-from estimation.jobs.made_from import made_from
-from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.identities import identity_changes
 from estimation.storage import UnitOfWork
 from estimation.trend.suspension import SuspensionParameters, suspension_histories

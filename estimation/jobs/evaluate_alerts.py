@@ -1,4 +1,4 @@
-"""Stage: the alert rules are evaluated of every wheelset; and the job, which records what changes.
+"""Stages: the alert rules are evaluated of every wheelset, and its row of the worklist is made; and the job of both.
 
 Each wheelset is evaluated by itself, beside what comparisons with the others have found.
 """
@@ -22,13 +22,34 @@ from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import AnyStage, Counted, Outcome, Part, Stage
 from estimation.jobs.steps.wheelset_facts import facts_of
-from estimation.jobs.worklist_rows import WORKLIST
 from estimation.storage import UnitOfWork
 from estimation.values.alerts import Alert, AlertEventKind, AlertScope, CloseReason, Condition, Finding, Transition
 from estimation.values.geometry import GEOMETRY
 from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.trend import TREND
+from estimation.worklist.row import FACETS, FORM, STAGE
+
+
+def make_all(unit: UnitOfWork, _: JobContext, __: Mapping[str, tuple[None, Outcome[None]]]) -> Mapping[str, int]:
+    """Let all rows be made again at the end of the transaction."""
+    unit.worklist.refresh_all()
+    return {}
+
+
+WORKLIST: AnyStage = Stage(
+    name=STAGE,
+    job="evaluate_alerts",
+    kind=SubjectKind.WHEELSET,
+    facets=FACETS,
+    settings=lambda _: FORM,
+    load=lambda *_: {},
+    compute=lambda _: Outcome(),
+    counted=Counted(looked="looked_at", changed="changed"),
+    store=make_all,
+    together=True,
+    inline=True,
+)
 
 
 @dataclass(frozen=True, slots=True)

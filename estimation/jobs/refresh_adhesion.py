@@ -20,9 +20,8 @@ from estimation.alerts.rules.low_adhesion import LowAdhesionRule, section_findin
 from estimation.dampers.pooled import DamperParameters, gear_damper
 from estimation.jobs import estimate_windows, refresh_geometry
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.made_from import made_from
 from estimation.jobs.runner import run_all
-from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.window_creep import (
     HOUR_NS,
     CreepInputs,

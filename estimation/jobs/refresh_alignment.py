@@ -16,10 +16,9 @@ from functools import partial
 
 from estimation.errors import ConflictError
 from estimation.jobs.job import Job, JobContext
-from estimation.jobs.made_from import made_from
 from estimation.jobs.runner import run
 from estimation.jobs.settings import JobSettings
-from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.stage import Counted, Outcome, Part, Stage, made_from
 from estimation.jobs.steps.epoch_inputs import Due, EpochSearch, FileLookup, Found, changed_from, otherwise_on_file
 from estimation.jobs.steps.epoch_passes import EpochPasses, Solved, epoch_passes
 from estimation.jobs.steps.measured_wheelsets import Measured, measured

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from estimation.jobs.compare_identities import IDENTITIES, JUMPS, SUSPENSIONS
 from estimation.jobs.estimate_windows import TABLES
-from estimation.jobs.evaluate_alerts import ALERTS
+from estimation.jobs.evaluate_alerts import ALERTS, WORKLIST
 from estimation.jobs.refresh_adhesion import FIRST, OF_SECTIONS, OF_VEHICLES
 from estimation.jobs.refresh_adhesion import OF_WINDOWS as CREEP
 from estimation.jobs.refresh_alignment import ALIGNMENT
@@ -20,7 +20,6 @@ from estimation.jobs.stage import AnyStage
 from estimation.jobs.steps.outdated_windows import OUTDATED
 from estimation.jobs.steps.plausibility import JUDGE
 from estimation.jobs.steps.signature_windows import ASSUMED, OF_WINDOWS
-from estimation.jobs.worklist_rows import WORKLIST
 
 ALL_STAGES: tuple[AnyStage, ...] = (
     ALIGNMENT,

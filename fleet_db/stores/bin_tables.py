@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, and_, func, select
 
 from estimation.errors import ConflictError, NotFoundError
-from estimation.jobs.steps.running_mileage import MOST_KM
+from estimation.motion.mileage import MOST_KM
 from estimation.values.geometry import BinTable, FilledCells, TableKey, WindowTable
 from estimation.values.roll_up import TabledWindow
 from estimation.values.windows import WindowKey, WindowRecord, WindowState

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 
 from estimation.jobs.steps.membership import Baseline, Membership
-from estimation.jobs.steps.running_mileage import first_reading, known_mileage, read
+from estimation.motion.mileage import first_reading, known_mileage, read
 from estimation.storage import UnitOfWork
 from estimation.tables.bin_table import TableSum
 from estimation.values.geometry import BinTable

@@ -12,9 +12,8 @@ from estimation.alerts.rules.low_adhesion import LowAdhesionRule
 from estimation.dampers.window_damper import looked_at, window_damper
 from estimation.errors import DamagedError, PurgedError
 from estimation.jobs.settings import EstimationSettings
-from estimation.jobs.steps.load_window import WindowLoader
+from estimation.jobs.steps.load_window import BatchInputs, TrackLookup, WindowLoader, inputs_of_batch, tracks_of_batch
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
-from estimation.jobs.steps.window_inputs import BatchInputs, TrackLookup, inputs_of_batch, tracks_of_batch
 from estimation.motion.window_motion import window_motion
 from estimation.storage import UnitOfWork
 from estimation.values.geometry import GeometryRecord
