@@ -18,6 +18,7 @@ from estimation.jobs.isolation import fails_alone
 from estimation.jobs.job import Job, JobContext
 from estimation.jobs.runner import run_all
 from estimation.jobs.stage import Counted, Outcome, Part, Stage
+from estimation.jobs.steps.due_windows import JUDGE, OUTDATED
 from estimation.jobs.steps.load_window import (
     BatchInputs,
     TrackLookup,
@@ -27,8 +28,6 @@ from estimation.jobs.steps.load_window import (
     inputs_of_batch,
     tracks_of_batch,
 )
-from estimation.jobs.steps.outdated_windows import OUTDATED
-from estimation.jobs.steps.plausibility import JUDGE
 from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.motion.hunting import in_place_of_quality
 from estimation.motion.parameters import WindowParameters

@@ -19,8 +19,8 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.refresh_alignment import ALIGNMENT
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.stage import AnyStage
+from estimation.jobs.steps.due_windows import OUTDATED
 from estimation.jobs.steps.epoch_inputs import FileLookup, changed_from
-from estimation.jobs.steps.outdated_windows import OUTDATED
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import Mounting, Reprofiling
