@@ -30,9 +30,7 @@ from estimation.values.results import Facet
 from estimation.values.runs import SubjectKind
 from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
-from fleet_db import alignment_due
-from fleet_db.alignment_due import OF_WINDOW
-from fleet_db.due import BATCH, DUE, list_due
+from fleet_db.due import BATCH, DUE, OF_WINDOW, list_due, stale_epochs
 from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
 from fleet_db.stores.window_rows import keys_given, to_window_record
 from fleet_db.subjects import Subjects
@@ -198,12 +196,12 @@ class EpochStore:
         elsewhere = {(row.section, row.epoch) for row in self._held(sorted(set(keys) - before))}
         for section, _ in sorted(elsewhere):
             self.subjects.places(section)
-        alignment_due.stale(self.subjects, sorted(elsewhere))
+        stale_epochs(self.subjects, sorted(elsewhere))
         self._put_members(epoch, members)
 
     def stale(self, section: str, number: int) -> None:
         """Let an epoch be computed again, where it is there."""
-        alignment_due.stale(self.subjects, [(section, number)])
+        stale_epochs(self.subjects, [(section, number)])
 
     def put_found(self, section: str, number: int, found: FoundOfVehicles | None) -> None:
         """Store of which vehicles an epoch has found what matters for them alone, in the place of what was known."""

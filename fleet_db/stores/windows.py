@@ -35,8 +35,7 @@ from estimation.values.windows import (
     WindowRecord,
     WindowState,
 )
-from fleet_db import alignment_due
-from fleet_db.due import BATCH, list_due, windows_changed
+from fleet_db.due import BATCH, list_due, list_for_alignment, positions_forgotten, windows_changed, windows_left
 from fleet_db.read_once import ReadOnce
 from fleet_db.rows import (
     by_wheelset,
@@ -122,13 +121,13 @@ class WindowStore:
             if not insert_new(self.connection, WINDOWS, values):  # another transaction has stored it meanwhile
                 return self.put(window, mileage_km, recorded_ns)
             windows_changed(self.connection, [key])
-            alignment_due.come(self.subjects, {key: window.track_section})
+            list_for_alignment(self.subjects, {key: window.track_section})
             return True
         replace(self.connection, WINDOWS, values)
         windows_changed(self.connection, [key])
-        alignment_due.come(self.subjects, {key: window.track_section})
+        list_for_alignment(self.subjects, {key: window.track_section})
         if window.track_section != found.track_section:
-            alignment_due.left(self.subjects, [key])
+            windows_left(self.subjects, [key])
         self.subjects.places(found.track_section)
         remove_tables(self.connection, self.subjects, [key])
         return True
@@ -320,7 +319,7 @@ class WindowStore:
             for section in self.connection.scalars(on, given):
                 self.subjects.places(section)
             own = tuple_(WINDOWS.c.wheelset, WINDOWS.c.start_ns).in_(given["keys"])
-            alignment_due.unplaced_where(self.subjects, and_(own, *chosen))
+            positions_forgotten(self.subjects, and_(own, *chosen))
             self.connection.execute(delete(POSITIONS).where(keys_given(POSITIONS), *chosen), given)
 
     def _set_mileage(self, window: Window, found: Row[Any, Any, Any], mileage_km: float) -> bool:
@@ -333,7 +332,7 @@ class WindowStore:
         replace(self.connection, WINDOWS, values)
         list_due(self.connection, DueStage.MILEAGES, key_given(WINDOWS), **key_of(WINDOWS, values))
         list_for_sums(self.connection, [(window.wheelset, window.start_ns)])
-        alignment_due.come(self.subjects, {(window.wheelset, window.start_ns): found.track_section})
+        list_for_alignment(self.subjects, {(window.wheelset, window.start_ns): found.track_section})
         self.subjects.tables(window.wheelset)
         self.subjects.windows(window.wheelset)
         self.subjects.places(found.track_section)
