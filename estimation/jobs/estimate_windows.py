@@ -44,7 +44,6 @@ from estimation.values.windows import (
     Window,
     WindowKey,
     WindowMark,
-    WindowPosition,
     WindowRecord,
     WindowState,
     key_of_text,
@@ -140,7 +139,8 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     """Return windows that wait or failed, with what they are estimated with; the others are left out."""
     standing = unit.windows.several([key_of_text(key) for key in keys])
     waiting = (one for one in standing if one.state is WindowState.PENDING or code_of(one.reason) in FAILED)
-    records = sorted(waiting, key=_running_order)
+    # the windows of a bogie next to each other: each needs the samples of the other
+    records = sorted(waiting, key=lambda record: (record.vehicle, record.start_ns, record.axle))
     if not records:
         return {}
     tracks = tracks_of_batch(unit, records)
@@ -148,11 +148,6 @@ def load_windows(unit: UnitOfWork, keys: Sequence[str], context: JobContext) -> 
     loader = WindowLoader(unit, batch.vehicles, batch.records)
     reading = _Reading(loader, batch, tracks, likely_chosen(unit, records))
     return {text_of_key(*record.key): reading.of(record) for record in records}
-
-
-def _running_order(record: WindowRecord) -> tuple[str, int, int]:
-    """Return what puts the windows of a bogie next to each other: each needs the samples of the other."""
-    return record.vehicle, record.start_ns, record.axle
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +201,7 @@ def _estimated(inputs: TableInputs) -> Estimated | Reason:
     if position is not None and position.reason is not None and position.reason.code in TRIED_AGAIN:
         raise PassingFaultError(position.reason.text, code=position.reason.code)  # it is looked for again, too
     correction, misplaced = None, None
-    if position is not None and _placed(record, position):
+    if position is not None and position.content_digest == record.content_digest:  # found from these samples
         correction, misplaced = Correction(position.offset_m, position.scale, position.middle_m), position.reason
     parameters = assumed.windows
     cells = _cells(window, inputs, parameters, correction, misplaced)
@@ -214,11 +209,6 @@ def _estimated(inputs: TableInputs) -> Estimated | Reason:
         return cells
     rolling = rolling_sums(window, parameters.vehicle_class, parameters.signals) if inputs.rolls else None
     return Estimated(cells, rolling)
-
-
-def _placed(record: WindowRecord, position: WindowPosition) -> bool:
-    """Whether the position of a window was found from its samples."""
-    return position.content_digest == record.content_digest
 
 
 def _cells(

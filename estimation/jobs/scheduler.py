@@ -93,7 +93,7 @@ def _serve_while_owned(
     if abandoned:
         _log.warning("%d runs of a process that is gone were marked as abandoned", abandoned)
     over = Event()
-    scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs, every_s or _default_interval)
+    scheduler = build_scheduler(replace(context, stopping=over.is_set), jobs, every_s or (lambda job: job.every_s))
     looked_ns = context.clock.now_ns()  # before the first job: the clock may be set while it runs
     scheduler.start()
     _log.info("scheduler started with %s", ", ".join(job.name for job in jobs))
@@ -162,10 +162,6 @@ def build_scheduler(context: JobContext, jobs: Sequence[Job], every_s: Callable[
             next_run_time=first + timedelta(milliseconds=place),  # due together, they go in order
         )
     return scheduler
-
-
-def _default_interval(job: Job) -> float:
-    return job.every_s
 
 
 def _scheduled(job: Job, context: JobContext) -> None:

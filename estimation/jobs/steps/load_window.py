@@ -275,18 +275,15 @@ def _partner(vehicles: VehicleLookup, record: WindowRecord, assumed: Assumed | R
 
 @dataclass(frozen=True, slots=True)
 class TrackLookup:
-    """Looks up sections; each version of an alignment is read once.
+    """Looks up sections.
 
     Attributes:
-        unit: Sections are read.
         versions: By window, on which versions those of epochs are estimated.
     """
 
     unit: UnitOfWork
     versions: Mapping[WindowKey, int | None]
     _in_force: dict[str, AlignmentRecord | None] = field(default_factory=dict)
-    _alignments: dict[tuple[str, int], TrackAlignment | None] = field(default_factory=dict)
-    _layouts: dict[str, TrackLayout | None] = field(default_factory=dict)
 
     def in_force(self, record: WindowRecord) -> AlignmentRecord | None:
         """Return which alignment of a window's section is in force; None where none is, or the section is not known."""
@@ -301,20 +298,11 @@ class TrackLookup:
         """Return the alignment that a window is estimated on; None where there is none."""
         now, section = self.in_force(record), record.track_section
         version = self.versions.get(record.key, None if now is None else now.version)
-        if section is None or version is None:
-            return None
-        if (section, version) not in self._alignments:
-            self._alignments[section, version] = self.unit.tracks.alignment(section, version)
-        return self._alignments[section, version]
+        return None if section is None or version is None else self.unit.tracks.alignment(section, version)
 
     def layout(self, record: WindowRecord) -> TrackLayout | None:
         """Return the layout of a window's section; None where there is none."""
-        section = record.track_section
-        if section is None:
-            return None
-        if section not in self._layouts:
-            self._layouts[section] = self.unit.tracks.layout(section)
-        return self._layouts[section]
+        return None if record.track_section is None else self.unit.tracks.layout(record.track_section)
 
 
 def tracks_of_batch(unit: UnitOfWork, records: Sequence[WindowRecord]) -> TrackLookup:
