@@ -10,6 +10,7 @@ from typing import Any
 from sqlalchemy import (
     ColumnElement,
     Connection,
+    Row,
     Select,
     Update,
     and_,
@@ -31,7 +32,7 @@ from estimation.values.runs import SubjectKind
 from estimation.values.track import EpochMember, FoldState, FoundOfVehicles, HeldWindow, ListedWindow, TrackEpoch
 from estimation.values.windows import DueStage, WindowKey, WindowRecord, WindowState
 from fleet_db.due import BATCH, DUE, OF_WINDOW, list_due, stale_epochs
-from fleet_db.rows import insert_all_new, replace_all, table_of, upsert
+from fleet_db.rows import columns_of, insert_all_new, replace_all, table_of, upsert, value_of_row
 from fleet_db.stores.window_rows import keys_given, to_window_record
 from fleet_db.subjects import Subjects
 from fleet_db.tables.track import TrackEpochRow, TrackEpochVehicleRow, TrackEpochWindowRow
@@ -346,38 +347,15 @@ def _of_listed(section: str, after: tuple[int, str]) -> Select[Any]:
 
 def _values(epoch: TrackEpoch) -> dict[str, Any]:
     survey = epoch.after.survey
-    return {
-        "section": epoch.section,
-        "number": epoch.number,
-        "before": epoch.before,
-        "input_digest": epoch.input_digest,
-        "horizon_ns": epoch.horizon_ns,
-        "windows": epoch.windows,
-        "waits": epoch.waits,
+    return columns_of(epoch, "after") | {
         "stale": False,
         "version": epoch.after.version,
         "same_since": epoch.after.same_since,
-        "estimated_on": epoch.estimated_on,
         "survey": "" if survey is None else survey.text,
         "survey_code": None if survey is None else survey.code.value,
-        "report": epoch.report,
-        "recorded_ns": epoch.recorded_ns,
     }
 
 
-def _epoch(row: Any) -> TrackEpoch:  # noqa: ANN401 - a row of EPOCHS
+def _epoch(row: Row[Any]) -> TrackEpoch:
     survey = None if row.survey_code is None else Reason(ReasonCode(row.survey_code), row.survey)
-    return TrackEpoch(
-        section=row.section,
-        number=row.number,
-        before=row.before,
-        input_digest=row.input_digest,
-        horizon_ns=row.horizon_ns,
-        windows=row.windows,
-        waits=row.waits,
-        after=FoldState(row.version, row.same_since, survey),
-        estimated_on=row.estimated_on,
-        report=row.report,
-        recorded_ns=row.recorded_ns,
-        stale=row.stale,
-    )
+    return value_of_row(TrackEpoch, row, after=FoldState(row.version, row.same_since, survey))

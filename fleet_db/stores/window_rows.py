@@ -43,6 +43,7 @@ from fleet_db.subjects import Subjects
 from fleet_db.tables.windows import WindowBinTableRow, WindowRow
 
 WINDOWS, TABLES = table_of(WindowRow), table_of(WindowBinTableRow)
+OF_WINDOW = ("wheelset", "start_ns", "length_ns", "vehicle", "axle", "track_section")
 REALS = (
     "coverage",
     "longest_gap_s",
@@ -178,14 +179,8 @@ def to_window_record(row: Row[Any]) -> WindowRecord:
         track_section=row.track_section,
         mileage_km=row.mileage_km,
         quality=WindowQuality(
-            coverage=nan_if_null(row.coverage),
-            longest_gap_s=nan_if_null(row.longest_gap_s),
+            **{name: nan_if_null(getattr(row, name)) for name in REALS},
             gaps=row.gaps,
-            clipped=nan_if_null(row.clipped),
-            invalid=nan_if_null(row.invalid),
-            speed_min_m_s=nan_if_null(row.speed_min_m_s),
-            speed_max_m_s=nan_if_null(row.speed_max_m_s),
-            position_quality=nan_if_null(row.position_quality),
             sensor_fault=row.sensor_fault,
             hunting=_hunting(row),
             blows=_blows(row),
@@ -223,12 +218,7 @@ def _blows(row: Row[Any]) -> TurnBlows:
 def window_values(window: Window, mileage_km: float) -> dict[str, object]:
     """Return what the row of a window that waits to be estimated holds of it, without its file."""
     return {
-        "wheelset": window.wheelset,
-        "start_ns": window.start_ns,
-        "length_ns": window.length_ns,
-        "vehicle": window.vehicle,
-        "axle": window.axle,
-        "track_section": window.track_section,
+        **{name: getattr(window, name) for name in OF_WINDOW},
         "mileage_km": mileage_km,
         **{name: null_if_nan(getattr(window.quality, name)) for name in REALS},
         "gaps": window.quality.gaps,
