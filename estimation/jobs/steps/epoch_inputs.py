@@ -12,8 +12,7 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.track.partition import Entry, Group, first_epoch
-from estimation.track.passes import NANOSECONDS, ProfileLife, profile_life
+from estimation.track.passes import NANOSECONDS, Entry, Group, ProfileLife, first_epoch, profile_life
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.track import OPEN_NS, EpochMember, FoldState, ListedWindow, TrackEpoch, TrackSectionRecord
 from estimation.values.windows import WindowKey, WindowRecord

@@ -14,8 +14,7 @@ from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup, VehicleL
 from estimation.motion.checks import gate, straight_part
 from estimation.storage import UnitOfWork
 from estimation.track.gridded_pass import resampled
-from estimation.track.partition import Entry
-from estimation.track.passes import Journey, Pass, PassStatus, examine, following, joined
+from estimation.track.passes import Entry, Journey, Pass, PassStatus, examine, following, joined
 from estimation.track.update import AlignmentUpdate
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import code_of_error, first_line

@@ -14,7 +14,7 @@ from estimation.errors import ContactError, DamagedError, ProfileError
 from estimation.jobs.steps.identities import last_change
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
+from estimation.track.panel.basis import MeasuredCurve, measured_curve
 from estimation.track.passes import ProfileLife
 from estimation.values.geometry import GeometryRecord
 from estimation.values.reasons import Reason

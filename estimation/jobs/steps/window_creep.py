@@ -9,7 +9,7 @@ from estimation.adhesion.creep_forces import ContactForces, forces_on, gear_segm
 from estimation.adhesion.parameters import FileErrors, FrictionParameters
 from estimation.adhesion.window_adhesion import AdhesionInputs, refused, window_adhesion
 from estimation.alerts.rules.low_adhesion import LowAdhesionRule
-from estimation.dampers.window_damper import looked_at, window_damper
+from estimation.dampers.damper import looked_at, window_damper
 from estimation.errors import DamagedError, PurgedError
 from estimation.jobs.settings import EstimationSettings
 from estimation.jobs.steps.load_window import BatchInputs, TrackLookup, WindowLoader, inputs_of_batch, tracks_of_batch
