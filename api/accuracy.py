@@ -11,7 +11,7 @@ from threading import Lock
 from estimation.accuracy.fleet_accuracy import PlacedComparison
 from estimation.accuracy.wheel_contact import RailShare, WheelContact, WheelPair, wheel_contact
 from estimation.errors import DamagedError
-from estimation.jobs.steps.compared_measurements import ComparisonReader
+from estimation.jobs.steps.measured_wheelsets import ComparisonReader
 from estimation.values.reasons import Reason
 from estimation.values.registry import Mounting
 from estimation.values.runs import code_of_error, first_line

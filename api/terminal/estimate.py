@@ -22,8 +22,8 @@ from api.tracing import start_tracing
 from api.window_reasons import SHOWN, WindowReasons, same_reason
 from api.workers.on_dask import executor_of
 from estimation.errors import ParameterError
+from estimation.jobs.estimate_windows import REFUSED, refusals
 from estimation.jobs.job import Job, JobContext, run_job
-from estimation.jobs.steps.refusals import REFUSED, refusals
 from estimation.jobs.stop_signals import stop_on_signals
 from estimation.values.quantities import Status
 from estimation.values.reasons import Reason, ReasonCode

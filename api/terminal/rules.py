@@ -24,9 +24,16 @@ from estimation.alerts.rules.book import RuleBook
 from estimation.alerts.rules.conicity_limit import SpeedBand
 from estimation.errors import InputError, NotFoundError
 from estimation.jobs.refresh_adhesion import KEPT_NS
-from estimation.jobs.rules_difference import Change, Difference, differences
-from estimation.jobs.rules_replay import DAY_NS, NOT_REPLAYED, history_of, replayed
-from estimation.jobs.section_replay import section_replayed
+from estimation.jobs.rules_replay import (
+    DAY_NS,
+    NOT_REPLAYED,
+    Change,
+    Difference,
+    differences,
+    history_of,
+    replayed,
+    section_replayed,
+)
 from estimation.values.alerts import Alert
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
 

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from api.cli import build
 from api.terminal.estimate import fleet_reasons, summary, summary_lines
 from estimation.errors import ParameterError
-from estimation.jobs.steps.refusals import refusals_text
+from estimation.jobs.estimate_windows import refusals_text
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import JobOutcome, JobRun, JobTrigger
 from estimation.values.windows import WindowState
