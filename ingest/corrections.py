@@ -15,7 +15,7 @@ from estimation.errors import ConflictError, NotFoundError, PassingFaultError
 from estimation.storage import Clock
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.runs import SubjectKind, resolved
-from fleet_db.keeping.exclusive import keeping_alone
+from fleet_db.process_locks import keeping_alone
 from fleet_db.raw import RawStore
 from fleet_db.receipts import ChunkRecord, ChunkState, RecordingAction, RecordingChange
 from fleet_db.storage import SqlStorage, SqlUnitOfWork

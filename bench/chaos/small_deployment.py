@@ -20,7 +20,7 @@ from psycopg import sql
 from api.factory import SystemClock, open_store, raw_store, receiver
 from api.settings import Settings
 from estimation.values.runs import JobOutcome
-from fleet_db.keeping.deep_check import check_deep
+from fleet_db.keeping.checks import check_deep
 from fleet_db.keeping.kept_files import orphaned_recordings
 from fleet_db.migrate import upgrade
 from fleet_db.packed_values import pack_geometry

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from estimation.values.reasons import ReasonCode, code_of
 from fleet_db.atomic_files import passing_faults
-from fleet_db.decoding_locks import TryVehicle, decoding_locks
+from fleet_db.process_locks import TryVehicle, decoding_locks
 from fleet_db.receipts import ChunkRecord, ChunkState
 from fleet_db.storage import SqlStorage
 from ingest.receiver import ChunkReceipt, Receiver

@@ -16,7 +16,7 @@ from vehicle_bus import CATALOGUE, SECOND_NS, START_NS, VEHICLE, Run, register
 from estimation.errors import StoppedError
 from estimation.values.reasons import ReasonCode, code_of
 from estimation.values.runs import SubjectKind
-from fleet_db.decoding_locks import decoding_locks
+from fleet_db.process_locks import decoding_locks
 from fleet_db.raw_files import FileRawStore
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage

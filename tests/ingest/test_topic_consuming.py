@@ -20,7 +20,7 @@ from vehicle_bus import VEHICLE, register
 from estimation.errors import StorageError
 from estimation.values.reasons import ReasonCode
 from estimation.values.runs import QuarantineState, delay_s
-from fleet_db.decoding_locks import decoding_locks
+from fleet_db.process_locks import decoding_locks
 from fleet_db.raw_files import check_raw_store
 from fleet_db.receipts import ChunkState
 from fleet_db.storage import SqlStorage, SqlUnitOfWork
