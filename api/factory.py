@@ -44,7 +44,7 @@ from ingest.own_bus.loading import load_own_bus
 from ingest.receipts import Announce, to_nobody
 from ingest.receiver import Receiver
 from ingest.stored_settings import SECOND_NS, check_window_length, claim
-from ingest.vehicle_class_file import class_of_package
+from ingest.vehicle_class_schema import class_of_package
 
 if TYPE_CHECKING:
     import uvicorn

@@ -22,7 +22,7 @@ from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_d
 from estimation.contact.profiles import Profile, rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, WearFamily, wear_course, worn
 from estimation.geometry.estimate import GeometryParameters, estimate_geometry
-from estimation.geometry.rolling_line import SLOPES, ContactRoll, held_shares, left_in_difference
+from estimation.geometry.sharpening import SLOPES, ContactRoll, held_shares, left_in_difference
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
 from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.tables import bin_table
@@ -32,7 +32,7 @@ from estimation.vehicle.vehicle_class import VehicleClass
 from ingest.simulator.motion import STEP, WheelsetMotion, simulate_wheelset
 from ingest.simulator.running_gear import RunningGear, simulate_gear
 from ingest.simulator.track import TrackRecipe, make_track
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 AMPLITUDES = np.array([2.0e-3, 2.5e-3, 3.0e-3])
 GRID = 0.01e-3 * np.arange(-1100, 1101)  # m

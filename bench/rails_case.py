@@ -31,8 +31,8 @@ from estimation.jobs.job import JobContext
 from estimation.jobs.rails_settings import KnownSection, RailsSettings
 from estimation.storage import Storage, UnitOfWork
 from estimation.values.arrays import FloatArray
+from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS
 from estimation.values.quantities import Estimate
-from estimation.values.rails import SECTION_RAILS, WHEELSET_RAILS
 from ingest.simulator.scenario import DrawnFleet, Scenario, VehiclePlan
 from ingest.simulator.wear import truth_of, wear_at, worn_contact
 

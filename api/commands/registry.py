@@ -106,7 +106,7 @@ def list_classes() -> None:
 @vehicle.command("show")
 def show_class(name: _Name) -> None:
     """Print the file of a shipped class, to copy from."""
-    from ingest.vehicle_class_file import shipped_path
+    from ingest.vehicle_class_schema import shipped_path
 
     typer.echo(shipped_path(name).read_text(encoding="utf-8"), nl=False)
 

@@ -20,18 +20,20 @@ from api.times import Moment, Timestamp
 from estimation.errors import NotFoundError
 from estimation.signatures.answer import most_likely
 from estimation.values.geometry import GeometryRecord
-from estimation.values.opinions import CellFriction, LeftOut, WindowAdhesion
-from estimation.values.opinions import SectionAdhesion as FrictionValue
-from estimation.values.quantities import Estimate, Status
-from estimation.values.rails import (
+from estimation.values.opinions import (
     SECTION_RAILS,
     WHEELSET_RAILS,
+    CellFriction,
+    LeftOut,
     RailPart,
     RailsFinding,
     RailTrend,
     WheelPart,
     WheelsFinding,
+    WindowAdhesion,
 )
+from estimation.values.opinions import SectionAdhesion as FrictionValue
+from estimation.values.quantities import Estimate, Status
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.results import Result
 from estimation.values.signatures import ANSWERS, METHOD, Disagreement, SignatureFinding, StateProbability

@@ -26,12 +26,12 @@ from api.terminal.store import begun, store_once_it_answers
 from api.topic import topic_of, with_named_setting
 from estimation.errors import ParameterError
 from fleet_db.storage import SqlStorage
+from ingest.intake.backlog import decode_received
 from ingest.live.backoff import Backoff
 from ingest.topic.client import Topic
-from ingest.topic.consuming import Consuming, Decoding
+from ingest.topic.consuming import Consuming, Decode, ReferenceTaking
 from ingest.topic.reading import TopicReader
 from ingest.topic.reference import ConsumerStatus, Outcome
-from ingest.topic.taking import ReferenceTaking
 
 WATCH_EVERY_S = 0.2
 MEASURES = "treadwatch_consumer_"
@@ -100,7 +100,7 @@ class _Work:
         while True:
             with closing(reader):
                 try:
-                    self._consuming(reader, Decoding(self._storage, decoder, process_name())).run()
+                    self._consuming(reader, partial(decode_received, self._storage, decoder, process_name())).run()
                 except KafkaException as error:
                     _log.warning("the consumer begins again: %s", error)
                 else:
@@ -109,13 +109,13 @@ class _Work:
                 return
             reader = TopicReader(self._topic, self._status)
 
-    def _consuming(self, reader: TopicReader, decoding: Decoding) -> Consuming:
+    def _consuming(self, reader: TopicReader, decode: Decode) -> Consuming:
         patient = replace(self._storage, patience_s=RECEIPT_PATIENCE_S)
         raw = raw_store(self._settings)
         backlog = backlog_watch(self._settings, self._storage, raw)
         sender = f"topic {self._topic.name}"
         taking = ReferenceTaking(patient, raw, SystemClock(), backlog, sender)
-        return Consuming(reader, taking, decoding, self._status, self._stopping.is_set)
+        return Consuming(reader, taking, decode, self._status, self._stopping.is_set)
 
 
 def _health(status: ConsumerStatus) -> Answer:

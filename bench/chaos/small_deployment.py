@@ -28,7 +28,7 @@ from fleet_db.storage import SqlStorage
 from fleet_db.tables import Base
 from ingest.frames import take
 from ingest.logs import write_blf
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 from tests.ingest.vehicle_bus import START_NS, VEHICLE, Run, register
 from tests.postgres_server import SAFE, PostgresServer, stoppable_server
 

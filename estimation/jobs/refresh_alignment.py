@@ -35,8 +35,7 @@ from estimation.jobs.steps.store_alignment import (
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_positions import Solved
 from estimation.storage import UnitOfWork
-from estimation.track.partition import Entry, newest_within
-from estimation.track.passes import Journey
+from estimation.track.passes import Entry, Journey, newest_within
 from estimation.track.results import place_alone
 from estimation.track.settings import AlignmentSettings
 from estimation.track.update import UpdateOutcome, update_alignment

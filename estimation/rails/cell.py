@@ -13,8 +13,8 @@ from estimation.geometry.estimate import GeometryParameters, estimate_geometry
 from estimation.tables.bin_table import BinParameters
 from estimation.values.arrays import BoolArray, FloatArray, IntArray
 from estimation.values.geometry import BinTable
+from estimation.values.opinions import RailKey, RailPart, RailsApart, SectionConicity, StoredCell, WheelKey, WheelPart
 from estimation.values.quantities import Estimate, Status, normal_equivalent, parts_of
-from estimation.values.rails import RailKey, RailPart, RailsApart, SectionConicity, StoredCell, WheelKey, WheelPart
 from estimation.values.reasons import Reason
 
 
@@ -114,7 +114,6 @@ def _nothing(own: Sequence[StoredCell], amplitudes: int) -> tuple[Estimate, ...]
 
 
 def _reason(own: Sequence[StoredCell]) -> Reason:
-    """Return the reason of most cells."""
     reasons = [one.reason for one in own if one.reason is not None]
     count = Counter(one.code for one in reasons)
     return max(reasons, key=lambda one: count[one.code])

@@ -61,10 +61,7 @@ class Kind(StrEnum):
 
 
 _NOUNS = {
-    Kind.FLEET: "fleet",
     Kind.VEHICLE_CLASS: "vehicle class",
-    Kind.VEHICLE: "vehicle",
-    Kind.WHEELSET: "wheelset",
     Kind.MOUNTING: "mounting of wheelset",
     Kind.REPROFILING: "reprofiling of wheelset",
     Kind.MEASUREMENT: "measured profiles of wheelset",
@@ -72,6 +69,7 @@ _NOUNS = {
     Kind.SECTION: "track section",
     Kind.WINDOW: "window of wheelset",
 }
+"""Of kinds whose noun is not the name of the array without its s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,7 @@ class RecordName:
     def __str__(self) -> str:
         """Return it as a person reads it."""
         when = "" if self.at_ns is None else f" at {utc_text(self.at_ns)}"
-        return f"{_NOUNS[self.kind]} {self.key!r}{when}"
+        return f"{_NOUNS.get(self.kind, self.kind.removesuffix('s'))} {self.key!r}{when}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,15 +166,5 @@ class LoadedRegistry:
     without_class: tuple[VehicleRecord, ...]  # vehicles that are not estimated: nobody knows their class
 
 
-ARRAYS = {
-    Kind.FLEET: "fleets",
-    Kind.VEHICLE_CLASS: "classes",
-    Kind.VEHICLE: "vehicles",
-    Kind.WHEELSET: "wheelsets",
-    Kind.MOUNTING: "mountings",
-    Kind.REPROFILING: "reprofilings",
-    Kind.MEASUREMENT: "measured_profiles",
-    Kind.SENSOR_CHANGE: "sensor_changes",
-    Kind.SECTION: "sections",
-}
+ARRAYS = {kind: str(kind) for kind in Kind} | {Kind.VEHICLE_CLASS: "classes", Kind.SECTION: "sections"}
 """Field of :class:`RegistryContents` by kind of record."""

@@ -102,7 +102,7 @@ def test_what_cannot_be_decoded_is_left_with_its_reason_and_never_tried_for_ever
     ]
     (third,) = hand_in(storage, runs(tmp_path, 1, seconds=9.0)[0])
     with monkeypatch.context() as patch:
-        patch.setattr(Receiver, "_decode_it", lambda *_: 1 / 0)
+        patch.setattr(Receiver, "_decode", lambda *_: 1 / 0)
         assert decode(storage) == DecodedChunks(0, 1)
     with storage.read() as unit:
         item = unit.quarantine.get(SubjectKind.RECORDING, third, "ingest")

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from estimation.jobs.job import JobContext
 from estimation.jobs.steps.epoch_inputs import FileLookup, entries, given, input_digest
 from estimation.storage import UnitOfWork
-from estimation.track.partition import Entry, Group, first_epoch
-from estimation.track.passes import NANOSECONDS
+from estimation.track.passes import NANOSECONDS, Entry, Group, first_epoch
 from estimation.values.track import OPEN_NS, EpochMember, FoldState, ListedWindow, TrackEpoch, TrackSectionRecord
 from estimation.values.windows import WindowKey
 

@@ -11,8 +11,7 @@ from estimation.errors import TreadwatchError
 from estimation.jobs.settings import JobSettings
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.track.partition import Entry
-from estimation.track.passes import ProfileLife, profile_life
+from estimation.track.passes import Entry, ProfileLife, profile_life
 from estimation.values.registry import Mounting, WheelsetRecord
 from estimation.values.track import EpochMember, FoldState, TrackSectionRecord
 from estimation.values.windows import WindowRecord

@@ -14,8 +14,7 @@ from estimation.jobs.steps.vehicle_classes import Assumed, ClassLookup
 from estimation.jobs.steps.vehicle_lookup import VehicleLookup
 from estimation.motion.checks import gate, straight_part
 from estimation.track.gridded_pass import resampled
-from estimation.track.partition import Entry
-from estimation.track.passes import Pass, examine, following, joined
+from estimation.track.passes import Entry, Pass, examine, following, joined
 from estimation.values.reasons import Reason
 from estimation.values.runs import code_of_error, first_line
 from estimation.values.track import TrackLayout

@@ -10,7 +10,7 @@ from estimation.contact.profiles import MeasuredProfiles
 from estimation.errors import ContactError, DamagedError, ProfileError
 from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.storage import UnitOfWork
-from estimation.track.panel.measured_curves import MeasuredCurve, measured_curve
+from estimation.track.panel.basis import MeasuredCurve, measured_curve
 from estimation.track.passes import ProfileLife
 from estimation.values.reasons import Reason
 from estimation.values.registry import WheelsetRecord

@@ -19,7 +19,7 @@ from estimation.jobs.steps.trend_steps import last_change
 from estimation.rails.parameters import Anchors, ReferenceWheel, conicity_on_rails, designed_wheel
 from estimation.storage import UnitOfWork
 from estimation.values.arrays import FloatArray
-from estimation.values.rails import KnownWheel, RailKey, StoredCell, WheelKey
+from estimation.values.opinions import KnownWheel, RailKey, StoredCell, WheelKey
 from estimation.values.reasons import Reason, ReasonCode
 from estimation.values.registry import WheelsetRecord
 from estimation.values.track import TrackSectionRecord

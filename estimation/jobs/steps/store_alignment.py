@@ -15,9 +15,8 @@ from estimation.jobs.steps.vehicle_classes import ClassLookup
 from estimation.jobs.steps.window_positions import Placing, Solved, place_windows
 from estimation.storage import UnitOfWork
 from estimation.track.passes import Journey
-from estimation.track.settings import AlignmentSettings
+from estimation.track.settings import AlignmentSettings, changed_vehicles, requires_reestimation
 from estimation.track.update import AlignmentUpdate
-from estimation.track.versions import changed_vehicles, requires_reestimation
 from estimation.values.fields import JsonValue
 from estimation.values.reasons import Reason, ReasonCode, code_of, text_of
 from estimation.values.track import (

@@ -11,11 +11,11 @@ from estimation.contact.conicity import equivalent_conicity
 from estimation.contact.geometry import WheelsetOnTrack, contact_table, radius_difference_curve, refined_curve
 from estimation.contact.profiles import rail_profile, wheel_profile
 from estimation.contact.wear import TreadWear, worn
-from estimation.geometry.rolling_line import ContactRoll, standard_curve
+from estimation.geometry.sharpening import ContactRoll, standard_curve
 from estimation.geometry.uncertainty import SCALE_STDS, ParameterUncertainty
 from estimation.motion.rolling_radius_difference import standard_displacement
 from estimation.values.arrays import FloatArray
-from ingest.vehicle_class_file import shipped_class
+from ingest.vehicle_class_schema import shipped_class
 
 X = np.linspace(-4e-3, 4e-3, 1601)
 STEP, WIDTH = 0.6e-3, 0.02e-3

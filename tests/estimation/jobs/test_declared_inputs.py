@@ -24,9 +24,8 @@ from estimation.storage import Storage, UnitOfWork
 from estimation.trend.trend import TrendParameters
 from estimation.values.alerts import Alert, AlertEventKind, Condition, Severity
 from estimation.values.geometry import GEOMETRY
-from estimation.values.opinions import CREEP, FRICTION
+from estimation.values.opinions import CELLS, CREEP, FRICTION
 from estimation.values.quantities import with_interval
-from estimation.values.rails import CELLS
 from estimation.values.registry import Mounting, Reprofiling, VehicleRecord
 from estimation.values.results import EVERYTHING, Facet, Mark, Result
 from estimation.values.signatures import ANSWERS, SIGNATURES

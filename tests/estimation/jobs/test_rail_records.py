@@ -25,7 +25,7 @@ from estimation.jobs.steps.rail_anchors import AnchorInputs, anchor_inputs, anch
 from estimation.jobs.steps.rail_cells import LOST, wheelset_cells
 from estimation.jobs.steps.rolling import Part
 from estimation.values.geometry import IntervalDigest
-from estimation.values.rails import (
+from estimation.values.opinions import (
     SECTION_RAILS,
     WHEELSET_RAILS,
     RailKey,

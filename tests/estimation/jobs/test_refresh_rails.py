@@ -26,8 +26,8 @@ from estimation.jobs.steps.rail_anchors import anchor_inputs, anchors
 from estimation.jobs.steps.rolling import Rolled, rolled
 from estimation.rails.parameters import RailsParameters
 from estimation.storage import Storage, UnitOfWork
+from estimation.values.opinions import SECTION_RAILS, WHEELSET_RAILS, RailPart, RailsReference, WheelsFinding
 from estimation.values.quantities import Estimate
-from estimation.values.rails import SECTION_RAILS, WHEELSET_RAILS, RailPart, RailsReference, WheelsFinding
 from estimation.values.reasons import ReasonCode
 from estimation.values.registry import Reprofiling
 from estimation.values.track import TrackSectionRecord
